@@ -1,0 +1,10 @@
+//! Task 1: raw codes to [`Sample`]s.
+//!
+//! A [`Source`] (the twin or a serial board) delivers [`Scan`]s of raw converter codes; the channel
+//! map turns each into a [`Sample`] in metres and watts. The steering command goes back the same way.
+
+pub mod scan;
+pub mod source;
+
+pub use scan::{Converter, Identity, MAX_CHANNELS, PsdState, Role, Sample, Scan};
+pub use source::{Ack, Down, Event, Expiry, OutputCommand, Source};

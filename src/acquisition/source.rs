@@ -1,0 +1,101 @@
+//! The trait behind which a converter stands, be it simulated or at the end of a cable.
+
+use std::future::Future;
+
+use super::scan::{Identity, Scan};
+use crate::clock::Mono;
+
+/// What the board does by itself when the lease of a steering command runs out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Expiry {
+    /// The outputs stay where they are.
+    #[default]
+    Hold,
+    /// The outputs go to their parking position.
+    Park,
+}
+
+/// Where the steering outputs shall go, in output codes. The lease bounds how long a dead daemon
+/// can go on steering: the board acts on its own when no newer command arrives in time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OutputCommand {
+    /// Counts the commands of a daemon; the acknowledgement repeats it.
+    pub id: u32,
+    /// Signed codes of the two outputs.
+    pub codes: [i32; 2],
+    /// How long the command is good for, milliseconds.
+    pub lease_ms: u16,
+    /// What happens then.
+    pub on_expiry: Expiry,
+}
+
+/// The board's answer to an [`OutputCommand`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ack {
+    /// The command's id.
+    pub id: u32,
+    /// Whether the board took it (it refuses what is outside its range).
+    pub accepted: bool,
+}
+
+/// Why no scans come.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Down {
+    /// The port cannot be opened.
+    #[error("cannot open {port}: {reason}")]
+    Open {
+        /// Path of the port.
+        port: String,
+        /// What the system says.
+        reason: String,
+    },
+    /// The link broke: unplugged, or the other side is gone.
+    #[error("{port} is gone: {reason}")]
+    Unplugged {
+        /// Path of the port.
+        port: String,
+        /// What the system says.
+        reason: String,
+    },
+    /// The board is there and does not answer within the time for this step.
+    #[error("no answer to {step} within {timeout_ms} ms")]
+    Timeout {
+        /// What was asked: "identify", "start".
+        step: &'static str,
+        /// The limit that ran out.
+        timeout_ms: u32,
+    },
+    /// The board speaks, and cannot be used.
+    #[error("the board cannot be used: {0}")]
+    Unfit(String),
+    /// Scans stopped coming.
+    #[error("no scan for {silence_ms} ms")]
+    Stalled {
+        /// How long nothing came.
+        silence_ms: u32,
+    },
+}
+
+/// What a source reports.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Event {
+    /// The source is ready; scans follow.
+    Up(Identity),
+    /// A scan.
+    Scan(Scan),
+    /// An answer to a steering command.
+    Ack(Ack),
+    /// Scans have stopped, for this reason. The source keeps trying by itself; `Up` or the next
+    /// `Scan` ends it.
+    Down(Down),
+}
+
+/// A converter that delivers scans and takes steering commands.
+pub trait Source {
+    /// The next thing to know. Cancel-safe: dropping the future loses nothing.
+    fn next(&mut self) -> impl Future<Output = Event>;
+
+    /// Takes the newest steering command; an older one not yet sent is dropped.
+    /// Never waits. `now` is the present moment.
+    fn steer(&mut self, command: OutputCommand, now: Mono);
+}

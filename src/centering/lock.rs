@@ -1,0 +1,24 @@
+//! The lock state.
+
+/// What the centering loop is doing; the numbers are those of the pose frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u8)]
+pub enum LockState {
+    /// The loop is switched off.
+    #[default]
+    Off = 0,
+    /// A person moves the laser.
+    Manual = 1,
+    /// Looking for light.
+    Searching = 2,
+    /// Light is there; the offset is not yet within limits for long enough.
+    Acquiring = 3,
+    /// The offset, its rms and the light are within limits, and the actuator is off its rails.
+    Locked = 4,
+    /// The actuator stands at a limit.
+    Railed = 5,
+    /// No light for longer than the confirmation time.
+    Lost = 6,
+    /// The actuator holds: no light, or no trustworthy sample, for less than that.
+    Held = 7,
+}

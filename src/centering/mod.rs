@@ -1,0 +1,5 @@
+//! Task 2: keeps the beam on the apex.
+
+pub mod lock;
+
+pub use lock::LockState;

@@ -1,0 +1,43 @@
+//! What estimation knows about one moment.
+
+use nalgebra::Matrix6;
+
+use super::Status;
+use crate::{centering::LockState, clock::Mono, optics::Pose};
+
+/// The result of one sample (or of a block of them). What is not known is `None`, never a number.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseReport {
+    /// Index of the converter's sample; the last one of a block; frozen while no samples come.
+    pub index: u64,
+    /// When the signals were taken: the mean over a block, "now" while no samples come.
+    pub time: Mono,
+    /// One standard deviation of `time` in nanoseconds, if known.
+    pub time_sigma_ns: Option<f64>,
+    /// When the solution was ready.
+    pub solved: Mono,
+    /// Status bits; `POSE_VALID` is set exactly if `pose` is `Some`.
+    pub status: Status,
+    /// State of the centering loop.
+    pub lock: LockState,
+    /// The pose, if it is known.
+    pub pose: Option<Pose>,
+    /// Covariance of tx, ty, tz (m), roll, pitch, yaw (rad); with the pose.
+    pub covariance: Option<Matrix6<f64>>,
+    /// Beam centre minus apex, across the beam, metres.
+    pub offset: Option<[f64; 2]>,
+    /// Commanded or measured steering position minus what the estimate says, metres.
+    pub steering_residual: Option<f64>,
+    /// Steps that the solver took.
+    pub iterations: u8,
+    /// Samples averaged into this report.
+    pub averaged: u16,
+    /// Samples lost since the last report.
+    pub lost: u32,
+    /// Spots in metres (u, v of A, B, C), NaN where there is none.
+    pub spots: [f64; 6],
+    /// Powers in watts, NaN where there is none.
+    pub powers: [f64; 3],
+    /// Steering position in metres, read back if `STEERING_MEASURED`, else as commanded.
+    pub steering: Option<[f64; 2]>,
+}

@@ -1,0 +1,103 @@
+//! The status bits of a pose.
+
+use std::ops::{BitOr, BitOrAssign};
+
+/// A set of status bits; the numbers are those of the pose frame (`docs/stream.md`).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Status(pub u32);
+
+macro_rules! bits {
+    ($($(#[$doc:meta])* $name:ident = $bit:literal),* $(,)?) => {
+        impl Status {
+            $($(#[$doc])* pub const $name: Status = Status(1 << $bit);)*
+
+            /// Every bit with its name, in order.
+            pub const NAMES: &'static [(Status, &'static str)] = &[$((Status::$name, stringify!($name))),*];
+        }
+    };
+}
+
+bits! {
+    /// The pose in this frame can be used.
+    POSE_VALID = 0,
+    /// Fatal: too little light on PSD A.
+    PSD_A_LOW = 1,
+    /// Fatal: too little light on PSD B.
+    PSD_B_LOW = 2,
+    /// Fatal: too little light on PSD C.
+    PSD_C_LOW = 3,
+    /// Fatal: a channel of PSD A stands at its rail.
+    PSD_A_CLIPPED = 4,
+    /// Fatal: a channel of PSD B stands at its rail.
+    PSD_B_CLIPPED = 5,
+    /// Fatal: a channel of PSD C stands at its rail.
+    PSD_C_CLIPPED = 6,
+    /// Warning: the spot on PSD A is near the edge of the detector.
+    PSD_A_EDGE = 7,
+    /// Warning: the spot on PSD B is near the edge of the detector.
+    PSD_B_EDGE = 8,
+    /// Warning: the spot on PSD C is near the edge of the detector.
+    PSD_C_EDGE = 9,
+    /// Warning: the three powers differ by more than the limit.
+    UNBALANCED = 10,
+    /// Warning: the centering loop is not locked.
+    NOT_LOCKED = 11,
+    /// Warning: the steering stands at a limit.
+    STEERING_RAILED = 12,
+    /// Fatal: the solver found no pose for these signals.
+    NOT_CONVERGED = 13,
+    /// Fatal: a spot is off its PSD, or the pose is outside the sensor's range.
+    OUT_OF_RANGE = 14,
+    /// Warning: samples were lost just before this one.
+    SAMPLE_GAP = 15,
+    /// Fatal: no samples come.
+    SOURCE_DOWN = 16,
+    /// Warning: the acquisition time is not tied to UTC.
+    CLOCK_UNSYNCED = 17,
+    /// Warning: a PSD has no correction table.
+    UNCALIBRATED = 18,
+    /// Warning: the steering position contradicts the pose.
+    INCONSISTENT = 19,
+    /// The light is computed, not measured.
+    SIMULATED = 20,
+    /// The samples come from a recording.
+    REPLAYED = 21,
+    /// The pose is an old one, kept for a client that asked for that.
+    POSE_HELD = 22,
+    /// The steering position is read back, not just commanded.
+    STEERING_MEASURED = 23,
+    /// Warning: the recorder lost data.
+    RECORDING_FAULT = 24,
+}
+
+impl Status {
+    /// Whether all bits of `other` are set.
+    pub fn has(self, other: Status) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// Sets `bits` if `on`.
+    pub fn set(&mut self, bits: Status, on: bool) {
+        if on {
+            *self |= bits;
+        }
+    }
+
+    /// The names of the set bits, in order.
+    pub fn names(self) -> impl Iterator<Item = &'static str> {
+        Self::NAMES.iter().filter(move |(bit, _)| self.has(*bit)).map(|(_, name)| *name)
+    }
+}
+
+impl BitOr for Status {
+    type Output = Status;
+    fn bitor(self, other: Status) -> Status {
+        Status(self.0 | other.0)
+    }
+}
+
+impl BitOrAssign for Status {
+    fn bitor_assign(&mut self, other: Status) {
+        self.0 |= other.0;
+    }
+}

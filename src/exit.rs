@@ -1,0 +1,34 @@
+//! The exit codes of `trifacet`, those of `sysexits.h`, so that a supervisor can tell a mistake in a
+//! file from a device that is busy.
+
+/// The command line is wrong.
+pub const USAGE: u8 = 64;
+/// Some rows of the input could not be worked on; the rest were.
+pub const DATA: u8 = 65;
+/// The other side is not there: nothing listens, or no frame came.
+pub const UNAVAILABLE: u8 = 69;
+/// A task of the daemon ended by itself: a defect.
+pub const SOFTWARE: u8 = 70;
+/// A file or a socket could not be read or written.
+pub const IO: u8 = 74;
+/// Something is in use by another process: a port of either kind. Trying later may work.
+pub const IN_USE: u8 = 75;
+/// The configuration is wrong.
+pub const CONFIG: u8 = 78;
+
+/// An error with the exit code that tells its kind.
+#[derive(Debug, thiserror::Error)]
+#[error("{message}")]
+pub struct Failure {
+    /// One of the codes of this module.
+    pub code: u8,
+    /// What happened, where, and what is allowed.
+    pub message: String,
+}
+
+impl Failure {
+    /// A failure of this kind with this message.
+    pub fn new(code: u8, message: impl Into<String>) -> Self {
+        Self { code, message: message.into() }
+    }
+}

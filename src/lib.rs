@@ -1,0 +1,26 @@
+//! # trifacet
+//!
+//! A laser falls on the apex of a three-facet mirror; each part of the split beam lands on a
+//! position-sensitive detector (PSD). This library turns the six spot coordinates and three powers
+//! into the mirror's pose, keeps the beam on the apex, and publishes what it knows, in real time.
+//!
+//! The modules stand in the order in which a sample flows through them:
+//!
+//! ```text
+//!  twin ─┐                 ┌─> centering ──(command)──> back to the source
+//!        ├─> acquisition ──┤       ^ (pose)
+//!  board ┘                 └─> estimation ──> publishing ──> UDP, TCP
+//! ```
+//!
+//! `optics` is the sensor model that everything rests on; `daemon` is the wiring.
+//! Lengths are metres, angles radians, times nanoseconds of the monotonic clock, everywhere inside;
+//! other units exist only in the configuration (where every key carries its unit) and on screens.
+
+pub mod acquisition;
+pub mod centering;
+pub mod clock;
+pub mod config;
+pub mod estimation;
+pub mod exit;
+pub mod monitor;
+pub mod optics;

@@ -1,0 +1,5 @@
+//! The command line of trifacet.
+
+mod commands;
+
+fn main() {}

@@ -1,0 +1,74 @@
+//! What is counted. One place for every loss, so that none is silent.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+macro_rules! counters {
+    ($($(#[$doc:meta])* $name:ident),* $(,)?) => {
+        /// Every counter of the daemon. Shared, lock-free; each only ever grows.
+        #[derive(Debug, Default)]
+        pub struct Counters { $($(#[$doc])* pub $name: Counter),* }
+
+        impl Counters {
+            /// All of them by name, in the order of the flow.
+            pub fn list(&self) -> Vec<(&'static str, u64)> {
+                vec![$((stringify!($name), self.$name.get())),*]
+            }
+        }
+    };
+}
+
+counters! {
+    /// Scans that arrived whole.
+    scans,
+    /// Samples that the converter took and that never arrived.
+    scans_lost,
+    /// Frames of the board that arrived twice.
+    scans_repeated,
+    /// Frames of the board that arrived after a younger one, and were not used.
+    scans_late,
+    /// Frames of the board whose framing or check sum was wrong.
+    frames_corrupted,
+    /// Frames of the board that were whole and made no sense.
+    frames_unknown,
+    /// Times the source went down.
+    source_downs,
+    /// Steering commands given to the source.
+    commands_sent,
+    /// Steering commands that the board refused.
+    commands_refused,
+    /// Samples dropped because estimation was behind.
+    estimation_overflows,
+    /// Samples the controller skipped because a newer one was there.
+    centering_skips,
+    /// Pose frames made.
+    frames,
+    /// Pose frames without a valid pose.
+    frames_invalid,
+    /// Datagrams that the network stack did not take.
+    udp_dropped,
+    /// Frames that never reached the TCP side because it was behind.
+    tcp_overflows,
+    /// Frames dropped for TCP clients that did not keep up, summed over clients.
+    tcp_dropped,
+}
+
+/// A number that only grows.
+#[derive(Debug, Default)]
+pub struct Counter(AtomicU64);
+
+impl Counter {
+    /// Counts one more.
+    pub fn one(&self) {
+        self.add(1);
+    }
+
+    /// Counts `n` more.
+    pub fn add(&self, n: u64) {
+        self.0.fetch_add(n, Ordering::Relaxed);
+    }
+
+    /// The count so far.
+    pub fn get(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+}

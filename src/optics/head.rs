@@ -1,0 +1,122 @@
+//! The sensor head: geometry of the PSDs, the facets and the beam.
+
+use std::f64::consts::TAU;
+
+use super::{FACETS, Vec3};
+
+/// One position-sensitive detector: a plane with two axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Psd {
+    /// Centre of the sensitive area, world frame, metres.
+    pub origin: Vec3,
+    /// Unit normal, towards the mirror.
+    pub x: Vec3,
+    /// Unit vector of the first coordinate, u.
+    pub y: Vec3,
+    /// Unit vector of the second coordinate, v.
+    pub z: Vec3,
+    /// Half the side of the sensitive area, metres.
+    pub half_size: f64,
+}
+
+impl Psd {
+    /// A detector with its centre at `origin`, facing along `x`, its v-axis as near to `up` as the
+    /// plane allows; `size` is the whole side in metres.
+    pub fn facing(origin: Vec3, x: Vec3, up: Vec3, size: f64) -> Self {
+        let x = x.normalize();
+        let z = (up - x * up.dot(&x)).normalize();
+        Self { origin, x, y: z.cross(&x), z, half_size: size / 2.0 }
+    }
+}
+
+/// A sensor head: three PSDs, three facets and a beam.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Head {
+    /// The PSDs A, B, C.
+    pub psds: [Psd; 3],
+    /// Unit normals of the facets A, B, C in the mirror frame, pointing outwards. The facets meet in
+    /// the apex, the origin of that frame, and follow each other counter-clockwise seen from the laser.
+    pub facets: [Vec3; 3],
+    /// Unit direction in which the light travels.
+    pub beam_direction: Vec3,
+    /// 1/e^2 diameter of the beam, metres.
+    pub beam_diameter: f64,
+}
+
+/// Why a head cannot be one.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum HeadError {
+    /// A length that is not a positive number.
+    #[error("{what} must be a positive number of metres, not {value}")]
+    Length {
+        /// Which one.
+        what: &'static str,
+        /// What was given.
+        value: f64,
+    },
+    /// A vector without a direction.
+    #[error("{what} must be a vector with a direction, not {value:?}")]
+    Direction {
+        /// Which one.
+        what: String,
+        /// What was given.
+        value: [f64; 3],
+    },
+    /// The light passes facet by, or comes from below.
+    #[error("facet {facet} does not face the light")]
+    FacetTurnedAway {
+        /// A, B or C.
+        facet: char,
+    },
+    /// The facets do not go around the apex counter-clockwise.
+    #[error("facets A, B, C must follow each other counter-clockwise around the apex, seen from the laser")]
+    FacetOrder,
+}
+
+impl Head {
+    /// The head of the paper from four numbers: PSDs at `distance` in the plane of the apex at azimuths
+    /// 0, +120 and -120 degrees, facets inclined by `facet_angle` (radians) to the base, light from above.
+    pub fn nominal(distance: f64, size: f64, facet_angle: f64, diameter: f64) -> Result<Self, HeadError> {
+        let around = [0.0, TAU / 3.0, -TAU / 3.0].map(|a: f64| Vec3::new(a.cos(), a.sin(), 0.0));
+        let head = Self {
+            psds: around.map(|e| Psd::facing(e * distance, -e, Vec3::z(), size)),
+            facets: around.map(|e| e * facet_angle.sin() + Vec3::z() * facet_angle.cos()),
+            beam_direction: -Vec3::z(),
+            beam_diameter: diameter,
+        };
+        for (what, value) in
+            [("the PSD distance", distance), ("the PSD size", size), ("the beam diameter", diameter)]
+        {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(HeadError::Length { what, value });
+            }
+        }
+        head.checked()
+    }
+
+    /// The same head, if it is one: directions are made unit vectors, and the facets must face the
+    /// light and follow each other counter-clockwise.
+    pub fn checked(mut self) -> Result<Self, HeadError> {
+        self.beam_direction = unit("the beam direction", self.beam_direction)?;
+        for (name, normal) in FACETS.iter().zip(&mut self.facets) {
+            *normal = unit(&format!("the normal of facet {name}"), *normal)?;
+            if normal.dot(&self.beam_direction) > -1e-3 {
+                return Err(HeadError::FacetTurnedAway { facet: *name });
+            }
+        }
+        let [a, b, c] = self.facets;
+        if a.cross(&b).dot(&c) <= 0.0 {
+            return Err(HeadError::FacetOrder);
+        }
+        Ok(self)
+    }
+}
+
+fn unit(what: &str, v: Vec3) -> Result<Vec3, HeadError> {
+    let norm = v.norm();
+    if norm.is_finite() && norm > 1e-9 {
+        Ok(v / norm)
+    } else {
+        Err(HeadError::Direction { what: what.into(), value: v.into() })
+    }
+}

@@ -1,0 +1,28 @@
+//! The sensor model. Pure: no clock, no socket, no configuration.
+//!
+//! - [`head`]: where the PSDs stand, how the facets lie, where the light comes from.
+//! - [`pose`]: position and orientation, Eq. 3 of the paper.
+//! - [`beam`]: how a Gaussian beam splits on the mirror: powers and centroids.
+//! - [`ray`]: from a point of a facet to a spot on a PSD, with derivatives.
+//! - [`trace`]: pose to signals.
+//! - [`estimate`]: signals to pose.
+//!
+//! The paper is: *Measurement of 3-D position and orientation of rigid bodies using a 3-facet mirror*.
+//! Its printed equations 5 to 16 contain misprints (`docs/sensor-model.md`); the model here is derived
+//! from the law of reflection.
+
+pub mod head;
+pub mod pose;
+
+pub use head::{Head, HeadError, Psd};
+pub use pose::Pose;
+
+/// A vector in space.
+pub type Vec3 = nalgebra::Vector3<f64>;
+/// A vector across the beam.
+pub type Vec2 = nalgebra::Vector2<f64>;
+/// A rotation, or any linear map of space.
+pub type Mat3 = nalgebra::Matrix3<f64>;
+
+/// The names of the three facets and their PSDs.
+pub const FACETS: [char; 3] = ['A', 'B', 'C'];
