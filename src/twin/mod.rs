@@ -2,7 +2,7 @@
 //! converter, and what can go wrong with them. The same seed gives the same scans.
 //!
 //! [`Twin`] is pure: it computes scan after scan for the times `index / rate`, as fast as it is asked.
-//! [`TwinSource`](source::TwinSource) runs it in real time; the board emulator and `trifacet simulate`
+//! [`TwinSource`] runs it in real time; the board emulator and `trifacet simulate`
 //! use it too.
 //!
 //! - [`trajectory`]: how the mirror moves.
@@ -15,6 +15,7 @@ pub mod electronics;
 pub mod faults;
 pub mod light;
 pub mod outputs;
+pub mod source;
 pub mod stage;
 pub mod trajectory;
 
@@ -24,6 +25,7 @@ use rand_pcg::Pcg64;
 pub use faults::Fate;
 pub use light::{Scene, Spot};
 pub use outputs::{OUTPUT_BITS, Outputs};
+pub use source::TwinSource;
 
 use crate::{
     acquisition::{Identity, MAX_CHANNELS, Role, scan::SIGNALS},
@@ -126,6 +128,11 @@ impl Twin {
     /// What the twin says of itself as a source.
     pub fn identity(&self) -> &Identity {
         &self.identity
+    }
+
+    /// Index of the next scan.
+    pub fn next_index(&self) -> u64 {
+        self.index
     }
 
     /// Seconds from the twin's start to the next scan.
