@@ -130,6 +130,11 @@ impl Twin {
         &self.identity
     }
 
+    /// The board's steering outputs: codes to metres, range, leases and parking position.
+    pub fn outputs(&self) -> &Outputs {
+        &self.outputs
+    }
+
     /// Index of the next scan.
     pub fn next_index(&self) -> u64 {
         self.index
@@ -233,46 +238,18 @@ fn head(config: &Config) -> Result<Head, TwinError> {
         .map_err(|e| TwinError::new("head", e.to_string()))
 }
 
-/// What the twin itself cannot do without; the ranges that make sense are the configuration's business.
+/// What would break the twin. The ranges that make sense are the business of the configuration, which
+/// has been checked when it comes from a file.
 fn check(config: &Config) -> Result<(), TwinError> {
-    let (twin, channels) = (&config.twin, &config.channels);
+    let bits = config.twin.converter_bits;
     let rate_hz = config.acquisition.rate_hz;
     if !(rate_hz > 0.0 && rate_hz <= MAX_RATE_HZ) {
         let reason = format!("must be above 0 and at most {MAX_RATE_HZ} with the twin, not {rate_hz}");
         return Err(TwinError::new("acquisition.rate_hz", reason));
     }
-    if !(8..=24).contains(&twin.converter_bits) {
-        let reason = format!("must be from 8 to 24, not {}", twin.converter_bits);
+    if !(8..=24).contains(&bits) {
+        let reason = format!("must be from 8 to 24, not {bits}");
         return Err(TwinError::new("twin.converter_bits", reason));
-    }
-    let positive = [
-        ("twin.mirror_radius_mm", twin.mirror_radius_mm),
-        ("twin.converter_range_v", twin.converter_range_v),
-        ("twin.steering.limit_um", twin.steering.limit_um),
-        ("channels.power_mw_per_v", channels.power_mw_per_v),
-        ("channels.readback_um_per_v", channels.readback_um_per_v),
-        ("steering.full_scale_um", config.steering.full_scale_um),
-    ];
-    let not_negative = [
-        ("twin.laser_mw", twin.laser_mw),
-        ("twin.spot_noise_um", twin.spot_noise_um),
-        ("twin.power_noise", twin.power_noise),
-        ("twin.channel_skew_us", twin.channel_skew_us),
-        ("twin.steering.delay_ms", twin.steering.delay_ms),
-        ("twin.steering.lag_ms", twin.steering.lag_ms),
-    ];
-    let bad = |(_, value): &&(&str, f64), least: f64| !(value.is_finite() && *value >= least);
-    if let Some((key, value)) = positive.iter().find(|x| bad(x, f64::MIN_POSITIVE)) {
-        return Err(TwinError::new(*key, format!("must be a number above 0, not {value}")));
-    }
-    if let Some((key, value)) = not_negative.iter().find(|x| bad(x, 0.0)) {
-        return Err(TwinError::new(*key, format!("must be a number, 0 or more, not {value}")));
-    }
-    for (name, psd) in ["a", "b", "c"].iter().zip([&channels.a, &channels.b, &channels.c]) {
-        if psd.gain.iter().any(|g| !(g.is_finite() && *g != 0.0)) {
-            let reason = format!("must be finite numbers other than 0, not {:?}", psd.gain);
-            return Err(TwinError::new(format!("channels.{name}.gain"), reason));
-        }
     }
     Ok(())
 }

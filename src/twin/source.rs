@@ -11,7 +11,6 @@ use crate::{
         Mono, NS_PER_S,
         pace::{Pace, Waiting},
     },
-    config::SteeringConfig,
     monitor::Counters,
 };
 
@@ -39,12 +38,12 @@ pub struct TwinSource<C: Waiting> {
 impl<C: Waiting> TwinSource<C> {
     /// Starts the twin now. With the system's clock this must be called on the thread and in the tokio
     /// runtime that will ask for events.
-    pub fn new(twin: Twin, steering: &SteeringConfig, clock: C, counters: Arc<Counters>) -> io::Result<Self> {
+    pub fn new(twin: Twin, clock: C, counters: Arc<Counters>) -> io::Result<Self> {
         let rate_hz = twin.identity().rate_hz;
         let pace = Pace::new(clock, rate_hz)?;
         Ok(Self {
             events: VecDeque::from([Event::Up(twin.identity().clone())]),
-            outputs: Outputs::new(steering),
+            outputs: twin.outputs().clone(),
             counters,
             due: 0,
             lost: 0,
@@ -110,10 +109,13 @@ impl<C: Waiting> Source for TwinSource<C> {
             } else {
                 match self.pace.due().await {
                     Ok(due) => self.due = due,
-                    Err(e) => {
+                    Err(e) if !self.down => {
+                        self.down = true;
                         self.counters.source_downs.one();
                         return Event::Down(Down::Unfit(format!("the twin's timer failed: {e}")));
                     }
+                    // Said already, and without a timer nothing more can come.
+                    Err(_) => std::future::pending().await,
                 }
             }
             self.due -= 1;
@@ -163,7 +165,7 @@ mod tests {
         config.steering.park_um = [250.0, 0.0];
         let (clock, counters) = (ManualClock::new(), Arc::<Counters>::default());
         let twin = Twin::new(&config).unwrap();
-        let source = TwinSource::new(twin, &config.steering, clock.clone(), Arc::clone(&counters)).unwrap();
+        let source = TwinSource::new(twin, clock.clone(), Arc::clone(&counters)).unwrap();
         Bench { clock, counters, source }
     }
 

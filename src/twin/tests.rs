@@ -178,9 +178,13 @@ fn what_a_twin_cannot_be_is_refused_by_key() {
         change(&mut config);
         assert_eq!(Twin::new(&config).unwrap_err().key, key);
     };
-    refused("acquisition.rate_hz", &|c| c.acquisition.rate_hz = 20_001.0);
+    for rate_hz in [0.0, -1.0, f64::NAN, 20_001.0] {
+        refused("acquisition.rate_hz", &|c| c.acquisition.rate_hz = rate_hz);
+    }
     refused("twin.converter_bits", &|c| c.twin.converter_bits = 33);
-    refused("twin.mirror_radius_mm", &|c| c.twin.mirror_radius_mm = 0.0);
-    refused("twin.spot_noise_um", &|c| c.twin.spot_noise_um = f64::NAN);
-    refused("channels.b.gain", &|c| c.channels.b.gain[1] = 0.0);
+    refused("head", &|c| c.head.psd_distance_mm = 0.0);
+    refused("twin.motion[0].amount_um", &|c| {
+        c.twin.motion = Config::default().twin.motion;
+        c.twin.motion[0].amount_um = None;
+    });
 }
