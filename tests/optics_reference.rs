@@ -29,7 +29,8 @@ fn ray_model_agrees_to_a_picometre() {
 
 #[test]
 fn gaussian_model_agrees_to_ten_picometres() {
-    for (file, distance, diameter) in [("gaussian.csv", 0.25, 0.46e-3), ("gaussian_r400_w500.csv", 0.4, 1e-3)] {
+    for (file, distance, diameter) in [("gaussian.csv", 0.25, 0.46e-3), ("gaussian_r400_w500.csv", 0.4, 1e-3)]
+    {
         let optics = optics(distance, diameter);
         for row in cases(file) {
             let pose = Pose::from_array(row[..6].try_into().unwrap());
