@@ -64,7 +64,7 @@ impl Electronics {
     /// The twin's electronics behind PSDs of these half sizes (metres).
     pub fn new(config: &Config, half_sizes: [f64; 3]) -> Self {
         let (twin, channels) = (&config.twin, &config.channels);
-        let psds = [&channels.a, &channels.b, &channels.c];
+        let psds = channels.psds();
         Self {
             converter: Converter { bits: twin.converter_bits, range_v: twin.converter_range_v },
             psds: [0, 1, 2].map(|i| Psd {

@@ -28,9 +28,9 @@ pub use outputs::{OUTPUT_BITS, Outputs};
 pub use source::TwinSource;
 
 use crate::{
-    acquisition::{Identity, MAX_CHANNELS, Role, scan::SIGNALS},
+    acquisition::{Identity, MAX_CHANNELS, Role, Scan, scan::SIGNALS},
+    clock::Mono,
     config::{Config, Fault, FaultKind},
-    optics::Head,
 };
 use electronics::{Electronics, Noise, READBACK};
 use faults::{Active, Faults};
@@ -74,6 +74,20 @@ pub struct TwinScan {
     pub truth: Scene,
 }
 
+impl TwinScan {
+    /// What arrives of it, if it arrives, with the time at which it was taken.
+    pub fn arrived(&self, time: Mono, lost: u32) -> Option<Scan> {
+        (self.fate == Fate::Sent).then_some(Scan {
+            index: self.index,
+            time,
+            time_sigma_ns: Some(0.0),
+            lost,
+            codes: self.codes,
+            output_railed: self.output_railed,
+        })
+    }
+}
+
 /// The digital twin.
 #[derive(Clone, Debug)]
 pub struct Twin {
@@ -98,19 +112,14 @@ impl Twin {
         let (twin, seed) = (&config.twin, config.twin.seed);
         let rate_hz = config.acquisition.rate_hz;
         check(config)?;
-        let head = head(config)?;
+        let head = config.head.build().map_err(|e| TwinError::new("head", e.to_string()))?;
         let lighting = Lighting::new(&head, twin.mirror_radius_mm * 1e-3);
         let electronics = Electronics::new(config, lighting.half_sizes());
         let identity = identity(config, &electronics);
-        let skew_s = twin.channel_skew_us * 1e-6;
-        if skew_s * identity.roles.len() as f64 * rate_hz >= 1.0 {
-            let reason = format!("{} channels must fit into one sample period", identity.roles.len());
-            return Err(TwinError::new("twin.channel_skew_us", reason));
-        }
         let steering = &twin.steering;
         Ok(Self {
             rate_hz,
-            skew_s,
+            skew_s: twin.channel_skew_us * 1e-6,
             identity,
             trajectory: Trajectory::new(&twin.motion, seed)?,
             laser_rest: twin.laser_offset_um.map(|um| um * 1e-6),
@@ -230,14 +239,6 @@ fn identity(config: &Config, electronics: &Electronics) -> Identity {
     }
 }
 
-fn head(config: &Config) -> Result<Head, TwinError> {
-    let head = &config.head;
-    let [distance, size, diameter] =
-        [head.psd_distance_mm, head.psd_size_mm, head.beam_diameter_mm].map(|mm| mm * 1e-3);
-    Head::nominal(distance, size, head.facet_angle_deg.to_radians(), diameter)
-        .map_err(|e| TwinError::new("head", e.to_string()))
-}
-
 /// What would break the twin. The ranges that make sense are the business of the configuration, which
 /// has been checked when it comes from a file.
 fn check(config: &Config) -> Result<(), TwinError> {
@@ -250,6 +251,11 @@ fn check(config: &Config) -> Result<(), TwinError> {
     if !(8..=24).contains(&bits) {
         let reason = format!("must be from 8 to 24, not {bits}");
         return Err(TwinError::new("twin.converter_bits", reason));
+    }
+    let channels = config.twin.channel_count();
+    if config.twin.channel_skew_us * 1e-6 * (channels - 1) as f64 * rate_hz >= 1.0 {
+        let reason = format!("{channels} channels must fit into one sample period");
+        return Err(TwinError::new("twin.channel_skew_us", reason));
     }
     Ok(())
 }

@@ -4,9 +4,9 @@ use std::collections::VecDeque;
 use std::io;
 use std::sync::Arc;
 
-use super::{Fate, Outputs, Twin, TwinScan};
+use super::{Fate, Outputs, Twin};
 use crate::{
-    acquisition::{Ack, Down, Event, OutputCommand, Scan, Source},
+    acquisition::{Ack, Down, Event, OutputCommand, Source},
     clock::{
         Mono, NS_PER_S,
         pace::{Pace, Waiting},
@@ -64,14 +64,23 @@ impl<C: Waiting> TwinSource<C> {
         }
         let scan = self.twin.next_scan();
         self.stalled = scan.fate == Fate::Stalled;
-        if scan.fate == Fate::Sent {
-            self.arrive(&scan, time);
-            return;
+        match scan.arrived(time, self.lost) {
+            Some(scan) => {
+                self.counters.scans.one();
+                self.counters.scans_lost.add(scan.lost.into());
+                (self.heard, self.lost, self.down) = (time, 0, false);
+                self.events.push_back(Event::Scan(scan));
+            }
+            None => self.miss(scan.fate, time),
         }
-        if scan.fate == Fate::Corrupted {
+    }
+
+    /// A scan that was due at `time` does not arrive.
+    fn miss(&mut self, fate: Fate, time: Mono) {
+        self.lost = self.lost.saturating_add(1);
+        if fate == Fate::Corrupted {
             self.counters.frames_corrupted.one();
         }
-        self.lost = self.lost.saturating_add(1);
         let silence = time - self.heard;
         if silence >= self.patience && !self.down {
             self.down = true;
@@ -79,21 +88,6 @@ impl<C: Waiting> TwinSource<C> {
             let silence_ms = u32::try_from(silence / 1_000_000).unwrap_or(u32::MAX);
             self.events.push_back(Event::Down(Down::Stalled { silence_ms }));
         }
-    }
-
-    fn arrive(&mut self, scan: &TwinScan, time: Mono) {
-        let lost = std::mem::take(&mut self.lost);
-        self.counters.scans.one();
-        self.counters.scans_lost.add(lost.into());
-        (self.heard, self.down) = (time, false);
-        self.events.push_back(Event::Scan(Scan {
-            index: scan.index,
-            time,
-            time_sigma_ns: Some(0.0),
-            lost,
-            codes: scan.codes,
-            output_railed: scan.output_railed,
-        }));
     }
 }
 
@@ -145,7 +139,7 @@ const MIN_SILENCE_NS: i64 = 20_000_000;
 mod tests {
     use super::*;
     use crate::{
-        acquisition::Expiry,
+        acquisition::{Expiry, Scan},
         clock::{Clock, manual::ManualClock},
         config::{Config, Fault, FaultKind},
     };

@@ -124,15 +124,15 @@ fn movement(i: usize, motion: &Motion, seed: u64) -> Result<Movement, TwinError>
 
 /// The amount in metres or radians; exactly the key that fits the axis must be there.
 fn amount(motion: &Motion, error: impl Fn(&str, &str) -> TwinError) -> Result<f64, TwinError> {
-    let (amount, key) = match (motion.axis, motion.amount_um, motion.amount_urad) {
-        (Axis::Tx | Axis::Ty | Axis::Tz, Some(um), None) => (um * 1e-6, "amount_um"),
-        (Axis::Roll | Axis::Pitch | Axis::Yaw, None, Some(urad)) => (urad * 1e-6, "amount_urad"),
-        (Axis::Tx | Axis::Ty | Axis::Tz, ..) => {
-            return Err(error("amount_um", "a translation needs amount_um, and no amount_urad"));
-        }
-        _ => return Err(error("amount_urad", "a turn needs amount_urad, and no amount_um")),
+    let (amount, stray, key) = if motion.axis.is_turn() {
+        (motion.amount_urad, motion.amount_um, "amount_urad")
+    } else {
+        (motion.amount_um, motion.amount_urad, "amount_um")
     };
-    if amount.is_finite() { Ok(amount) } else { Err(error(key, "must be a finite number")) }
+    match (amount, stray) {
+        (Some(micro), None) if micro.is_finite() => Ok(micro * 1e-6),
+        _ => Err(error(key, "must be there, finite, and the only amount: translations in um, turns in urad")),
+    }
 }
 
 /// Noise between two frequencies with this rms: one sine at a random place in each slice of the band.
@@ -152,7 +152,7 @@ mod tests {
     use super::*;
 
     fn motion(axis: Axis, amount: f64, kind: MotionKind) -> Motion {
-        let turn = matches!(axis, Axis::Roll | Axis::Pitch | Axis::Yaw);
+        let turn = axis.is_turn();
         Motion {
             axis,
             amount_um: (!turn).then_some(amount),
