@@ -2,19 +2,30 @@
 //!
 //! - [`head`]: where the PSDs stand, how the facets lie, where the light comes from.
 //! - [`pose`]: position and orientation, Eq. 3 of the paper.
-//! - [`beam`]: how a Gaussian beam splits on the mirror: powers and centroids.
 //! - [`ray`]: from a point of a facet to a spot on a PSD, with derivatives.
-//! - [`trace`]: pose to signals.
-//! - [`estimate`]: signals to pose.
+//! - [`beam`]: how a Gaussian beam splits on the mirror: powers and centroids, with derivatives.
+//! - [`model`]: the whole path, from pose and beam offset to signals.
+//! - [`estimate`]: the way back, from signals to pose and beam offset.
+//! - [`covariance`]: how the noise of the signals shows in the result.
 //!
 //! The paper is: *Measurement of 3-D position and orientation of rigid bodies using a 3-facet mirror*.
 //! Its printed equations 5 to 16 contain misprints (`docs/sensor-model.md`); the model here is derived
 //! from the law of reflection.
 
+pub mod beam;
+pub mod covariance;
+pub mod estimate;
 pub mod head;
+mod linear;
+pub mod model;
 pub mod pose;
+pub mod ray;
+mod slopes;
 
+pub use covariance::{Noise, Sensitivity};
+pub use estimate::{Estimator, Signals, Solution, SolveError};
 pub use head::{Head, HeadError, Psd};
+pub use model::{Model, Optics, Reading, TraceError};
 pub use pose::Pose;
 
 /// A vector in space.

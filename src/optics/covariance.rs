@@ -1,0 +1,81 @@
+//! How the noise of the signals shows in the result.
+
+use nalgebra::{Matrix2, Matrix6, SMatrix, SVector, Vector6};
+
+use super::slopes::Residual;
+use super::{Solution, Vec2, Vec3};
+
+/// One standard deviation of each signal, in its unit; the noises are taken as independent.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Noise {
+    /// Of u, v of A, B, C.
+    pub spots: [f64; 6],
+    /// Of the power on A, B, C.
+    pub powers: [f64; 3],
+}
+
+/// The derivatives of the result with the signals.
+///
+/// Rows: tx, ty, tz (m), roll, pitch, yaw (rad), beam offset x, y (m).
+/// Columns: u, v of A, B, C (m), powers of A, B, C (their unit).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sensitivity(pub SMatrix<f64, 8, 9>);
+
+impl Solution {
+    /// The sensitivity at this solution, from the equations of its last step.
+    pub fn sensitivity(&self) -> Sensitivity {
+        let mut matrix = SMatrix::<f64, 8, 9>::zeros();
+        for signal in 0..9 {
+            let (dt, dw, doffset) = self.slopes.solve(&self.unit_residual(signal));
+            let (t, w) = (self.to_world * dt, self.pose.euler_rates() * (self.to_world * dw));
+            let column = SVector::from([t.x, t.y, t.z, w.x, w.y, w.z, doffset.x, doffset.y]);
+            matrix.set_column(signal, &column);
+        }
+        Sensitivity(matrix)
+    }
+
+    /// What a unit change of one signal does to the residual.
+    fn unit_residual(&self, signal: usize) -> Residual {
+        let mut residual = Residual::default();
+        match signal {
+            0..6 if signal.is_multiple_of(2) => residual.u[signal / 2] = 1.0,
+            0..6 => residual.v[signal / 2] = 1.0,
+            // A fraction is power over total, and the total contains the power.
+            _ if self.total_power.is_finite() => {
+                let own = Vec3::ith(signal - 6, 1.0).xy();
+                residual.fractions = (own - self.fractions) / self.total_power;
+            }
+            _ => residual.fractions = Vec2::zeros(),
+        }
+        residual
+    }
+}
+
+impl Sensitivity {
+    /// Covariance of the pose: tx, ty, tz (m), roll, pitch, yaw (rad).
+    pub fn pose_covariance(&self, noise: &Noise) -> Matrix6<f64> {
+        let scaled = self.scaled(noise);
+        let pose = scaled.fixed_rows::<6>(0);
+        pose * pose.transpose()
+    }
+
+    /// Covariance of the beam offset, square metres.
+    pub fn offset_covariance(&self, noise: &Noise) -> Matrix2<f64> {
+        let scaled = self.scaled(noise);
+        let offset = scaled.fixed_rows::<2>(6);
+        offset * offset.transpose()
+    }
+
+    fn scaled(&self, noise: &Noise) -> SMatrix<f64, 8, 9> {
+        let mut scaled = self.0;
+        for (mut column, sd) in scaled.column_iter_mut().zip(noise.spots.iter().chain(&noise.powers)) {
+            column *= *sd;
+        }
+        scaled
+    }
+}
+
+/// One standard deviation of each component of a pose.
+pub fn deviations(covariance: &Matrix6<f64>) -> Vector6<f64> {
+    covariance.diagonal().map(f64::sqrt)
+}

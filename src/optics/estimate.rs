@@ -1,0 +1,314 @@
+//! From signals to pose: Newton's method on the ray or the Gaussian model.
+//!
+//! The Gaussian model solves nine equations (six coordinates, three powers) for nine unknowns (pose, beam
+//! offset, total power). The total is the sum of the powers, since the fractions add up to one; the two
+//! offsets are eliminated from two of the fractions; six equations remain, as in the ray model.
+//!
+//! All steps are taken in the beam frame, with the orientation as a quaternion.
+
+use nalgebra::{Quaternion, UnitQuaternion};
+
+use super::beam::{Split, Wedge};
+use super::model::MIN_FACING;
+use super::ray::Ray;
+use super::slopes::{Linearised, Residual};
+use super::{FACETS, Mat3, Model, Optics, Pose, Vec2, Vec3};
+
+/// The six coordinates and three powers of one moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Signals {
+    /// u, v of A, B, C in metres.
+    pub spots: [f64; 6],
+    /// Power on A, B, C in any unit; only their ratios matter. Not looked at by the ray model.
+    pub powers: [f64; 3],
+}
+
+/// Why there is no pose.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum SolveError {
+    /// A signal is not a number.
+    #[error("the {signal} of PSD {psd} is not a finite number")]
+    NotFinite {
+        /// "spot" or "power".
+        signal: &'static str,
+        /// A, B or C.
+        psd: char,
+    },
+    /// A spot is beside the sensitive area.
+    #[error(
+        "the spot is off PSD {psd}: u = {:.4} mm, v = {:.4} mm, allowed +-{:.4} mm",
+        u * 1e3, v * 1e3, half_size * 1e3
+    )]
+    OffPsd {
+        /// A, B or C.
+        psd: char,
+        /// First coordinate, metres.
+        u: f64,
+        /// Second coordinate, metres.
+        v: f64,
+        /// Largest allowed coordinate, metres.
+        half_size: f64,
+    },
+    /// A power is zero or negative.
+    #[error("no light on PSD {psd}: power {power:e}")]
+    Dark {
+        /// A, B or C.
+        psd: char,
+        /// What was measured.
+        power: f64,
+    },
+    /// The equations have no single solution here.
+    #[error("the equations are singular after {iterations} iterations")]
+    Singular {
+        /// Steps taken.
+        iterations: u8,
+    },
+    /// The steps do not come to rest.
+    #[error("no convergence within {iterations} iterations")]
+    NotConverged {
+        /// Steps taken.
+        iterations: u8,
+    },
+    /// The steps lead to where a facet sees no light or does not face it.
+    #[error("the solution leaves the range of the sensor after {iterations} iterations")]
+    OutOfRange {
+        /// Steps taken.
+        iterations: u8,
+    },
+}
+
+impl SolveError {
+    /// Steps taken before the solver gave up; 0 if the signals were refused at once.
+    pub fn iterations(&self) -> u8 {
+        match *self {
+            Self::Singular { iterations }
+            | Self::NotConverged { iterations }
+            | Self::OutOfRange { iterations } => iterations,
+            _ => 0,
+        }
+    }
+}
+
+/// A solved pose. Also the warm start of the next solve.
+#[derive(Clone, Copy, Debug)]
+pub struct Solution {
+    /// Position and orientation of the mirror.
+    pub pose: Pose,
+    /// Beam centre minus apex, across the beam, metres; zero by assumption with the ray model.
+    pub offset: Vec2,
+    /// Sum of the powers, in their unit; NaN with the ray model.
+    pub total_power: f64,
+    /// Newton and chord steps taken.
+    pub iterations: u8,
+    state: State,
+    pub(super) slopes: Linearised,
+    pub(super) fractions: Vec2,
+    pub(super) to_world: Mat3,
+}
+
+/// The unknowns, in the beam frame.
+#[derive(Clone, Copy, Debug)]
+struct State {
+    t: Vec3,
+    turn: UnitQuaternion<f64>,
+    offset: Vec2,
+}
+
+/// The light as a state has it: what falls on the facets, and where it is reflected to.
+pub(super) struct Light {
+    pub split: Option<Split>,
+    pub reflections: [Reflection; 3],
+}
+
+/// The light of one facet.
+pub(super) struct Reflection {
+    /// Power and moment; with the Gaussian model.
+    pub wedge: Option<Wedge>,
+    /// The point of reflection as seen from the apex.
+    pub arm: Vec3,
+    /// The ray from there.
+    pub ray: Ray,
+}
+
+/// What the solver aims at: spots, and the fractions on A and B.
+struct Target {
+    spots: [f64; 6],
+    fractions: Vec2,
+    total: f64,
+}
+
+/// A step (metres and radians) below this ends the iteration: Newton's next one is far below rounding.
+const AT_REST: f64 = 1e-10;
+/// After a Newton step below this the next step reuses its equations.
+const CHORD: f64 = 1e-4;
+/// A chord step is the last if the one after it would be below this.
+const CHORD_AT_REST: f64 = 1e-14;
+/// Most steps from one start.
+const MAX_STEPS: u8 = 14;
+
+/// Turns signals into poses.
+#[derive(Clone, Debug)]
+pub struct Estimator {
+    optics: Optics,
+    model: Model,
+}
+
+impl Estimator {
+    /// An estimator for this head and model.
+    pub fn new(optics: Optics, model: Model) -> Self {
+        Self { optics, model }
+    }
+
+    /// The head.
+    pub fn optics(&self) -> &Optics {
+        &self.optics
+    }
+
+    /// The model.
+    pub fn model(&self) -> Model {
+        self.model
+    }
+
+    /// The pose that explains the signals, starting from an earlier solution (fast, if it is near) or
+    /// from a centred mirror. If the warm start leads nowhere the cold one is tried.
+    pub fn solve(&self, signals: &Signals, warm: Option<&Solution>) -> Result<Solution, SolveError> {
+        let target = self.target(signals)?;
+        let mut iterations = 0;
+        if let Some(warm) = warm
+            && let Ok(solution) = self.iterate(&target, warm.state, &mut iterations)
+        {
+            return Ok(solution);
+        }
+        self.iterate(&target, self.centred(), &mut iterations)
+    }
+
+    fn centred(&self) -> State {
+        let turn = nalgebra::Rotation3::from_matrix_unchecked(self.optics.to_world.transpose());
+        State { t: Vec3::zeros(), turn: UnitQuaternion::from_rotation_matrix(&turn), offset: Vec2::zeros() }
+    }
+
+    fn target(&self, signals: &Signals) -> Result<Target, SolveError> {
+        for (i, psd) in FACETS.into_iter().enumerate() {
+            let (u, v) = (signals.spots[2 * i], signals.spots[2 * i + 1]);
+            let half_size = self.optics.psds[i].half_size;
+            if !(u.is_finite() && v.is_finite()) {
+                return Err(SolveError::NotFinite { signal: "spot", psd });
+            }
+            if u.abs() > half_size || v.abs() > half_size {
+                return Err(SolveError::OffPsd { psd, u, v, half_size });
+            }
+        }
+        let mut target = Target { spots: signals.spots, fractions: Vec2::zeros(), total: f64::NAN };
+        if self.model == Model::Gaussian {
+            target.total = total_power(&signals.powers)?;
+            target.fractions = Vec2::new(signals.powers[0], signals.powers[1]) / target.total;
+        }
+        Ok(target)
+    }
+
+    /// Newton steps until they are small, then a chord step, which reuses the equations of the step before.
+    fn iterate(&self, target: &Target, mut state: State, count: &mut u8) -> Result<Solution, SolveError> {
+        let last = *count + MAX_STEPS;
+        while *count < last {
+            let iterations = *count;
+            let light = self.light(&state).ok_or(SolveError::OutOfRange { iterations })?;
+            let slopes = Linearised::new(&self.optics, &light).ok_or(SolveError::Singular { iterations })?;
+            let (newton, limited) = self.step(&slopes, &target.minus(&light), &mut state);
+            *count += 1;
+            if newton < AT_REST {
+                return Ok(self.solution(target, state, &slopes, *count));
+            }
+            if newton < CHORD && !limited {
+                let light = self.light(&state).ok_or(SolveError::OutOfRange { iterations: *count })?;
+                let (chord, _) = self.step(&slopes, &target.minus(&light), &mut state);
+                *count += 1;
+                // Chord steps shrink by the same factor each.
+                if chord * chord < CHORD_AT_REST * newton {
+                    return Ok(self.solution(target, state, &slopes, *count));
+                }
+            }
+        }
+        Err(SolveError::NotConverged { iterations: *count })
+    }
+
+    /// Moves the state by the solution of the linear equations; returns the largest component of the step
+    /// and whether it was shortened, so that the offset moves by at most the beam's deviation.
+    fn step(&self, slopes: &Linearised, residual: &Residual, state: &mut State) -> (f64, bool) {
+        let (dt, dw, doffset) = slopes.solve(residual);
+        let reach = doffset.norm() / self.optics.sigma;
+        let scale = if reach > 1.0 { 1.0 / reach } else { 1.0 };
+        state.t += dt * scale;
+        // A turn by dw, to third order; the quaternion is made a unit one again.
+        let half = dw * (0.5 * scale);
+        let turned = Quaternion::from_parts(1.0, half) * state.turn.into_inner();
+        state.turn = UnitQuaternion::new_normalize(turned);
+        state.offset += doffset * scale;
+        (dt.amax().max(dw.amax()).max(doffset.amax()), reach > 1.0)
+    }
+
+    fn solution(&self, target: &Target, state: State, slopes: &Linearised, iterations: u8) -> Solution {
+        let rotation = self.optics.to_world * state.turn.to_rotation_matrix().into_inner();
+        Solution {
+            pose: Pose::new(self.optics.to_world * state.t, &rotation),
+            offset: state.offset,
+            total_power: target.total,
+            iterations,
+            state,
+            slopes: *slopes,
+            fractions: target.fractions,
+            to_world: self.optics.to_world,
+        }
+    }
+
+    /// `None` where a facet sees no light, does not face it, or does not send it to its PSD.
+    fn light(&self, state: &State) -> Option<Light> {
+        let r: Mat3 = state.turn.to_rotation_matrix().into_inner();
+        let normals = self.optics.facets.map(|n| r * n);
+        if !normals.iter().all(|n| n.z > MIN_FACING) {
+            return None;
+        }
+        let split =
+            (self.model == Model::Gaussian).then(|| Split::new(&normals, state.offset / self.optics.sigma));
+        let reflect = |i: usize| {
+            let wedge = split.as_ref().map(|split| split.wedge(i));
+            let arm = match &wedge {
+                Some(wedge) => self.optics.arm(wedge, normals[i], state.offset)?,
+                None => Vec3::zeros(),
+            };
+            let ray = Ray::new(&self.optics.psds[i], normals[i], state.t + arm)?;
+            Some(Reflection { wedge, arm, ray })
+        };
+        let reflections = [reflect(0)?, reflect(1)?, reflect(2)?];
+        Some(Light { split, reflections })
+    }
+}
+
+impl Target {
+    /// Measured minus computed.
+    fn minus(&self, light: &Light) -> Residual {
+        let mut residual = Residual::default();
+        for (i, reflection) in light.reflections.iter().enumerate() {
+            residual.u[i] = self.spots[2 * i] - reflection.ray.spot[0];
+            residual.v[i] = self.spots[2 * i + 1] - reflection.ray.spot[1];
+            if let Some(wedge) = &reflection.wedge
+                && i < 2
+            {
+                residual.fractions[i] = self.fractions[i] - wedge.power;
+            }
+        }
+        residual
+    }
+}
+
+/// The sum of the powers, if each is light.
+fn total_power(powers: &[f64; 3]) -> Result<f64, SolveError> {
+    for (&power, psd) in powers.iter().zip(FACETS) {
+        if !power.is_finite() {
+            return Err(SolveError::NotFinite { signal: "power", psd });
+        }
+        if power <= 0.0 {
+            return Err(SolveError::Dark { psd, power });
+        }
+    }
+    Ok(powers.iter().sum())
+}

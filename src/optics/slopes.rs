@@ -1,0 +1,136 @@
+//! The equations of the sensor, linearised about a state.
+
+use nalgebra::{Matrix2, Matrix2x3, Matrix3x2};
+
+use super::beam::{Wedge, WedgeSlopes};
+use super::estimate::Light;
+use super::linear::Factored;
+use super::ray::Row;
+use super::{Mat3, Optics, Vec2, Vec3};
+
+/// Measured minus computed: the u and the v of A, B, C, and the fractions on A and B.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Residual {
+    pub u: Vec3,
+    pub v: Vec3,
+    pub fractions: Vec2,
+}
+
+/// A change of the unknowns, in the beam frame: translation, turn, beam offset.
+pub(super) type Step = (Vec3, Vec3, Vec2);
+
+/// The linear equations, factored: solved for one residual after the other.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Linearised {
+    pose: Factored,
+    offset: Option<OffsetEquations>,
+}
+
+/// What the fractions on A and B say of the beam offset, and the spots of it.
+#[derive(Clone, Copy, Debug)]
+struct OffsetEquations {
+    /// Inverse of d(fractions)/d(offset).
+    inverse: Matrix2<f64>,
+    /// d(fractions)/d(turn).
+    by_turn: Matrix2x3<f64>,
+    /// d(u)/d(offset) and d(v)/d(offset).
+    spots: [Matrix3x2<f64>; 2],
+}
+
+/// d(u or v of A, B, C)/d(translation, turn, offset).
+#[derive(Default)]
+struct Rows {
+    shift: Mat3,
+    turn: Mat3,
+    offset: Matrix3x2<f64>,
+}
+
+/// How the centroid of the light on a facet moves across the beam.
+struct Centroid {
+    by_offset: Matrix2<f64>,
+    by_turn: Matrix2x3<f64>,
+}
+
+impl Linearised {
+    /// `None` if the equations are singular.
+    pub fn new(optics: &Optics, light: &Light) -> Option<Self> {
+        let (mut u, mut v) = (Rows::default(), Rows::default());
+        let (mut by_offset, mut by_turn) = (Matrix2::zeros(), Matrix2x3::zeros());
+        for (i, (psd, reflection)) in optics.psds.iter().zip(&light.reflections).enumerate() {
+            let mut centroid = None;
+            if let (Some(split), Some(wedge)) = (&light.split, &reflection.wedge) {
+                let slopes = split.slopes(i);
+                centroid = Some(Centroid::new(wedge, &slopes, optics.sigma()));
+                if i < 2 {
+                    by_offset.set_row(i, &(wedge.moment / optics.sigma()).transpose());
+                    by_turn.set_row(i, &slopes.power_turn.transpose());
+                }
+            }
+            u.set(i, &reflection.ray.row(psd, psd.y, reflection.arm), centroid.as_ref());
+            v.set(i, &reflection.ray.row(psd, psd.z, reflection.arm), centroid.as_ref());
+        }
+        let mut offset = None;
+        if light.split.is_some() {
+            let inverse = by_offset.try_inverse()?;
+            u.eliminate(&inverse, &by_turn);
+            v.eliminate(&inverse, &by_turn);
+            offset = Some(OffsetEquations { inverse, by_turn, spots: [u.offset, v.offset] });
+        }
+        let pose = Factored::new(u.left(), u.right(), v.left(), v.right())?;
+        Some(Self { pose, offset })
+    }
+
+    /// The step that takes the residual to zero.
+    pub fn solve(&self, residual: &Residual) -> Step {
+        let (mut u, mut v, mut offset) = (residual.u, residual.v, Vec2::zeros());
+        if let Some(light) = &self.offset {
+            offset = light.inverse * residual.fractions;
+            u -= light.spots[0] * offset;
+            v -= light.spots[1] * offset;
+        }
+        let (left, right) = self.pose.solve(u, v);
+        let turn = Vec3::new(right.y, right.z, left.z);
+        if let Some(light) = &self.offset {
+            offset -= light.inverse * (light.by_turn * turn);
+        }
+        (Vec3::new(left.x, left.y, right.x), turn, offset)
+    }
+}
+
+impl Rows {
+    fn set(&mut self, facet: usize, row: &Row, centroid: Option<&Centroid>) {
+        self.shift.set_row(facet, &row.shift.transpose());
+        let mut turn = row.turn.transpose();
+        if let Some(centroid) = centroid {
+            let across = row.across.xy().transpose();
+            turn += across * centroid.by_turn;
+            self.offset.set_row(facet, &(across * centroid.by_offset));
+        }
+        self.turn.set_row(facet, &turn);
+    }
+
+    /// Takes the offset out by the equations of the fractions.
+    fn eliminate(&mut self, inverse: &Matrix2<f64>, by_turn: &Matrix2x3<f64>) {
+        self.turn -= self.offset * (inverse * by_turn);
+    }
+
+    /// Columns tx, ty, turn about z.
+    fn left(&self) -> Mat3 {
+        Mat3::from_columns(&[self.shift.column(0), self.shift.column(1), self.turn.column(2)])
+    }
+
+    /// Columns tz, turn about x, turn about y.
+    fn right(&self) -> Mat3 {
+        Mat3::from_columns(&[self.shift.column(2), self.turn.column(0), self.turn.column(1)])
+    }
+}
+
+impl Centroid {
+    fn new(wedge: &Wedge, slopes: &WedgeSlopes, sigma: f64) -> Self {
+        let per_power = 1.0 / wedge.power;
+        let mean = wedge.moment * per_power;
+        let by_offset = Matrix2::identity() + slopes.moment_offset * per_power - mean * mean.transpose();
+        let by_turn = (slopes.moment_turn - mean * slopes.power_turn.transpose()) * (sigma * per_power);
+        Self { by_offset, by_turn }
+    }
+}
