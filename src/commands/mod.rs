@@ -7,10 +7,12 @@ use anyhow::Context;
 use trifacet::config::{self, Config};
 
 mod check;
+mod emulate;
 mod table;
 mod trace;
 
 pub(crate) use check::{CheckArgs, check};
+pub(crate) use emulate::{EmulateArgs, emulate};
 pub(crate) use trace::{TableArgs, solve, trace};
 
 /// The option that all commands with a configuration have.

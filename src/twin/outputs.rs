@@ -39,11 +39,26 @@ impl Outputs {
     /// refused command changes nothing, the lease included.
     #[must_use]
     pub fn take(&mut self, command: &OutputCommand, now: Mono) -> bool {
-        let accepted = command.codes.iter().all(|code| (-FULL_SCALE..FULL_SCALE).contains(code));
+        let accepted = Self::in_range(command.codes);
         if accepted {
             self.lease = Some((now + i64::from(command.lease_ms) * 1_000_000, command.on_expiry));
         }
         accepted
+    }
+
+    /// Whether a command's lease is running.
+    pub fn leased(&self) -> bool {
+        self.lease.is_some()
+    }
+
+    /// The parking position, in codes that are within range.
+    pub fn set_park(&mut self, park: [i32; 2]) {
+        self.park = park;
+    }
+
+    /// Whether the outputs have these codes.
+    pub fn in_range(codes: [i32; 2]) -> bool {
+        codes.iter().all(|code| (-FULL_SCALE..FULL_SCALE).contains(code))
     }
 
     /// Where the outputs go by themselves, once, if the lease has run out and they are to park.
