@@ -1,38 +1,32 @@
 //! `trifacet simulate`: the twin as fast as it can, as a table for `trifacet solve` and for tests.
+//!
+//! The same configuration gives the same bytes.
 
 use std::io::{self, Write};
-use std::path::PathBuf;
 
 use trifacet::{
-    config,
     exit::{self, Failure},
     twin::{Fate, Twin, TwinScan},
 };
 
-/// Computes samples of the digital twin and prints them as CSV, with the truth behind them.
-///
-/// The same configuration and seed give the same bytes. Scans that a fault drops, damages or holds back
-/// are not printed: the column `sample` shows the gap.
-#[derive(Clone, Debug, clap::Args)]
-pub struct SimulateArgs {
-    /// Configuration file; without one, the defaults.
-    #[arg(long, value_name = "FILE")]
-    pub config: Option<PathBuf>,
-    /// How many samples the twin takes.
+use super::table::digits;
+use super::{ConfigArg, written};
+
+/// Arguments of `simulate`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct SimulateArgs {
+    #[command(flatten)]
+    config: ConfigArg,
+    /// How many samples the twin takes; lost ones are not printed, and `sample` shows the gap
     #[arg(long, value_name = "N", default_value_t = 1000)]
-    pub samples: u64,
+    samples: u64,
 }
 
-/// Prints the table to standard output. A reader that has seen enough may close it early.
-pub fn simulate(args: &SimulateArgs) -> anyhow::Result<()> {
-    let wrong = |message: String| Failure::new(exit::CONFIG, message);
-    let config = config::load(args.config.as_deref()).map_err(|e| wrong(e.to_string()))?;
-    let mut twin = Twin::new(&config).map_err(|e| wrong(e.to_string()))?;
-    match table(&mut twin, args.samples, io::stdout().lock()) {
-        Err(e) if e.kind() == io::ErrorKind::BrokenPipe => Ok(()),
-        Err(e) => Err(Failure::new(exit::IO, format!("cannot write the table: {e}")).into()),
-        Ok(()) => Ok(()),
-    }
+/// Prints samples of the twin and the truth behind them to standard output.
+pub(crate) fn simulate(args: &SimulateArgs) -> anyhow::Result<()> {
+    let config = args.config.load()?;
+    let mut twin = Twin::new(&config).map_err(|e| Failure::new(exit::CONFIG, e.to_string()))?;
+    written(table(&mut twin, args.samples, io::stdout().lock()))
 }
 
 const TRUTH: [&str; 8] = [
@@ -62,7 +56,7 @@ fn row(scan: &TwinScan, out: &mut impl Write) -> io::Result<()> {
     write!(out, "{},{}", scan.index, scan.t_s)?;
     let truth = &scan.truth;
     for value in truth.pose.to_array().iter().chain(truth.offset.iter()) {
-        write!(out, ",{value:.16e}")?;
+        write!(out, ",{}", digits(*value))?;
     }
     writeln!(out)
 }

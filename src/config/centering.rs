@@ -64,13 +64,17 @@ impl Default for CenteringConfig {
 }
 
 impl CenteringConfig {
-    /// The gains by the SIMC rule, `Ki = 1/(2 delay)` and `Kp = lag Ki`, unless the file sets them.
+    /// The delay that the gains are made for, seconds.
     ///
     /// A sampled loop has a delay of two periods at least, whatever `loop_delay_ms` says: one until
     /// the next sample, half of one because the command stands still in between, and some to compute.
+    pub fn loop_delay_s(&self, rate_hz: f64) -> f64 {
+        (self.loop_delay_ms * 1e-3).max(2.0 / rate_hz)
+    }
+
+    /// The gains by the SIMC rule, `Ki = 1/(2 delay)` and `Kp = lag Ki`, unless the file sets them.
     pub fn gains(&self, rate_hz: f64) -> Gains {
-        let delay = (self.loop_delay_ms * 1e-3).max(2.0 / rate_hz);
-        let ki_per_s = self.ki_per_s.unwrap_or(0.5 / delay);
+        let ki_per_s = self.ki_per_s.unwrap_or(0.5 / self.loop_delay_s(rate_hz));
         Gains { kp: self.kp.unwrap_or(self.lag_ms * 1e-3 * ki_per_s), ki_per_s }
     }
 

@@ -6,7 +6,7 @@ use super::check::{Checker, above_zero};
 use crate::optics;
 
 /// Which model of the beam.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Model {
     /// A ray through the apex, as in the paper: six signals.

@@ -57,14 +57,13 @@ fn shape_problem(text: &str, file: &DeValue<'_>, error: &toml::de::Error) -> Pro
     let span = error.span();
     let key = span.as_ref().and_then(|span| path_at(file, span.start)).unwrap_or_default();
     let serde_says = error.message();
-    let message = match serde_says.strip_prefix("unknown field ") {
-        Some(rest) => unknown_key(&key, rest),
-        None => {
-            let value = span.clone().and_then(|span| one_line(text.get(span)?));
-            let found = value.filter(|v| !v.starts_with('[')).map_or(String::new(), |v| format!(" = {v}"));
-            let allowed = allowed_at(&key).map_or(String::new(), |rule| format!("; allowed is {rule}"));
-            format!("{key}{found}: {serde_says}{allowed}")
-        }
+    let message = if let Some(rest) = serde_says.strip_prefix("unknown field ") {
+        unknown_key(&key, rest)
+    } else {
+        let value = span.clone().and_then(|span| one_line(text.get(span)?));
+        let found = value.filter(|v| !v.starts_with('[')).map_or(String::new(), |v| format!(" = {v}"));
+        let allowed = allowed_at(&key).map_or(String::new(), |rule| format!("; allowed is {rule}"));
+        format!("{key}{found}: {serde_says}{allowed}")
     };
     Problem { place: span.map(|span| place(text, span.start)), message }
 }

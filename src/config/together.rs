@@ -50,6 +50,18 @@ fn twin_signals(config: &Config, at: &mut Checker<'_>) {
         twin.laser_mw,
         format_args!("a power of which a third reads below {most} V; now it reads {brightest:.3} V"),
     );
+    if twin.steering.readback_noise_um.is_some() {
+        let reach = config.steering.limit_um.min(twin.steering.limit_um) / config.channels.readback_um_per_v;
+        at.agree(
+            reach < most,
+            "channels.readback_um_per_v",
+            &["steering.limit_um", "twin.steering.limit_um", "channels.clip_limit", "twin.converter_range_v"],
+            format!("{:?}", config.channels.readback_um_per_v),
+            format_args!(
+                "so much that the readback stays below {most} V at the steering limit; now it is {reach:.3} V"
+            ),
+        );
+    }
     let skew_us = twin.channel_skew_us * (twin.channel_count() - 1) as f64;
     let period_us = 1e6 / config.acquisition.rate_hz;
     at.agree(
