@@ -46,11 +46,16 @@ impl Outputs {
         accepted
     }
 
-    /// Where the outputs go by themselves, once, if the lease has run out and they are to park.
+    /// Says, once, that the lease of the last command has run out, and what follows: the outputs stay,
+    /// or go to [`Outputs::park`].
     #[must_use]
-    pub fn expire(&mut self, now: Mono) -> Option<[i32; 2]> {
-        let (_, on_expiry) = self.lease.take_if(|(end, _)| *end <= now)?;
-        (on_expiry == Expiry::Park).then_some(self.park)
+    pub fn expire(&mut self, now: Mono) -> Option<Expiry> {
+        self.lease.take_if(|(end, _)| *end <= now).map(|(_, on_expiry)| on_expiry)
+    }
+
+    /// The codes of the parking position.
+    pub fn park(&self) -> [i32; 2] {
+        self.park
     }
 }
 
@@ -69,16 +74,17 @@ mod tests {
     }
 
     #[test]
-    fn a_lease_that_runs_out_parks_once_or_holds() {
+    fn a_lease_runs_out_once() {
         let mut parking = outputs();
         assert!(parking.take(&command([5, 6], Expiry::Park), Mono(0)));
         assert!(parking.take(&command([5, 6], Expiry::Park), Mono(150 * MS)));
         assert_eq!(parking.expire(Mono(349 * MS)), None);
-        assert_eq!(parking.expire(Mono(350 * MS)), Some([6554, -6554]));
+        assert_eq!(parking.expire(Mono(350 * MS)), Some(Expiry::Park));
+        assert_eq!(parking.park(), [6554, -6554]);
         assert_eq!(parking.expire(Mono(900 * MS)), None);
         let mut holding = outputs();
         assert!(holding.take(&command([5, 6], Expiry::Hold), Mono(0)));
-        assert_eq!(holding.expire(Mono(900 * MS)), None);
+        assert_eq!(holding.expire(Mono(900 * MS)), Some(Expiry::Hold));
     }
 
     #[test]
