@@ -24,3 +24,4 @@ pub mod estimation;
 pub mod exit;
 pub mod monitor;
 pub mod optics;
+pub mod twin;

@@ -98,6 +98,11 @@ impl Optics {
         self.psds.map(|p| p.half_size)
     }
 
+    /// The part of a world vector that lies across the beam, in the axes of the beam's offset.
+    pub fn across(&self, v: Vec3) -> Vec2 {
+        (self.to_world.transpose() * v).xy()
+    }
+
     /// What the PSDs see of a mirror at `pose` with the beam's centre at `offset` from the apex, across
     /// the beam, metres (world x and y for a vertical beam). Fails unless all three see light.
     pub fn trace(&self, model: Model, pose: &Pose, offset: Vec2) -> Result<Reading, TraceError> {
