@@ -3,6 +3,8 @@
 //!
 //! Code that needs "now" takes a [`Clock`]; only [`SystemClock`] asks the operating system.
 
+pub mod utc;
+
 use std::ops::{Add, Sub};
 
 use rustix::time::{ClockId, clock_gettime};

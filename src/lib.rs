@@ -24,3 +24,6 @@ pub mod estimation;
 pub mod exit;
 pub mod monitor;
 pub mod optics;
+pub mod publishing;
+
+pub use publishing::client;
