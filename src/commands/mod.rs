@@ -1,1 +1,3 @@
 //! One file for each command of `trifacet`; `main.rs` only chooses.
+
+pub(crate) mod watch;

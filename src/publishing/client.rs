@@ -181,14 +181,12 @@ async fn open_udp(place: &str) -> io::Result<UdpSocket> {
 }
 
 async fn next_tcp(stream: &mut TcpStream, decoder: &mut Decoder) -> Result<Message, ClientError> {
-    let mut bytes = [0; 16 * 1024];
     loop {
         if let Some(message) = decoder.next_message() {
             return Ok(message?);
         }
-        match stream.read(&mut bytes).await? {
-            0 => return Err(ClientError::Closed),
-            n => decoder.push(&bytes[..n]),
+        if stream.read_buf(decoder.room()).await? == 0 {
+            return Err(ClientError::Closed);
         }
     }
 }

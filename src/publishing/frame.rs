@@ -8,6 +8,7 @@ use crate::{
     centering::LockState,
     clock::Mono,
     estimation::{PoseReport, Status},
+    optics::Pose,
 };
 
 /// The clock quality of a frame whose time is of unknown quality.
@@ -134,7 +135,7 @@ impl PoseFrame {
             clock_quality: clock_quality(report.time_sigma_ns),
             lock: report.lock,
             iterations: report.iterations,
-            pose: pose.map_or([f64::NAN; 6], |p| p.to_array()),
+            pose: pose.map_or([f64::NAN; 6], Pose::to_array),
             deviations: variances.map_or([f32::NAN; 6], |v| std::array::from_fn(|i| v[i].sqrt() as f32)),
             beam_offset: report.offset.map_or([f32::NAN; 2], |o| o.map(|x| x as f32)),
             steering_residual: report.steering_residual.map_or(f32::NAN, |x| x as f32),
@@ -160,7 +161,9 @@ impl PoseFrame {
         w.put(self.status.0.to_le_bytes());
         w.put(self.clock_quality.to_le_bytes());
         w.put([self.lock as u8, self.iterations]);
-        self.pose.iter().for_each(|x| w.put(x.to_le_bytes()));
+        for x in self.pose {
+            w.put(x.to_le_bytes());
+        }
         w.put_f32s(&self.deviations);
         w.put_f32s(&self.beam_offset);
         w.put_f32s(&[self.steering_residual]);
@@ -247,7 +250,9 @@ impl Writer {
     }
 
     fn put_f32s(&mut self, numbers: &[f32]) {
-        numbers.iter().for_each(|x| self.put(x.to_le_bytes()));
+        for x in numbers {
+            self.put(x.to_le_bytes());
+        }
     }
 }
 
@@ -274,7 +279,6 @@ pub(crate) mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::optics::Pose;
 
     /// A report with everything in it.
     pub(crate) fn report() -> PoseReport {

@@ -17,6 +17,8 @@ pub const MINOR: u8 = 0;
 pub const HEADER_SIZE: usize = 8;
 /// The CRC at the end.
 pub const CRC_SIZE: usize = 4;
+/// Bytes for which a [`Decoder`] keeps room.
+const ROOM: usize = 16 * 1024;
 
 /// The kinds of message that this version knows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -103,7 +105,7 @@ impl Header {
     }
 
     /// Whether a message could begin so.
-    fn plausible(&self) -> bool {
+    fn plausible(self) -> bool {
         let size = usize::from(self.size);
         let pose = self.magic == Kind::Pose.magic() && self.major == MAJOR;
         self.magic.starts_with(b"TF") && size >= HEADER_SIZE + CRC_SIZE && (!pose || size == FRAME_SIZE)
@@ -148,9 +150,15 @@ pub struct Decoder {
 impl Decoder {
     /// Takes the next bytes of the stream.
     pub fn push(&mut self, bytes: &[u8]) {
+        self.room().extend_from_slice(bytes);
+    }
+
+    /// Where the next bytes of the stream are to be appended; there is room for many.
+    pub fn room(&mut self) -> &mut Vec<u8> {
         self.buffer.drain(..self.start);
         self.start = 0;
-        self.buffer.extend_from_slice(bytes);
+        self.buffer.reserve(ROOM);
+        &mut self.buffer
     }
 
     /// Bytes so far that belonged to no undamaged message.

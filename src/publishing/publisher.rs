@@ -9,7 +9,7 @@ use std::{
     sync::Arc,
 };
 
-use tokio::sync::mpsc;
+use tokio::sync::mpsc::{self, error::TrySendError};
 
 use super::frame::{FrameBytes, PoseFrame, Stamp};
 use crate::{
@@ -104,8 +104,8 @@ impl<C: Clock> Publisher<C> {
             target.send(&bytes, &self.counters);
         }
         // A closed channel is not a loss: it means that the TCP side has ended, which the daemon sees.
-        if let Some(Err(mpsc::error::TrySendError::Full(_))) =
-            self.tcp.as_ref().map(|tcp| tcp.try_send(bytes))
+        if let Some(tcp) = &self.tcp
+            && let Err(TrySendError::Full(_)) = tcp.try_send(bytes)
         {
             self.counters.tcp_overflows.one();
         }
@@ -232,6 +232,6 @@ mod tests {
         let [a, b] = [StreamId::new(&[&1.5, &"x"]), StreamId::new(&[&1.5, &"x"])];
         assert_ne!(a.session, b.session);
         assert_eq!(a.config, b.config);
-        assert_ne!(a.config, StreamId::new(&[&1.5000000000000002, &"x"]).config);
+        assert_ne!(a.config, StreamId::new(&[&1.500_000_1, &"x"]).config);
     }
 }
