@@ -1,92 +1,22 @@
 //! The TCP server and its client over real loopback sockets.
 
-#![allow(clippy::unwrap_used)]
-
-use std::{net::SocketAddr, sync::Arc, time::Duration};
+use std::net::SocketAddr;
 
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
     net::{TcpSocket, TcpStream},
-    sync::mpsc,
-    task::JoinHandle,
     time::timeout,
 };
-use tokio_util::sync::CancellationToken;
 use trifacet::{
-    centering::LockState,
-    client::{Client, ClientError, Endpoint, Heartbeat, Message, PoseFrame},
-    config::Model,
-    estimation::Status,
-    exit::{self, Failure},
-    monitor::Counters,
+    client::{Client, ClientError, Endpoint, Heartbeat, Losses, Message},
+    exit,
     publishing::{
-        Descriptor, StreamId,
-        descriptor::StreamFacts,
-        frame::FrameBytes,
         message::Decoder,
         tcp::{self, Limits},
     },
 };
 
-/// Long enough for any machine; nothing here waits so long unless it hangs.
-const PATIENCE: Duration = Duration::from_secs(60);
-const ID: StreamId = StreamId { session: 11, config: 22 };
-
-struct Server {
-    address: SocketAddr,
-    frames: mpsc::Sender<FrameBytes>,
-    counters: Arc<Counters>,
-    shutdown: CancellationToken,
-    task: JoinHandle<Result<(), Failure>>,
-}
-
-async fn start(limits: Limits) -> Server {
-    let listener = tcp::bind(([127, 0, 0, 1], 0).into()).await.unwrap();
-    let address = listener.local_addr().unwrap();
-    let (frames, rx) = mpsc::channel(4096);
-    let counters = Arc::<Counters>::default();
-    let shutdown = CancellationToken::new();
-    let task = tokio::spawn({
-        let (counters, shutdown) = (counters.clone(), shutdown.clone());
-        async move { tcp::serve(listener, rx, &descriptor(), limits, counters, shutdown).await }
-    });
-    Server { address, frames, counters, shutdown, task }
-}
-
-fn descriptor() -> Descriptor {
-    Descriptor::new(StreamFacts {
-        id: ID,
-        sample_rate_hz: 1000.0,
-        average: 1,
-        model: Model::Gaussian,
-        calibrated: false,
-    })
-}
-
-fn frame(sequence: u64) -> PoseFrame {
-    PoseFrame {
-        session: ID.session,
-        config: ID.config,
-        sequence,
-        sample_index: sequence,
-        time_ns: 0,
-        solve_delay_ns: 0,
-        send_delay_ns: 0,
-        status: Status::POSE_VALID,
-        clock_quality: 0,
-        lock: LockState::Off,
-        iterations: 1,
-        pose: [0.0; 6],
-        deviations: [0.0; 6],
-        beam_offset: [0.0; 2],
-        steering_residual: 0.0,
-        averaged: 1,
-        lost: 0,
-        spots: [0.0; 6],
-        powers: [0.0; 3],
-        steering: [0.0; 2],
-    }
-}
+use crate::fixture::{PATIENCE, Server, descriptor, frame, start};
 
 /// A client that is through with the descriptor and the first heartbeat: it gets every frame from now on.
 async fn connect(address: SocketAddr) -> Client {
