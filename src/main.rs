@@ -30,6 +30,8 @@ enum Command {
     Solve(commands::TableArgs),
     /// Compute samples of the digital twin, with the truth behind them, as CSV
     Simulate(commands::SimulateArgs),
+    /// Print the frames of a running daemon
+    Watch(commands::WatchArgs),
 }
 
 fn main() -> ExitCode {
@@ -45,6 +47,7 @@ fn main() -> ExitCode {
         Command::Trace(args) => commands::trace(&args),
         Command::Solve(args) => commands::solve(&args),
         Command::Simulate(args) => commands::simulate(&args),
+        Command::Watch(args) => commands::watch(&args),
     };
     result.map_or_else(|error| report(&error), |()| ExitCode::SUCCESS)
 }

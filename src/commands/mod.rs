@@ -10,10 +10,12 @@ mod check;
 mod simulate;
 mod table;
 mod trace;
+mod watch;
 
 pub(crate) use check::{CheckArgs, check};
 pub(crate) use simulate::{SimulateArgs, simulate};
 pub(crate) use trace::{TableArgs, solve, trace};
+pub(crate) use watch::{WatchArgs, watch};
 
 /// The option that all commands with a configuration have.
 #[derive(Debug, clap::Args)]
