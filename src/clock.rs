@@ -6,6 +6,7 @@
 #[cfg(test)]
 pub(crate) mod manual;
 pub mod pace;
+pub mod utc;
 
 use std::ops::{Add, Sub};
 

@@ -24,4 +24,7 @@ pub mod estimation;
 pub mod exit;
 pub mod monitor;
 pub mod optics;
+pub mod publishing;
 pub mod twin;
+
+pub use publishing::client;

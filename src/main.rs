@@ -30,6 +30,10 @@ enum Command {
     Trace(commands::TableArgs),
     /// Compute poses from signals: CSV in, CSV out
     Solve(commands::TableArgs),
+    /// Compute samples of the digital twin, with the truth behind them, as CSV
+    Simulate(commands::SimulateArgs),
+    /// Print the frames of a running daemon
+    Watch(commands::WatchArgs),
 }
 
 fn main() -> ExitCode {
@@ -45,6 +49,8 @@ fn main() -> ExitCode {
         Command::Emulate(args) => commands::emulate(&args),
         Command::Trace(args) => commands::trace(&args),
         Command::Solve(args) => commands::solve(&args),
+        Command::Simulate(args) => commands::simulate(&args),
+        Command::Watch(args) => commands::watch(&args),
     };
     result.map_or_else(|error| report(&error), |()| ExitCode::SUCCESS)
 }

@@ -22,3 +22,31 @@ pub enum LockState {
     /// The actuator holds: no light, or no trustworthy sample, for less than that.
     Held = 7,
 }
+
+impl LockState {
+    /// Every state, in the order of the numbers.
+    pub const ALL: [LockState; 8] = [
+        LockState::Off,
+        LockState::Manual,
+        LockState::Searching,
+        LockState::Acquiring,
+        LockState::Locked,
+        LockState::Railed,
+        LockState::Lost,
+        LockState::Held,
+    ];
+
+    /// The state as a word: "off", "locked".
+    pub fn name(self) -> &'static str {
+        match self {
+            LockState::Off => "off",
+            LockState::Manual => "manual",
+            LockState::Searching => "searching",
+            LockState::Acquiring => "acquiring",
+            LockState::Locked => "locked",
+            LockState::Railed => "railed",
+            LockState::Lost => "lost",
+            LockState::Held => "held",
+        }
+    }
+}

@@ -67,7 +67,11 @@ pub(crate) fn convert(
 }
 
 fn wrote(result: csv::Result<()>) -> anyhow::Result<()> {
-    written(result.map_err(io::Error::from))
+    // The kind is what matters, and csv's own conversion loses it.
+    written(result.map_err(|error| match error.into_kind() {
+        csv::ErrorKind::Io(error) => error,
+        other => io::Error::other(format!("{other:?}")),
+    }))
 }
 
 /// An input whose header is read.

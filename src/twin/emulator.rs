@@ -6,7 +6,7 @@ use serde::Serialize;
 use super::{Fate, OUTPUT_BITS, Outputs, Twin, TwinError, TwinScan};
 use crate::{
     acquisition::{
-        OutputCommand,
+        Expiry, OutputCommand,
         board::{
             Answer, BoardIdentity, Deframer, Request,
             message::{BoardScan, ErrorReason, Reply, StartResult, SteerResult},
@@ -204,11 +204,10 @@ impl Emulator {
 
     /// What the outputs do by themselves when a lease runs out.
     fn expire(&mut self, now: Mono) {
-        let leased = self.outputs.leased();
-        if let Some(park) = self.outputs.expire(now) {
-            self.move_outputs(park, now, Steering::Parked);
-        } else if leased && !self.outputs.leased() {
-            self.state.steering = Steering::Held;
+        match self.outputs.expire(now) {
+            Some(Expiry::Park) => self.move_outputs(self.outputs.park(), now, Steering::Parked),
+            Some(Expiry::Hold) => self.state.steering = Steering::Held,
+            None => {}
         }
         self.state.lease_expired = matches!(self.state.steering, Steering::Held | Steering::Parked);
     }

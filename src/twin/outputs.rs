@@ -46,12 +46,7 @@ impl Outputs {
         accepted
     }
 
-    /// Whether a command's lease is running.
-    pub fn leased(&self) -> bool {
-        self.lease.is_some()
-    }
-
-    /// The parking position, in codes that are within range.
+    /// The parking position from now on, in codes that are within range.
     pub fn set_park(&mut self, park: [i32; 2]) {
         self.park = park;
     }
@@ -61,11 +56,16 @@ impl Outputs {
         codes.iter().all(|code| (-FULL_SCALE..FULL_SCALE).contains(code))
     }
 
-    /// Where the outputs go by themselves, once, if the lease has run out and they are to park.
+    /// Says, once, that the lease of the last command has run out, and what follows: the outputs stay,
+    /// or go to [`Outputs::park`].
     #[must_use]
-    pub fn expire(&mut self, now: Mono) -> Option<[i32; 2]> {
-        let (_, on_expiry) = self.lease.take_if(|(end, _)| *end <= now)?;
-        (on_expiry == Expiry::Park).then_some(self.park)
+    pub fn expire(&mut self, now: Mono) -> Option<Expiry> {
+        self.lease.take_if(|(end, _)| *end <= now).map(|(_, on_expiry)| on_expiry)
+    }
+
+    /// The codes of the parking position.
+    pub fn park(&self) -> [i32; 2] {
+        self.park
     }
 }
 
@@ -84,16 +84,17 @@ mod tests {
     }
 
     #[test]
-    fn a_lease_that_runs_out_parks_once_or_holds() {
+    fn a_lease_runs_out_once() {
         let mut parking = outputs();
         assert!(parking.take(&command([5, 6], Expiry::Park), Mono(0)));
         assert!(parking.take(&command([5, 6], Expiry::Park), Mono(150 * MS)));
         assert_eq!(parking.expire(Mono(349 * MS)), None);
-        assert_eq!(parking.expire(Mono(350 * MS)), Some([6554, -6554]));
+        assert_eq!(parking.expire(Mono(350 * MS)), Some(Expiry::Park));
+        assert_eq!(parking.park(), [6554, -6554]);
         assert_eq!(parking.expire(Mono(900 * MS)), None);
         let mut holding = outputs();
         assert!(holding.take(&command([5, 6], Expiry::Hold), Mono(0)));
-        assert_eq!(holding.expire(Mono(900 * MS)), None);
+        assert_eq!(holding.expire(Mono(900 * MS)), Some(Expiry::Hold));
     }
 
     #[test]

@@ -10,7 +10,7 @@ use rand_pcg::Pcg64;
 
 use super::{TwinError, random};
 use crate::{
-    config::{Axis, Motion, MotionKind},
+    config::{Motion, MotionKind},
     optics::Pose,
 };
 
@@ -150,6 +150,7 @@ fn vibration(rms: f64, low: f64, high: f64, rng: &mut Pcg64) -> Vec<Wave> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Axis;
 
     fn motion(axis: Axis, amount: f64, kind: MotionKind) -> Motion {
         let turn = axis.is_turn();

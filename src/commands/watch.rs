@@ -1,0 +1,247 @@
+//! `trifacet watch`: prints the frames of a running daemon.
+
+use std::{
+    io::{self, Write},
+    ops::ControlFlow,
+    time::Duration,
+};
+
+use anyhow::Result;
+use clap::{Args, ValueEnum};
+use tokio::time::{Instant, timeout};
+use trifacet::{
+    client::{Client, ClientError, Endpoint, Heartbeat, Losses, Message, PoseFrame},
+    estimation::Status,
+    exit::{self, Failure},
+    publishing::columns::Columns,
+};
+
+/// Over UDP nothing says that a daemon is there; after this long without a frame, say so.
+const SILENCE: Duration = Duration::from_secs(3);
+/// Text shows at most a frame in this time.
+const READABLE: Duration = Duration::from_millis(200);
+
+/// Prints the frames of a running daemon
+#[derive(Debug, Args)]
+pub(crate) struct WatchArgs {
+    /// The daemon's TCP server, or the local address to which it sends datagrams (tcp://HOST:PORT or udp://HOST:PORT)
+    #[arg(default_value = "tcp://127.0.0.1:7361")]
+    endpoint: Endpoint,
+    /// How to print frames
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+    /// End after this many printed frames
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
+    count: Option<u64>,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Format {
+    /// A line in um and urad at most five times a second, for people
+    Text,
+    /// Every frame as a JSON object on a line of its own, SI units, null where not known
+    Json,
+    /// Every frame as a line of CSV, SI units, empty where not known
+    Csv,
+}
+
+/// Prints frames until `--count` is reached, the output is closed or the daemon is gone
+/// ([`exit::UNAVAILABLE`]).
+pub(crate) fn watch(args: &WatchArgs) -> Result<()> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    runtime.block_on(follow(args))
+}
+
+async fn follow(args: &WatchArgs) -> Result<()> {
+    let mut client = match timeout(SILENCE, Client::connect(&args.endpoint)).await {
+        Ok(client) => client.map_err(|e| opening_failed(&args.endpoint, &e))?,
+        Err(_) => return Err(unavailable(format!("{} does not answer", args.endpoint))),
+    };
+    let mut printer = Printer::new(args);
+    let mut losses = LossNotes::default();
+    let mut silent = false;
+    loop {
+        match timeout(SILENCE, client.next()).await {
+            Ok(Ok(Message::Pose(frame))) => {
+                silent = false;
+                losses.note_own(client.losses());
+                if printer.frame(&frame)?.is_break() {
+                    return Ok(());
+                }
+            }
+            Ok(Ok(Message::Heartbeat(heartbeat))) => losses.note_daemon(&heartbeat),
+            Ok(Ok(_)) => {}
+            Ok(Err(e)) => return Err(unavailable(format!("{}: {e}", args.endpoint))),
+            Err(_) => {
+                let why = silence(&args.endpoint, client.losses());
+                if args.count.is_some() || matches!(args.endpoint, Endpoint::Tcp(_)) {
+                    return Err(unavailable(why));
+                }
+                if !silent {
+                    eprintln!("{why}; still waiting");
+                }
+                silent = true;
+            }
+        }
+    }
+}
+
+fn unavailable(message: String) -> anyhow::Error {
+    Failure::new(exit::UNAVAILABLE, message).into()
+}
+
+fn opening_failed(endpoint: &Endpoint, error: &ClientError) -> anyhow::Error {
+    let kind = match error {
+        ClientError::Open { source, .. } => source.kind(),
+        _ => io::ErrorKind::Other,
+    };
+    match (endpoint, kind) {
+        (Endpoint::Tcp(_), io::ErrorKind::ConnectionRefused) => {
+            unavailable(format!("nothing listens at {endpoint}: is the daemon running (`trifacet run`)?"))
+        }
+        (Endpoint::Udp(_), io::ErrorKind::AddrInUse) => {
+            Failure::new(exit::IN_USE, format!("{error}: another process receives there already")).into()
+        }
+        _ => unavailable(error.to_string()),
+    }
+}
+
+/// Why nothing may come.
+fn silence(endpoint: &Endpoint, losses: Losses) -> String {
+    let waited = SILENCE.as_secs();
+    match (endpoint, losses.skipped_bytes) {
+        (_, n @ 1..) => {
+            format!("{endpoint}: no frame for {waited} s, but {n} bytes that are none of this stream")
+        }
+        (Endpoint::Tcp(_), _) => {
+            format!(
+                "{endpoint}: connected, but no sign of life for {waited} s; is it trifacet that listens there?"
+            )
+        }
+        (Endpoint::Udp(_), _) => format!(
+            "{endpoint}: no frame for {waited} s; does a daemon run, is this address among its [publishing] udp \
+             targets, and does no firewall stand between?"
+        ),
+    }
+}
+
+/// Prints frames to standard output.
+struct Printer {
+    format: Format,
+    left: Option<u64>,
+    started: bool,
+    shown: Option<Instant>,
+    /// Status bits of the frames that were not shown.
+    between: Status,
+}
+
+impl Printer {
+    fn new(args: &WatchArgs) -> Self {
+        Self {
+            format: args.format,
+            left: args.count,
+            started: false,
+            shown: None,
+            between: Status::default(),
+        }
+    }
+
+    /// Prints a frame if it is due. Breaks after the last one, and when nobody reads any more.
+    fn frame(&mut self, frame: &PoseFrame) -> Result<ControlFlow<()>> {
+        let Some(text) = self.lines(frame) else { return Ok(ControlFlow::Continue(())) };
+        match io::stdout().lock().write_all(text.as_bytes()) {
+            Err(e) if e.kind() == io::ErrorKind::BrokenPipe => return Ok(ControlFlow::Break(())),
+            result => result?,
+        }
+        self.started = true;
+        if let Some(left) = &mut self.left {
+            *left -= 1;
+        }
+        Ok(if self.left == Some(0) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
+    }
+
+    fn lines(&mut self, frame: &PoseFrame) -> Option<String> {
+        match self.format {
+            Format::Text => self.text(frame),
+            Format::Json => serde_json::to_string(&Columns::of(frame)).ok().map(|json| json + "\n"),
+            Format::Csv => {
+                let columns = Columns::of(frame);
+                let header = if self.started { String::new() } else { columns.csv_header() + "\n" };
+                Some(header + &columns.csv_line() + "\n")
+            }
+        }
+    }
+
+    fn text(&mut self, frame: &PoseFrame) -> Option<String> {
+        let now = Instant::now();
+        if self.shown.is_some_and(|shown| now - shown < READABLE) {
+            self.between |= frame.status;
+            return None;
+        }
+        self.shown = Some(now);
+        let between = std::mem::take(&mut self.between);
+        let header = if self.started { String::new() } else { text_header() };
+        Some(format!("{header}{}\n", text_line(frame, between)))
+    }
+}
+
+/// Says what the columns are, and that most frames are not shown.
+fn text_header() -> String {
+    let names = ["tx um", "ty um", "tz um", "roll urad", "pitch urad", "yaw urad"];
+    let names: Vec<String> = names.iter().map(|n| format!("{n:>10}")).collect();
+    format!(
+        "# at most five frames a second are shown; --format json or csv prints all\n{:>10} {} {:>9}  status\n",
+        "sequence",
+        names.join(" "),
+        "lock"
+    )
+}
+
+fn text_line(frame: &PoseFrame, between: Status) -> String {
+    let number = |x: f64| if x.is_nan() { format!("{:>10}", "-") } else { format!("{:>10.3}", x * 1e6) };
+    let numbers: Vec<String> = frame.pose.iter().map(|x| number(*x)).collect();
+    let names: Vec<&str> = frame.status.names().collect();
+    let earlier: Vec<&str> = Status(between.0 & !frame.status.0).names().collect();
+    let earlier =
+        if earlier.is_empty() { String::new() } else { format!("  (just before: {})", earlier.join(" ")) };
+    format!(
+        "{:>10} {} {:>9}  {}{earlier}",
+        frame.sequence,
+        numbers.join(" "),
+        frame.lock.name(),
+        names.join(" ")
+    )
+}
+
+/// Says on standard error what went missing, when more of it did; at most once a second.
+#[derive(Default)]
+struct LossNotes {
+    own: Losses,
+    dropped: u64,
+    said: Option<Instant>,
+}
+
+impl LossNotes {
+    fn note_own(&mut self, losses: Losses) {
+        let recently = self.said.is_some_and(|t| t.elapsed() < Duration::from_secs(1));
+        if losses == self.own || recently {
+            return;
+        }
+        self.said = Some(Instant::now());
+        self.own = losses;
+        let Losses { missed_frames, late_frames, skipped_bytes } = losses;
+        eprintln!(
+            "so far {missed_frames} frames missing, {late_frames} late, {skipped_bytes} bytes unreadable"
+        );
+    }
+
+    fn note_daemon(&mut self, heartbeat: &Heartbeat) {
+        if heartbeat.dropped > self.dropped {
+            self.dropped = heartbeat.dropped;
+            eprintln!(
+                "the daemon dropped {} frames so far because this client did not keep up",
+                self.dropped
+            );
+        }
+    }
+}

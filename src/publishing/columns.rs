@@ -1,0 +1,168 @@
+//! A frame as named values in SI units, for JSON and CSV.
+
+use serde::{Serialize, Serializer, ser::SerializeMap};
+
+use super::frame::{CLOCK_UNKNOWN, PoseFrame};
+
+/// A value of a column.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Value {
+    /// A number; NaN if it is not known.
+    Number(f64),
+    /// A count or a time.
+    Integer(i64),
+    /// A count that only grows.
+    Count(u64),
+    /// A word.
+    Text(String),
+    /// Words.
+    Names(Vec<&'static str>),
+}
+
+/// A frame's values by name, in order.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Columns(pub Vec<(&'static str, Value)>);
+
+const POSE: [&str; 6] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "yaw_rad"];
+const DEVIATIONS: [&str; 6] = ["sd_tx_m", "sd_ty_m", "sd_tz_m", "sd_roll_rad", "sd_pitch_rad", "sd_yaw_rad"];
+const BEAM: [&str; 2] = ["beam_dx_m", "beam_dy_m"];
+const SPOTS: [&str; 6] = ["u_a_m", "v_a_m", "u_b_m", "v_b_m", "u_c_m", "v_c_m"];
+const POWERS: [&str; 3] = ["power_a_w", "power_b_w", "power_c_w"];
+const STEERING: [&str; 2] = ["steering_x_m", "steering_y_m"];
+
+impl Columns {
+    /// Everything that is in a frame.
+    pub fn of(frame: &PoseFrame) -> Self {
+        let clock_sigma = match frame.clock_quality {
+            CLOCK_UNKNOWN => f64::NAN,
+            tenths_us => f64::from(tenths_us) * 1e-7,
+        };
+        let mut columns = vec![
+            ("sequence", Value::Count(frame.sequence)),
+            ("sample_index", Value::Count(frame.sample_index)),
+            ("time", Value::Text(rfc3339(frame.time_ns))),
+            ("time_ns", Value::Integer(frame.time_ns)),
+            ("lock", Value::Text(frame.lock.name().into())),
+            ("status", Value::Names(frame.status.names().collect())),
+            ("status_bits", Value::Count(frame.status.0.into())),
+        ];
+        columns.extend(named(POSE, frame.pose));
+        columns.extend(singles(DEVIATIONS, frame.deviations));
+        columns.extend(singles(BEAM, frame.beam_offset));
+        columns.extend(singles(["steering_residual_m"], [frame.steering_residual]));
+        columns.extend(singles(SPOTS, frame.spots));
+        columns.extend(singles(POWERS, frame.powers));
+        columns.extend(singles(STEERING, frame.steering));
+        columns.extend([
+            ("averaged", Value::Count(frame.averaged.into())),
+            ("lost", Value::Count(frame.lost.into())),
+            ("iterations", Value::Count(frame.iterations.into())),
+            ("solve_delay_ns", Value::Count(frame.solve_delay_ns.into())),
+            ("send_delay_ns", Value::Count(frame.send_delay_ns.into())),
+            ("clock_sigma_s", Value::Number(clock_sigma)),
+            ("session", Value::Count(frame.session.into())),
+            ("config", Value::Count(frame.config.into())),
+        ]);
+        Self(columns)
+    }
+
+    /// The names, as the first line of a CSV file.
+    pub fn csv_header(&self) -> String {
+        self.0.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(",")
+    }
+
+    /// The values, as a line of a CSV file: 17 digits, empty where not known, words apart by a space.
+    pub fn csv_line(&self) -> String {
+        self.0.iter().map(|(_, value)| value.csv()).collect::<Vec<_>>().join(",")
+    }
+}
+
+impl Value {
+    fn csv(&self) -> String {
+        match self {
+            Self::Number(x) if x.is_nan() => String::new(),
+            Self::Number(x) => format!("{x:.16e}"),
+            Self::Integer(x) => x.to_string(),
+            Self::Count(x) => x.to_string(),
+            Self::Text(word) => word.clone(),
+            Self::Names(words) => words.join(" "),
+        }
+    }
+}
+
+/// A JSON object; what is not known is `null`, and so is what JSON cannot say (infinite).
+impl Serialize for Columns {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(self.0.len()))?;
+        for (name, value) in &self.0 {
+            match value {
+                Value::Number(x) => map.serialize_entry(name, x)?,
+                Value::Integer(x) => map.serialize_entry(name, x)?,
+                Value::Count(x) => map.serialize_entry(name, x)?,
+                Value::Text(word) => map.serialize_entry(name, word)?,
+                Value::Names(words) => map.serialize_entry(name, words)?,
+            }
+        }
+        map.end()
+    }
+}
+
+fn named<const N: usize>(
+    names: [&'static str; N],
+    values: [f64; N],
+) -> impl Iterator<Item = (&'static str, Value)> {
+    names.into_iter().zip(values.map(Value::Number))
+}
+
+fn singles<const N: usize>(
+    names: [&'static str; N],
+    values: [f32; N],
+) -> impl Iterator<Item = (&'static str, Value)> {
+    named(names, values.map(f64::from))
+}
+
+/// "2026-11-21T12:00:00.000000001Z".
+fn rfc3339(ns: i64) -> String {
+    // Always within range: 64 bits of nanoseconds reach from 1677 to 2262.
+    jiff::Timestamp::from_nanosecond(ns.into()).map(|t| format!("{t:.9}")).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        clock::Mono,
+        publishing::frame::{Stamp, tests::report},
+    };
+
+    fn frame() -> PoseFrame {
+        let time_ns = 1_795_262_400_000_000_001;
+        let stamp =
+            Stamp { session: 1, config: 2, sequence: 3, time_ns, synced: true, sent: Mono(1_090_000) };
+        PoseFrame { beam_offset: [f32::NAN, 1e-6], ..PoseFrame::from_report(&report(), stamp) }
+    }
+
+    #[test]
+    fn json_has_null_for_what_is_not_known() {
+        let json: serde_json::Value = serde_json::to_value(Columns::of(&frame())).unwrap();
+        assert_eq!(json["time"], "2026-11-21T12:00:00.000000001Z");
+        assert_eq!(json["time_ns"], 1_795_262_400_000_000_001_i64);
+        assert_eq!(json["tx_m"], 1e-6);
+        assert!(json["beam_dx_m"].is_null());
+        assert_eq!(json["status"], serde_json::json!(["POSE_VALID", "SIMULATED"]));
+        assert_eq!(json["lock"], "locked");
+    }
+
+    #[test]
+    fn csv_keeps_every_digit_and_leaves_out_what_is_not_known() {
+        let columns = Columns::of(&frame());
+        let header = columns.csv_header();
+        let line = columns.csv_line();
+        let row: std::collections::HashMap<&str, &str> = header.split(',').zip(line.split(',')).collect();
+        assert_eq!(row.len(), columns.0.len());
+        assert_eq!(row["yaw_rad"].parse::<f64>().unwrap(), 6e-6);
+        assert_eq!(row["power_a_w"].parse::<f32>().unwrap(), (0.8e-3_f64 / 3.0) as f32);
+        assert_eq!(row["beam_dx_m"], "");
+        assert_eq!(row["status"], "POSE_VALID SIMULATED");
+    }
+}

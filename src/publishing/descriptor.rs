@@ -1,0 +1,138 @@
+//! What the daemon says of itself, in JSON.
+//!
+//! Readers ignore keys that they do not know: a later minor version may add some.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::{
+    layout::{FIELDS, FieldEntry},
+    message::{MAJOR, MINOR},
+    publisher::StreamId,
+};
+use crate::{centering::LockState, config::Model, estimation::Status, monitor::Counters};
+
+/// The first message of every TCP connection: all that is needed to read the frames that follow.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Descriptor {
+    /// Version of the stream, "major.minor".
+    pub stream_version: String,
+    /// Version of the daemon.
+    pub daemon_version: String,
+    /// As in every frame: random at the daemon's start.
+    pub session: u32,
+    /// As in every frame: hash of geometry and calibration.
+    pub config: u32,
+    /// Frames a second.
+    pub rate_hz: f64,
+    /// Samples averaged into a frame.
+    pub average: u16,
+    /// How much older a frame's time is than its last sample: half the block of an average. The time
+    /// of a frame already is the mean of its samples' times.
+    pub group_delay_s: f64,
+    /// The sensor model: "ray" or "gaussian".
+    pub model: String,
+    /// Whether every PSD has a correction table; if not, frames carry `UNCALIBRATED`.
+    pub calibrated: bool,
+    /// Lengths, angles, powers and times are in these units.
+    pub units: BTreeMap<String, String>,
+    /// The coordinate frames in words.
+    pub coordinates: BTreeMap<String, String>,
+    /// How the three angles make a rotation.
+    pub euler: String,
+    /// Names of the status bits, from bit 0.
+    pub status_bits: Vec<String>,
+    /// Names of the lock states, from 0.
+    pub lock_states: Vec<String>,
+    /// The byte table of the pose frame.
+    pub fields: Vec<FieldEntry>,
+}
+
+/// What the daemon knows of its stream and does not get from this module.
+#[derive(Clone, Copy, Debug)]
+pub struct StreamFacts {
+    /// Session and configuration.
+    pub id: StreamId,
+    /// Samples a second.
+    pub sample_rate_hz: f64,
+    /// Samples averaged into a frame; at least 1.
+    pub average: u16,
+    /// The sensor model.
+    pub model: Model,
+    /// Whether every PSD has a correction table.
+    pub calibrated: bool,
+}
+
+impl Descriptor {
+    /// The descriptor of this daemon.
+    pub fn new(facts: StreamFacts) -> Self {
+        let average = facts.average.max(1);
+        Self {
+            stream_version: format!("{MAJOR}.{MINOR}"),
+            daemon_version: env!("CARGO_PKG_VERSION").into(),
+            session: facts.id.session,
+            config: facts.id.config,
+            rate_hz: facts.sample_rate_hz / f64::from(average),
+            average,
+            group_delay_s: f64::from(average - 1) / 2.0 / facts.sample_rate_hz,
+            model: match facts.model {
+                Model::Ray => "ray".into(),
+                Model::Gaussian => "gaussian".into(),
+            },
+            calibrated: facts.calibrated,
+            units: words(&[
+                ("length", "m"),
+                ("angle", "rad"),
+                ("power", "W"),
+                ("time", "ns since 1970, UTC"),
+            ]),
+            coordinates: words(&[
+                (
+                    "world",
+                    "origin at the nominal apex, z up, x towards PSD A; nominally the laser falls along -z",
+                ),
+                ("pose", "position of the apex and rotation of the mirror in the world"),
+                (
+                    "beam_offset",
+                    "beam centre minus apex, across the beam (world x and y for a vertical beam)",
+                ),
+                ("spots", "on each PSD, u horizontal, v up, from the centre of its area"),
+            ]),
+            euler: "R = Rz(yaw) * Ry(pitch) * Rx(roll), rotation = (roll, pitch, yaw)".into(),
+            status_bits: Status::NAMES.iter().map(|(_, name)| (*name).to_owned()).collect(),
+            lock_states: LockState::ALL.iter().map(|l| l.name().to_owned()).collect(),
+            fields: FIELDS.iter().map(FieldEntry::from).collect(),
+        }
+    }
+}
+
+fn words(pairs: &[(&str, &str)]) -> BTreeMap<String, String> {
+    pairs.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned())).collect()
+}
+
+/// Once a second on every TCP connection.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Heartbeat {
+    /// Frames sent to this client.
+    pub sent: u64,
+    /// Frames dropped for this client because it did not keep up.
+    pub dropped: u64,
+    /// Every counter of the daemon by name.
+    pub counters: BTreeMap<String, u64>,
+}
+
+impl Heartbeat {
+    /// The heartbeat of a client to which so many frames were sent, and for which so many were dropped.
+    pub fn new(sent: u64, dropped: u64, counters: &Counters) -> Self {
+        let counters = counters.list().into_iter().map(|(name, count)| (name.to_owned(), count)).collect();
+        Self { sent, dropped, counters }
+    }
+}
+
+/// Why the daemon closes a connection at once.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Refusal {
+    /// The reason, for people.
+    pub error: String,
+}

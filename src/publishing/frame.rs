@@ -1,0 +1,404 @@
+//! The pose frame, version 1: 192 bytes, little-endian, one sample, one datagram (`docs/stream.md`).
+
+use super::{
+    layout::FRAME_SIZE,
+    message::{self, CRC_SIZE, Kind, MAJOR},
+};
+use crate::{
+    centering::LockState,
+    clock::Mono,
+    estimation::{PoseReport, Status},
+    optics::Pose,
+};
+
+/// The clock quality of a frame whose time is of unknown quality.
+pub const CLOCK_UNKNOWN: u16 = u16::MAX;
+
+/// An encoded frame.
+pub type FrameBytes = [u8; FRAME_SIZE];
+
+/// A pose frame. Numbers that are not known are NaN.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseFrame {
+    /// Random at the daemon's start: tells a restart.
+    pub session: u32,
+    /// Hash of geometry and calibration.
+    pub config: u32,
+    /// Counts the frames of a daemon; advances also when a frame is dropped on its way.
+    pub sequence: u64,
+    /// Index of the converter's sample; keeps counting across gaps.
+    pub sample_index: u64,
+    /// When the signals were taken: nanoseconds of UTC since 1970.
+    pub time_ns: i64,
+    /// From then until the pose was solved, nanoseconds, saturating.
+    pub solve_delay_ns: u32,
+    /// From then until the frame was sent, nanoseconds, saturating.
+    pub send_delay_ns: u32,
+    /// Status bits.
+    pub status: Status,
+    /// One standard deviation of `time_ns` in 0.1 us; [`CLOCK_UNKNOWN`] where unknown.
+    pub clock_quality: u16,
+    /// State of the centering loop.
+    pub lock: LockState,
+    /// Steps that the solver took.
+    pub iterations: u8,
+    /// tx, ty, tz (m), roll, pitch, yaw (rad).
+    pub pose: [f64; 6],
+    /// Standard deviation of each; infinite with `POSE_HELD`.
+    pub deviations: [f32; 6],
+    /// Beam centre minus apex, x and y across the beam, metres.
+    pub beam_offset: [f32; 2],
+    /// Steering position minus what the pose says of it, metres.
+    pub steering_residual: f32,
+    /// Samples averaged into this frame.
+    pub averaged: u16,
+    /// Samples lost since the frame before, saturating.
+    pub lost: u16,
+    /// u, v on PSD A, B, C, metres.
+    pub spots: [f32; 6],
+    /// Power on PSD A, B, C, watts.
+    pub powers: [f32; 3],
+    /// Steering position x, y, metres: read back with `STEERING_MEASURED`, else as commanded.
+    pub steering: [f32; 2],
+}
+
+/// What a frame says besides the report: who sends it, as what number, and when.
+#[derive(Clone, Copy, Debug)]
+pub struct Stamp {
+    /// As in [`PoseFrame::session`].
+    pub session: u32,
+    /// As in [`PoseFrame::config`].
+    pub config: u32,
+    /// As in [`PoseFrame::sequence`].
+    pub sequence: u64,
+    /// The report's time in nanoseconds of UTC since 1970.
+    pub time_ns: i64,
+    /// Whether `time_ns` agrees with the system clock (else `CLOCK_UNSYNCED`).
+    pub synced: bool,
+    /// The moment of sending.
+    pub sent: Mono,
+}
+
+/// Why bytes are not a pose frame.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FrameError {
+    /// Too short, or too long.
+    #[error("a pose frame has {FRAME_SIZE} bytes, not {0}")]
+    Length(usize),
+    /// It is something else.
+    #[error("a pose frame starts with [54, 46, 50, 31] (\"TFP1\"), not {0:02x?}")]
+    Magic([u8; 4]),
+    /// A layout of another time.
+    #[error("the frame has layout version {major}.{minor}; this program reads {MAJOR}.x")]
+    Version {
+        /// Of the layout.
+        major: u8,
+        /// Of what may be ignored.
+        minor: u8,
+    },
+    /// The frame contradicts its own length.
+    #[error("the frame gives its size as {0} bytes instead of {FRAME_SIZE}")]
+    Size(u16),
+    /// A byte changed on the way.
+    #[error("wrong CRC: the bytes give {expected:#010x}, the frame says {received:#010x}")]
+    Crc {
+        /// Of the bytes that came.
+        expected: u32,
+        /// As it stands in the frame.
+        received: u32,
+    },
+    /// A lock state that does not exist.
+    #[error("{0} is no lock state; they go from 0 to 7")]
+    Lock(u8),
+}
+
+impl PoseFrame {
+    /// The frame of a report. What the report does not know becomes NaN; the pose is there exactly
+    /// if `POSE_VALID` is.
+    pub fn from_report(report: &PoseReport, stamp: Stamp) -> Self {
+        let pose = report.pose.filter(|_| report.status.has(Status::POSE_VALID));
+        let mut status = report.status;
+        if pose.is_none() {
+            status.0 &= !Status::POSE_VALID.0;
+        }
+        status.set(Status::CLOCK_UNSYNCED, !stamp.synced);
+        let variances = pose.and(report.covariance).map(|c| c.diagonal());
+        Self {
+            session: stamp.session,
+            config: stamp.config,
+            sequence: stamp.sequence,
+            sample_index: report.index,
+            time_ns: stamp.time_ns,
+            solve_delay_ns: delay_ns(report.solved - report.time),
+            send_delay_ns: delay_ns(stamp.sent - report.time),
+            status,
+            clock_quality: clock_quality(report.time_sigma_ns),
+            lock: report.lock,
+            iterations: report.iterations,
+            pose: pose.map_or([f64::NAN; 6], Pose::to_array),
+            deviations: variances.map_or([f32::NAN; 6], |v| std::array::from_fn(|i| v[i].sqrt() as f32)),
+            beam_offset: report.offset.map_or([f32::NAN; 2], |o| o.map(|x| x as f32)),
+            steering_residual: report.steering_residual.map_or(f32::NAN, |x| x as f32),
+            averaged: report.averaged,
+            lost: u16::try_from(report.lost).unwrap_or(u16::MAX),
+            spots: report.spots.map(|x| x as f32),
+            powers: report.powers.map(|x| x as f32),
+            steering: report.steering.map_or([f32::NAN; 2], |s| s.map(|x| x as f32)),
+        }
+    }
+
+    /// The 192 bytes of this frame.
+    pub fn encode(&self) -> FrameBytes {
+        let mut w = Writer { bytes: [0; FRAME_SIZE], at: 0 };
+        w.put(message::header(Kind::Pose, FRAME_SIZE as u16));
+        w.put(self.session.to_le_bytes());
+        w.put(self.config.to_le_bytes());
+        w.put(self.sequence.to_le_bytes());
+        w.put(self.sample_index.to_le_bytes());
+        w.put(self.time_ns.to_le_bytes());
+        w.put(self.solve_delay_ns.to_le_bytes());
+        w.put(self.send_delay_ns.to_le_bytes());
+        w.put(self.status.0.to_le_bytes());
+        w.put(self.clock_quality.to_le_bytes());
+        w.put([self.lock as u8, self.iterations]);
+        for x in self.pose {
+            w.put(x.to_le_bytes());
+        }
+        w.put_f32s(&self.deviations);
+        w.put_f32s(&self.beam_offset);
+        w.put_f32s(&[self.steering_residual]);
+        w.put(self.averaged.to_le_bytes());
+        w.put(self.lost.to_le_bytes());
+        w.put_f32s(&self.spots);
+        w.put_f32s(&self.powers);
+        w.put_f32s(&self.steering);
+        w.put(crc32fast::hash(&w.bytes[..FRAME_SIZE - CRC_SIZE]).to_le_bytes());
+        w.bytes
+    }
+
+    /// The frame in these bytes. A higher minor version is read as far as this one goes.
+    pub fn decode(bytes: &[u8]) -> Result<Self, FrameError> {
+        let bytes = checked(bytes)?;
+        let mut r = Reader { bytes, at: message::HEADER_SIZE };
+        Ok(Self {
+            session: u32::from_le_bytes(r.take()),
+            config: u32::from_le_bytes(r.take()),
+            sequence: u64::from_le_bytes(r.take()),
+            sample_index: u64::from_le_bytes(r.take()),
+            time_ns: i64::from_le_bytes(r.take()),
+            solve_delay_ns: u32::from_le_bytes(r.take()),
+            send_delay_ns: u32::from_le_bytes(r.take()),
+            status: Status(u32::from_le_bytes(r.take())),
+            clock_quality: u16::from_le_bytes(r.take()),
+            lock: lock_state(r.take())?,
+            iterations: u8::from_le_bytes(r.take()),
+            pose: std::array::from_fn(|_| f64::from_le_bytes(r.take())),
+            deviations: r.take_f32s(),
+            beam_offset: r.take_f32s(),
+            steering_residual: f32::from_le_bytes(r.take()),
+            averaged: u16::from_le_bytes(r.take()),
+            lost: u16::from_le_bytes(r.take()),
+            spots: r.take_f32s(),
+            powers: r.take_f32s(),
+            steering: r.take_f32s(),
+        })
+    }
+}
+
+/// Bytes that are a whole, undamaged frame of this major version.
+fn checked(bytes: &[u8]) -> Result<&FrameBytes, FrameError> {
+    let header = message::Header::read(bytes).ok_or(FrameError::Length(bytes.len()))?;
+    if header.magic != Kind::Pose.magic() {
+        return Err(FrameError::Magic(header.magic));
+    }
+    if header.major != MAJOR {
+        return Err(FrameError::Version { major: header.major, minor: header.minor });
+    }
+    let bytes: &FrameBytes = bytes.try_into().map_err(|_| FrameError::Length(bytes.len()))?;
+    if usize::from(header.size) != FRAME_SIZE {
+        return Err(FrameError::Size(header.size));
+    }
+    match message::crcs(bytes) {
+        Some((expected, received)) if expected != received => Err(FrameError::Crc { expected, received }),
+        _ => Ok(bytes),
+    }
+}
+
+fn lock_state([number]: [u8; 1]) -> Result<LockState, FrameError> {
+    LockState::ALL.get(usize::from(number)).copied().ok_or(FrameError::Lock(number))
+}
+
+fn delay_ns(ns: i64) -> u32 {
+    ns.clamp(0, i64::from(u32::MAX)) as u32
+}
+
+fn clock_quality(sigma_ns: Option<f64>) -> u16 {
+    sigma_ns
+        .filter(|s| s.is_finite())
+        .map_or(CLOCK_UNKNOWN, |s| (s / 100.0).round().clamp(0.0, f64::from(CLOCK_UNKNOWN - 1)) as u16)
+}
+
+struct Writer {
+    bytes: FrameBytes,
+    at: usize,
+}
+
+impl Writer {
+    fn put<const N: usize>(&mut self, bytes: [u8; N]) {
+        self.bytes[self.at..self.at + N].copy_from_slice(&bytes);
+        self.at += N;
+    }
+
+    fn put_f32s(&mut self, numbers: &[f32]) {
+        for x in numbers {
+            self.put(x.to_le_bytes());
+        }
+    }
+}
+
+struct Reader<'a> {
+    bytes: &'a FrameBytes,
+    at: usize,
+}
+
+impl Reader<'_> {
+    fn take<const N: usize>(&mut self) -> [u8; N] {
+        let start = self.at;
+        self.at += N;
+        std::array::from_fn(|i| self.bytes[start + i])
+    }
+
+    fn take_f32s<const N: usize>(&mut self) -> [f32; N] {
+        std::array::from_fn(|_| f32::from_le_bytes(self.take()))
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use nalgebra::Matrix6;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// A report with everything in it.
+    pub(crate) fn report() -> PoseReport {
+        PoseReport {
+            index: 1234,
+            time: Mono(1_000_000),
+            time_sigma_ns: Some(1_840.0),
+            solved: Mono(1_080_000),
+            status: Status::POSE_VALID | Status::SIMULATED,
+            lock: LockState::Locked,
+            pose: Some(Pose::from_array([1e-6, -2e-6, 3e-6, 4e-6, -5e-6, 6e-6])),
+            covariance: Some(Matrix6::identity() * 4e-12),
+            offset: Some([0.5e-6, -0.25e-6]),
+            steering_residual: Some(1e-7),
+            iterations: 2,
+            averaged: 1,
+            lost: 0,
+            spots: [1e-3; 6],
+            powers: [0.8e-3 / 3.0; 3],
+            steering: Some([1e-5, 2e-5]),
+        }
+    }
+
+    fn stamp() -> Stamp {
+        Stamp { session: 7, config: 8, sequence: 9, time_ns: 10, synced: true, sent: Mono(1_090_000) }
+    }
+
+    fn resealed(mut bytes: FrameBytes) -> FrameBytes {
+        let crc = crc32fast::hash(&bytes[..188]);
+        bytes[188..].copy_from_slice(&crc.to_le_bytes());
+        bytes
+    }
+
+    #[test]
+    fn a_report_becomes_a_frame() {
+        let frame = PoseFrame::from_report(&report(), stamp());
+        assert_eq!(frame.pose, report().pose.unwrap().to_array());
+        assert_eq!(frame.deviations, [2e-6; 6]);
+        assert_eq!((frame.solve_delay_ns, frame.send_delay_ns), (80_000, 90_000));
+        assert_eq!(frame.clock_quality, 18);
+        assert_eq!(frame.status, report().status);
+        assert_eq!((frame.session, frame.config, frame.sequence, frame.time_ns), (7, 8, 9, 10));
+    }
+
+    #[test]
+    fn what_is_not_known_is_nan_and_the_pose_is_there_exactly_if_it_is_valid() {
+        let unknown =
+            PoseReport { pose: None, offset: None, steering: None, steering_residual: None, ..report() };
+        let not_valid = PoseReport { status: Status::OUT_OF_RANGE, ..report() };
+        for report in [unknown, not_valid] {
+            let frame = PoseFrame::from_report(&report, stamp());
+            assert!(!frame.status.has(Status::POSE_VALID));
+            assert!(frame.pose.iter().all(|x| x.is_nan()), "{frame:?}");
+            assert!(frame.deviations.iter().all(|x| x.is_nan()), "{frame:?}");
+        }
+        let frame = PoseFrame::from_report(&unknown, stamp());
+        let rest = [frame.beam_offset, frame.steering, [frame.steering_residual; 2]];
+        assert!(rest.iter().flatten().all(|x| x.is_nan()), "{frame:?}");
+    }
+
+    #[test]
+    fn numbers_too_large_for_their_field_saturate() {
+        let late = Stamp { sent: Mono(i64::MAX), synced: false, ..stamp() };
+        let report = PoseReport { lost: 70_000, time_sigma_ns: Some(1e9), ..report() };
+        let frame = PoseFrame::from_report(&report, late);
+        assert_eq!(frame.send_delay_ns, u32::MAX);
+        assert_eq!(frame.lost, u16::MAX);
+        assert_eq!(frame.clock_quality, CLOCK_UNKNOWN - 1, "known to be bad is not unknown");
+        assert!(frame.status.has(Status::CLOCK_UNSYNCED));
+        let unknown = PoseReport { time_sigma_ns: None, ..report };
+        assert_eq!(PoseFrame::from_report(&unknown, late).clock_quality, CLOCK_UNKNOWN);
+    }
+
+    #[test]
+    fn errors_name_what_is_wrong() {
+        let good = PoseFrame::from_report(&report(), stamp()).encode();
+        let with = |at: usize, value: u8| {
+            let mut bytes = good;
+            bytes[at] = value;
+            bytes
+        };
+        assert_eq!(PoseFrame::decode(&good[..191]), Err(FrameError::Length(191)));
+        assert_eq!(PoseFrame::decode(&[]), Err(FrameError::Length(0)));
+        assert_eq!(PoseFrame::decode(&with(3, b'2')), Err(FrameError::Magic(*b"TFP2")));
+        assert_eq!(PoseFrame::decode(&with(4, 2)), Err(FrameError::Version { major: 2, minor: 0 }));
+        assert_eq!(PoseFrame::decode(&with(6, 191)), Err(FrameError::Size(191)));
+        let damaged = with(100, !good[100]);
+        let expected = crc32fast::hash(&damaged[..188]);
+        let received = crc32fast::hash(&good[..188]);
+        assert_eq!(PoseFrame::decode(&damaged), Err(FrameError::Crc { expected, received }));
+        assert_eq!(PoseFrame::decode(&resealed(with(54, 8))), Err(FrameError::Lock(8)));
+    }
+
+    #[test]
+    fn a_later_minor_version_with_new_status_bits_is_read() {
+        let mut bytes = PoseFrame::from_report(&report(), stamp()).encode();
+        bytes[5] = 3;
+        bytes[51] |= 0x80;
+        let frame = PoseFrame::decode(&resealed(bytes)).unwrap();
+        assert_eq!(frame.status.0, report().status.0 | 1 << 31);
+    }
+
+    proptest! {
+        #[test]
+        fn every_frame_survives_the_wire(body in prop::collection::vec(any::<u8>(), 180), lock in 0u8..8) {
+            let mut bytes = [0; FRAME_SIZE];
+            bytes[..8].copy_from_slice(&message::header(Kind::Pose, 192));
+            bytes[8..188].copy_from_slice(&body);
+            bytes[54] = lock;
+            let bytes = resealed(bytes);
+            prop_assert_eq!(PoseFrame::decode(&bytes).unwrap().encode(), bytes);
+        }
+
+        #[test]
+        fn no_bytes_make_the_decoder_panic(mut bytes in prop::collection::vec(any::<u8>(), 0..400), dressed: bool) {
+            if dressed && bytes.len() >= 8 {
+                bytes[..8].copy_from_slice(&message::header(Kind::Pose, 192));
+            }
+            let read = PoseFrame::decode(&bytes);
+            prop_assert!(read.is_err(), "a random CRC does not fit");
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! The byte table of the pose frame, as data: the descriptor sends it to every client.
+
+use serde::{Deserialize, Serialize};
+
+/// Bytes of a pose frame.
+pub const FRAME_SIZE: usize = 192;
+
+/// One field of the pose frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Field {
+    /// Name.
+    pub name: &'static str,
+    /// First byte.
+    pub offset: u16,
+    /// Type of an element: `u8`, `u16`, `u32`, `u64`, `i64`, `f32`, `f64`; little-endian.
+    #[serde(rename = "type")]
+    pub kind: &'static str,
+    /// Number of elements.
+    pub count: u16,
+    /// Unit of an element; empty where there is none.
+    pub unit: &'static str,
+}
+
+/// A [`Field`] as a client reads it from a descriptor.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+pub struct FieldEntry {
+    /// Name.
+    pub name: String,
+    /// First byte.
+    pub offset: u16,
+    /// Type of an element.
+    #[serde(rename = "type")]
+    pub kind: String,
+    /// Number of elements.
+    pub count: u16,
+    /// Unit of an element.
+    pub unit: String,
+}
+
+impl From<&Field> for FieldEntry {
+    fn from(f: &Field) -> Self {
+        let &Field { name, offset, kind, count, unit } = f;
+        Self { name: name.into(), offset, kind: kind.into(), count, unit: unit.into() }
+    }
+}
+
+const fn field(offset: u16, kind: &'static str, count: u16, name: &'static str, unit: &'static str) -> Field {
+    Field { name, offset, kind, count, unit }
+}
+
+/// Every field of the pose frame, in order, without holes.
+pub const FIELDS: [Field; 32] = [
+    field(0, "u8", 4, "magic", ""),
+    field(4, "u8", 1, "major", ""),
+    field(5, "u8", 1, "minor", ""),
+    field(6, "u16", 1, "size", "byte"),
+    field(8, "u32", 1, "session", ""),
+    field(12, "u32", 1, "config", ""),
+    field(16, "u64", 1, "sequence", ""),
+    field(24, "u64", 1, "sample_index", ""),
+    field(32, "i64", 1, "time_ns", "ns"),
+    field(40, "u32", 1, "solve_delay_ns", "ns"),
+    field(44, "u32", 1, "send_delay_ns", "ns"),
+    field(48, "u32", 1, "status", ""),
+    field(52, "u16", 1, "clock_quality", "100 ns"),
+    field(54, "u8", 1, "lock", ""),
+    field(55, "u8", 1, "iterations", ""),
+    field(56, "f64", 3, "position", "m"),
+    field(80, "f64", 3, "rotation", "rad"),
+    field(104, "f32", 3, "sd_position", "m"),
+    field(116, "f32", 3, "sd_rotation", "rad"),
+    field(128, "f32", 2, "beam_offset", "m"),
+    field(136, "f32", 1, "steering_residual", "m"),
+    field(140, "u16", 1, "averaged", ""),
+    field(142, "u16", 1, "lost", ""),
+    field(144, "f32", 2, "spot_a", "m"),
+    field(152, "f32", 2, "spot_b", "m"),
+    field(160, "f32", 2, "spot_c", "m"),
+    field(168, "f32", 1, "power_a", "W"),
+    field(172, "f32", 1, "power_b", "W"),
+    field(176, "f32", 1, "power_c", "W"),
+    field(180, "f32", 1, "steering_x", "m"),
+    field(184, "f32", 1, "steering_y", "m"),
+    field(188, "u32", 1, "crc", ""),
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_fields_fill_the_frame_without_holes_and_are_aligned() {
+        let mut end = 0;
+        for f in FIELDS {
+            let bits: u16 = f.kind[1..].parse().unwrap();
+            assert_eq!(f.offset, end, "{}", f.name);
+            assert_eq!(f.offset % (bits / 8), 0, "{} is aligned", f.name);
+            end += f.count * bits / 8;
+        }
+        assert_eq!(usize::from(end), FRAME_SIZE);
+    }
+}

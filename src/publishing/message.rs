@@ -1,0 +1,308 @@
+//! How messages follow each other on TCP: an 8-byte header, a body, a CRC-32 of everything before.
+//!
+//! The header never changes, not even with a new major version, so that any reader can step over what
+//! it does not know. [`Decoder`] finds messages in a byte stream, also after a damaged piece.
+
+use super::{
+    descriptor::{Descriptor, Heartbeat, Refusal},
+    frame::{FrameError, PoseFrame},
+    layout::FRAME_SIZE,
+};
+
+/// Major version of the stream: the layout of frames and messages.
+pub const MAJOR: u8 = 1;
+/// Minor version: what readers may ignore (new status bits, new kinds of message, new JSON keys).
+pub const MINOR: u8 = 0;
+/// Magic (4 bytes), major, minor, size (u16, of the whole message, little-endian).
+pub const HEADER_SIZE: usize = 8;
+/// The CRC at the end.
+pub const CRC_SIZE: usize = 4;
+/// Bytes for which a [`Decoder`] keeps room.
+const ROOM: usize = 16 * 1024;
+
+/// The kinds of message that this version knows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A pose frame.
+    Pose,
+    /// The descriptor, in JSON: the first message of every connection.
+    Descriptor,
+    /// A heartbeat, in JSON: once a second.
+    Heartbeat,
+    /// Why the daemon does not serve this client, in JSON.
+    Refusal,
+}
+
+impl Kind {
+    const ALL: [Kind; 4] = [Kind::Pose, Kind::Descriptor, Kind::Heartbeat, Kind::Refusal];
+
+    /// The first four bytes of such a message.
+    pub const fn magic(self) -> [u8; 4] {
+        match self {
+            Kind::Pose => *b"TFP1",
+            Kind::Descriptor => *b"TFD1",
+            Kind::Heartbeat => *b"TFH1",
+            Kind::Refusal => *b"TFE1",
+        }
+    }
+}
+
+/// A message as a client gets it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Message {
+    /// A pose frame.
+    Pose(PoseFrame),
+    /// What the daemon says of itself and of its stream.
+    Descriptor(Box<Descriptor>),
+    /// What was sent and lost so far.
+    Heartbeat(Heartbeat),
+    /// The daemon does not serve this client, and says why.
+    Refusal(Refusal),
+}
+
+/// Why an undamaged message cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum MessageError {
+    /// The other side speaks another version.
+    #[error("the other side speaks version {major}.{minor} of the stream; this program reads {MAJOR}.x")]
+    Version {
+        /// Of the layout.
+        major: u8,
+        /// Of what may be ignored.
+        minor: u8,
+    },
+    /// A pose frame that is none.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    /// JSON that says something else than it should.
+    #[error("a message of kind {kind} does not say what it should: {source}")]
+    Json {
+        /// Its magic.
+        kind: String,
+        /// What is wrong with it.
+        source: serde_json::Error,
+    },
+}
+
+/// The first eight bytes of a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Header {
+    /// The kind of message.
+    pub magic: [u8; 4],
+    /// Major version.
+    pub major: u8,
+    /// Minor version.
+    pub minor: u8,
+    /// Bytes of the whole message, header and CRC included.
+    pub size: u16,
+}
+
+impl Header {
+    /// The header at the beginning of `bytes`, whatever it says; none if there are too few.
+    pub fn read(bytes: &[u8]) -> Option<Self> {
+        let &[a, b, c, d, major, minor, low, high] = bytes.first_chunk()?;
+        Some(Self { magic: [a, b, c, d], major, minor, size: u16::from_le_bytes([low, high]) })
+    }
+
+    /// Whether a message could begin so.
+    fn plausible(self) -> bool {
+        let size = usize::from(self.size);
+        let pose = self.magic == Kind::Pose.magic() && self.major == MAJOR;
+        self.magic.starts_with(b"TF") && size >= HEADER_SIZE + CRC_SIZE && (!pose || size == FRAME_SIZE)
+    }
+}
+
+/// The header of a message of this version with `size` bytes in all.
+pub fn header(kind: Kind, size: u16) -> [u8; HEADER_SIZE] {
+    let [a, b, c, d] = kind.magic();
+    let [low, high] = size.to_le_bytes();
+    [a, b, c, d, MAJOR, MINOR, low, high]
+}
+
+/// The CRC of a whole message as its bytes give it, and as it says; none if it is too short for one.
+pub fn crcs(message: &[u8]) -> Option<(u32, u32)> {
+    let (body, received) = message.split_last_chunk::<CRC_SIZE>()?;
+    Some((crc32fast::hash(body), u32::from_le_bytes(*received)))
+}
+
+/// A message of this kind that says `body` in JSON. Fails if that is longer than 65 523 bytes.
+pub fn json<T: serde::Serialize>(kind: Kind, body: &T) -> Result<Vec<u8>, serde_json::Error> {
+    use serde::ser::Error;
+    let body = serde_json::to_vec(body)?;
+    let size = u16::try_from(body.len() + HEADER_SIZE + CRC_SIZE)
+        .map_err(|_| serde_json::Error::custom(format!("{} bytes do not fit a message", body.len())))?;
+    let mut message = Vec::with_capacity(size.into());
+    message.extend(header(kind, size));
+    message.extend(body);
+    message.extend(crc32fast::hash(&message).to_le_bytes());
+    Ok(message)
+}
+
+/// Finds messages in a byte stream. Pure: bytes in, messages out.
+#[derive(Debug, Default)]
+pub struct Decoder {
+    buffer: Vec<u8>,
+    /// Where the part that was not yet read begins.
+    start: usize,
+    skipped: u64,
+}
+
+impl Decoder {
+    /// Takes the next bytes of the stream.
+    pub fn push(&mut self, bytes: &[u8]) {
+        self.room().extend_from_slice(bytes);
+    }
+
+    /// Where the next bytes of the stream are to be appended; there is room for many.
+    pub fn room(&mut self) -> &mut Vec<u8> {
+        self.buffer.drain(..self.start);
+        self.start = 0;
+        self.buffer.reserve(ROOM);
+        &mut self.buffer
+    }
+
+    /// Bytes so far that belonged to no undamaged message.
+    pub fn skipped(&self) -> u64 {
+        self.skipped
+    }
+
+    /// The next message, or none before more bytes come. Damaged bytes and kinds of message that this
+    /// version does not know are stepped over.
+    pub fn next_message(&mut self) -> Option<Result<Message, MessageError>> {
+        loop {
+            let rest = self.buffer.get(self.start..)?;
+            let header = Header::read(rest)?;
+            let size = usize::from(header.size);
+            if !header.plausible() {
+                self.skip();
+                continue;
+            }
+            let message = rest.get(..size)?;
+            if crcs(message).is_none_or(|(expected, received)| expected != received) {
+                self.skip();
+                continue;
+            }
+            let read = read(header, message);
+            self.start += size;
+            if let Some(read) = read {
+                return Some(read);
+            }
+        }
+    }
+
+    /// Steps to the next place where a message may begin.
+    fn skip(&mut self) {
+        let rest = self.buffer.get(self.start + 1..).unwrap_or_default();
+        let step = 1 + rest.iter().position(|b| *b == b'T').unwrap_or(rest.len());
+        self.start += step;
+        self.skipped += step as u64;
+    }
+}
+
+/// Reads an undamaged message; none if its kind is not known.
+fn read(header: Header, message: &[u8]) -> Option<Result<Message, MessageError>> {
+    if header.major != MAJOR {
+        return Some(Err(MessageError::Version { major: header.major, minor: header.minor }));
+    }
+    let kind = Kind::ALL.into_iter().find(|k| k.magic() == header.magic)?;
+    let body = &message[HEADER_SIZE..message.len() - CRC_SIZE];
+    let json_error = |source| MessageError::Json { kind: header.magic.escape_ascii().to_string(), source };
+    Some(match kind {
+        Kind::Pose => PoseFrame::decode(message).map(Message::Pose).map_err(MessageError::from),
+        Kind::Descriptor => serde_json::from_slice(body).map(Message::Descriptor).map_err(json_error),
+        Kind::Heartbeat => serde_json::from_slice(body).map(Message::Heartbeat).map_err(json_error),
+        Kind::Refusal => serde_json::from_slice(body).map(Message::Refusal).map_err(json_error),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::publishing::frame::{Stamp, tests::report};
+
+    fn pose(sequence: u64) -> PoseFrame {
+        let sent = crate::clock::Mono(2_000_000);
+        PoseFrame::from_report(
+            &report(),
+            Stamp { session: 1, config: 2, sequence, time_ns: 3, synced: true, sent },
+        )
+    }
+
+    fn sequences(decoder: &mut Decoder) -> Vec<u64> {
+        let mut found = Vec::new();
+        while let Some(message) = decoder.next_message() {
+            match message.unwrap() {
+                Message::Pose(frame) => found.push(frame.sequence),
+                other => panic!("{other:?}"),
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn messages_of_unknown_kind_are_stepped_over() {
+        let mut unknown = json(Kind::Heartbeat, &"something new").unwrap();
+        unknown[..4].copy_from_slice(b"TFX1");
+        let at = unknown.len() - CRC_SIZE;
+        let crc = crc32fast::hash(&unknown[..at]);
+        unknown[at..].copy_from_slice(&crc.to_le_bytes());
+        let mut decoder = Decoder::default();
+        decoder.push(&unknown);
+        decoder.push(&pose(4).encode());
+        assert_eq!(sequences(&mut decoder), [4]);
+        assert_eq!(decoder.skipped(), 0);
+    }
+
+    #[test]
+    fn another_major_version_is_an_error_not_damage() {
+        let mut bytes = json(Kind::Descriptor, &"another time").unwrap();
+        bytes[4] = 9;
+        let at = bytes.len() - CRC_SIZE;
+        let crc = crc32fast::hash(&bytes[..at]);
+        bytes[at..].copy_from_slice(&crc.to_le_bytes());
+        let mut decoder = Decoder::default();
+        decoder.push(&bytes);
+        assert!(matches!(decoder.next_message(), Some(Err(MessageError::Version { major: 9, minor: 0 }))));
+    }
+
+    #[test]
+    fn too_much_json_is_refused() {
+        assert!(json(Kind::Descriptor, &"x".repeat(65_521)).is_ok());
+        assert!(json(Kind::Descriptor, &"x".repeat(65_522)).is_err());
+    }
+
+    proptest! {
+        /// However the stream is cut into pieces, and whatever stands between two frames, both are
+        /// found and every byte in between is counted.
+        #[test]
+        fn resynchronises(junk in prop::collection::vec(prop_oneof![Just(b'T'), Just(b'F'), any::<u8>()], 0..300),
+                          damaged in 0usize..192, piece in 1usize..400) {
+            let mut stream = pose(1).encode().to_vec();
+            stream.extend(&junk);
+            let mut broken = pose(2).encode();
+            broken[damaged] ^= 0x55;
+            stream.extend(broken);
+            // Enough whole frames to satisfy a size that damage made up.
+            stream.extend((3..400).flat_map(|n| pose(n).encode()));
+            let mut decoder = Decoder::default();
+            let mut found = Vec::new();
+            for bytes in stream.chunks(piece) {
+                decoder.push(bytes);
+                found.extend(sequences(&mut decoder));
+            }
+            let expected: Vec<u64> = std::iter::once(1).chain(3..400).collect();
+            prop_assert_eq!(found, expected);
+            prop_assert_eq!(decoder.skipped(), junk.len() as u64 + 192);
+        }
+
+        #[test]
+        fn no_bytes_make_the_decoder_panic(bytes in prop::collection::vec(any::<u8>(), 0..2000)) {
+            let mut decoder = Decoder::default();
+            decoder.push(&bytes);
+            while let Some(_found) = decoder.next_message() {}
+            prop_assert!(decoder.skipped() <= bytes.len() as u64);
+        }
+    }
+}

@@ -1,0 +1,23 @@
+//! [`PoseReport`](crate::estimation::PoseReport)s to UDP and TCP, and the client side of the same protocol.
+//!
+//! - [`frame`]: the 192 bytes of a pose frame; [`layout`] is its byte table.
+//! - [`message`]: how messages follow each other on TCP, and how a reader finds them again after damage.
+//! - [`descriptor`]: what the daemon says of itself in JSON: descriptor, heartbeat, refusal.
+//! - [`publisher`]: the fast side: makes every frame and sends the datagrams.
+//! - [`tcp`]: the slow side: the TCP server.
+//! - [`client`]: reads all this back; [`columns`] names what is in a frame for JSON and CSV.
+//!
+//! `docs/stream.md` describes the stream for those who write a client of their own.
+
+pub mod client;
+pub mod columns;
+pub mod descriptor;
+pub mod frame;
+pub mod layout;
+pub mod message;
+pub mod publisher;
+pub mod tcp;
+
+pub use descriptor::{Descriptor, Heartbeat};
+pub use frame::PoseFrame;
+pub use publisher::{Publisher, PublisherSettings, StreamId};

@@ -1,0 +1,191 @@
+//! What is shipped beside the code: configurations, their documentation and the service unit must be
+//! true to it.
+#![allow(clippy::unwrap_used)]
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use trifacet::config::{Config, SourceKind, load, parse};
+
+fn root(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+fn read(path: &str) -> String {
+    std::fs::read_to_string(root(path)).unwrap()
+}
+
+fn trifacet(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_trifacet")).args(arguments).output().unwrap()
+}
+
+#[test]
+fn every_shipped_configuration_is_fine() {
+    let mut count = 0;
+    for entry in std::fs::read_dir(root("config")).unwrap() {
+        let path = entry.unwrap().path();
+        let output = trifacet(&["check", "--config", path.to_str().unwrap()]);
+        assert!(output.status.success(), "{path:?}: {}", String::from_utf8_lossy(&output.stderr));
+        count += 1;
+    }
+    assert!(count >= 2);
+}
+
+#[test]
+fn the_default_file_is_the_defaults_and_the_board_example_is_a_board() {
+    assert_eq!(load(Some(&root("config/default.toml"))).unwrap(), Config::default());
+    let board = load(Some(&root("config/serial-board.toml"))).unwrap();
+    assert_eq!(board.acquisition.source, SourceKind::Serial);
+}
+
+/// What the documentation says of a key.
+struct Row {
+    default: String,
+    allowed: String,
+}
+
+/// The tables of docs/configuration.md by dotted key; `[]` stands for an element of a list.
+fn documented() -> BTreeMap<String, Row> {
+    let mut rows = BTreeMap::new();
+    let mut section = String::new();
+    for line in read("docs/configuration.md").lines() {
+        if let Some(heading) = line.strip_prefix("## `[") {
+            let name = heading.split('`').next().unwrap();
+            section = match name.strip_prefix('[') {
+                Some(list) => format!("{}[]", list.trim_end_matches(']')),
+                None => name.trim_end_matches(']').into(),
+            };
+        }
+        let cells: Vec<_> = line.split('|').map(str::trim).collect();
+        if let [_, key, default, allowed, _, ..] = cells[..]
+            && let Some(key) = key.strip_prefix('`')
+        {
+            let row = Row { default: default.trim_matches('`').into(), allowed: allowed.into() };
+            rows.insert(format!("{section}.{}", key.trim_end_matches('`')), row);
+        }
+    }
+    rows
+}
+
+/// The keys of config/default.toml with their values as written; those in comments have none.
+fn defaults() -> BTreeMap<String, Option<String>> {
+    let mut keys = BTreeMap::new();
+    let mut section = String::new();
+    for line in read("config/default.toml").lines() {
+        let (line, comment) = match line.strip_prefix("# ") {
+            Some(rest) => (rest, true),
+            None => (line, false),
+        };
+        if let Some(list) = line.strip_prefix("[[") {
+            section = format!("{}[]", list.split(']').next().unwrap());
+        } else if let Some(name) = line.strip_prefix('[') {
+            section = name.split(']').next().unwrap().into();
+        } else if let Some((key, value)) = line.split_once(" = ")
+            && key.chars().all(|c| c.is_ascii_lowercase() || c == '_')
+        {
+            let value = value.split('#').next().unwrap().trim().to_owned();
+            // The parts of a head and the motions are alike: the first tells for all.
+            keys.entry(format!("{section}.{key}")).or_insert((!comment).then_some(value));
+        }
+    }
+    keys
+}
+
+#[test]
+fn every_key_is_documented_with_its_default() {
+    let documented = documented();
+    assert!(documented.len() > 80, "{}", documented.len());
+    let one_of_three = [".b.", ".c."];
+    for (key, value) in defaults().iter().filter(|(key, _)| !one_of_three.iter().any(|b| key.contains(b))) {
+        let row = documented.get(key).unwrap_or_else(|| panic!("docs/configuration.md lacks {key}"));
+        assert_eq!(row.default, value.clone().unwrap_or_default(), "default of {key}");
+    }
+}
+
+#[test]
+fn every_documented_key_exists_and_its_range_is_the_one_that_is_checked() {
+    let mut ranges = 0;
+    for (key, row) in documented() {
+        let Some((lo, hi)) = range(&row.allowed) else { continue };
+        for bad in [lo - 1.0, hi * 1.5 + 1.0] {
+            let text = with_value(&key, bad, &row.default);
+            let error = parse(&text, None).expect_err(&text).to_string();
+            let told = key.replace("[]", "[0]");
+            assert!(
+                error
+                    .lines()
+                    .any(|l| l.contains(&told) && l.contains(&format!("allowed is {}", row.allowed))),
+                "{text}\nsays: {error}\nwants: {told} ... {}",
+                row.allowed
+            );
+            ranges += 1;
+        }
+    }
+    assert!(ranges > 100, "{ranges}");
+}
+
+/// "5 to 85", "more than 0, at most 1".
+fn range(allowed: &str) -> Option<(f64, f64)> {
+    let (lo, hi) = match allowed.strip_prefix("more than ") {
+        Some(rest) => rest.split_once(", at most ")?,
+        None => allowed.split_once(" to ")?,
+    };
+    Some((lo.parse().ok()?, hi.parse().ok()?))
+}
+
+/// A configuration in which a key has this value.
+fn with_value(key: &str, value: f64, default: &str) -> String {
+    let (section, name) = key.rsplit_once('.').unwrap();
+    // Without a point where the default has none: an integer.
+    let number = if default.contains('.') { format!("{value:?}") } else { format!("{value}") };
+    let elements = match name {
+        "psd_origin_mm" => 3,
+        _ if default.starts_with('[') => default.split(',').count(),
+        _ => 0,
+    };
+    let value = if elements > 0 { format!("[{}]", vec![number; elements].join(", ")) } else { number };
+    let rest = match (section, name) {
+        ("twin.motion[]", "amount_urad") => "axis = 'roll'\nkind = 'sine'\nfrequency_hz = 1",
+        ("twin.motion[]", _) => "axis = 'tx'\nkind = 'vibration'",
+        ("twin.fault[]", "psd") => "at_s = 1\nkind = 'psd-dark'",
+        ("twin.fault[]", "channel") => "at_s = 1\nkind = 'clipped'",
+        ("twin.fault[]", "fraction") => "at_s = 1\nkind = 'dropped'",
+        ("twin.fault[]", "factor") => "at_s = 1\nkind = 'laser-power'",
+        ("twin.fault[]", "at_s") => "kind = 'stalled'",
+        ("twin.fault[]", _) => "at_s = 1\nkind = 'stalled'",
+        _ => "",
+    };
+    let header = match section.strip_suffix("[]") {
+        Some(list) => format!("[[{list}]]"),
+        None => format!("[{section}]"),
+    };
+    format!("{header}\n{name} = {value}\n{rest}\n")
+}
+
+#[test]
+fn the_service_unit_passes_systemds_own_check() {
+    let unit = read("systemd/trifacet.service");
+    let analyze = Command::new("systemd-analyze").arg("--version").output();
+    if analyze.is_err() {
+        assert!(std::env::var_os("CI").is_none(), "systemd-analyze is needed to check the unit");
+        eprintln!("systemd-analyze is not installed: the unit is not checked");
+        return;
+    }
+    // systemd wants the program to exist; here it is the one just built.
+    let installed = "/usr/bin/trifacet ";
+    assert!(unit.contains(&format!("ExecStart={installed}run")), "{unit}");
+    let copy = unit.replace(installed, &format!("{} ", env!("CARGO_BIN_EXE_trifacet")));
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("trifacet.service");
+    std::fs::write(&path, copy).unwrap();
+    let output = Command::new("systemd-analyze")
+        .args(["verify", "--man=no", "--recursive-errors=no"])
+        .arg(&path)
+        .output()
+        .unwrap();
+    let told = String::from_utf8_lossy(&output.stderr);
+    // Complaints about the machine's own units are not ours.
+    let ours: Vec<_> = told.lines().filter(|line| line.contains("trifacet")).collect();
+    assert!(output.status.success() && ours.is_empty(), "{told}");
+}

@@ -1,0 +1,194 @@
+//! The TCP server and its client over real loopback sockets.
+
+use std::net::SocketAddr;
+
+use tokio::{
+    io::{AsyncReadExt, AsyncWriteExt},
+    net::{TcpSocket, TcpStream},
+    time::timeout,
+};
+use trifacet::{
+    client::{Client, ClientError, Endpoint, Heartbeat, Losses, Message},
+    exit,
+    publishing::{
+        message::Decoder,
+        tcp::{self, Limits},
+    },
+};
+
+use crate::fixture::{PATIENCE, Server, descriptor, frame, start};
+
+/// A client that is through with the descriptor and the first heartbeat: it gets every frame from now on.
+async fn connect(address: SocketAddr) -> Client {
+    let mut client = Client::connect(&Endpoint::Tcp(address.to_string())).await.unwrap();
+    match next(&mut client).await {
+        Message::Descriptor(d) => assert_eq!(*d, descriptor()),
+        other => panic!("{other:?} before the descriptor"),
+    }
+    assert!(matches!(next(&mut client).await, Message::Heartbeat(_)));
+    client
+}
+
+async fn next(client: &mut Client) -> Message {
+    timeout(PATIENCE, client.next()).await.expect("a message in time").unwrap()
+}
+
+async fn next_sequence(client: &mut Client) -> u64 {
+    loop {
+        if let Message::Pose(frame) = next(client).await {
+            return frame.sequence;
+        }
+    }
+}
+
+/// Sends frames in steps that all good clients read before the next one.
+async fn send_to_readers(server: &Server, count: u64, readers: &mut [Client]) {
+    for first in (0..count).step_by(64) {
+        for sequence in first..(first + 64).min(count) {
+            server.frames.send(frame(sequence).encode()).await.unwrap();
+        }
+        for reader in &mut *readers {
+            for sequence in first..(first + 64).min(count) {
+                assert_eq!(next_sequence(reader).await, sequence);
+            }
+        }
+    }
+}
+
+/// A connection with a small receive buffer that reads nothing by itself.
+async fn stalled(address: SocketAddr) -> TcpStream {
+    let socket = TcpSocket::new_v4().unwrap();
+    socket.set_recv_buffer_size(16 * 1024).unwrap();
+    let mut stream = socket.connect(address).await.unwrap();
+    stream.readable().await.unwrap();
+    // Reads the first byte of the descriptor: from now on it is served.
+    assert_eq!(stream.read_u8().await.unwrap(), b'T');
+    stream
+}
+
+/// Reads on after a stall until a heartbeat accounts for `total` frames; returns the frames that came.
+async fn read_on(mut stream: TcpStream, total: u64) -> (u64, Heartbeat) {
+    let mut decoder = Decoder::default();
+    decoder.push(b"T");
+    let mut frames = 0;
+    loop {
+        match decoder.next_message() {
+            Some(Ok(Message::Pose(_))) => frames += 1,
+            Some(Ok(Message::Heartbeat(h))) if h.sent + h.dropped == total => return (frames, h),
+            Some(other) => drop(other.unwrap()),
+            None => {
+                let read = timeout(PATIENCE, stream.read_buf(decoder.room())).await;
+                assert_ne!(read.expect("bytes in time").unwrap(), 0, "the stream goes on");
+            }
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_client_that_never_reads_costs_the_others_nothing() {
+    const FRAMES: u64 = 20_000;
+    let server = start(Limits { clients: 8, queue: 256 }).await;
+    let mut readers = [connect(server.address).await, connect(server.address).await];
+    let stalled = stalled(server.address).await;
+    send_to_readers(&server, FRAMES, &mut readers).await;
+    assert!(readers.iter().all(|r| r.losses() == Default::default()), "{readers:?}");
+
+    let (received, heartbeat) = read_on(stalled, FRAMES).await;
+    assert!(heartbeat.dropped > 0, "{FRAMES} frames do not fit any buffer");
+    assert_eq!(heartbeat.sent, received);
+    assert_eq!(heartbeat.counters["tcp_dropped"], heartbeat.dropped);
+    assert_eq!(server.counters.tcp_dropped.get(), heartbeat.dropped);
+}
+
+#[tokio::test]
+async fn garbage_from_a_client_is_harmless() {
+    let server = start(Limits { clients: 8, queue: 256 }).await;
+    let mut readers = [connect(server.address).await];
+    let mut rude = TcpStream::connect(server.address).await.unwrap();
+    rude.write_all(&b"GET / HTTP/1.1\r\n\r\n\0\xff".repeat(5000)).await.unwrap();
+    let (mut rude_read, mut rude_write) = rude.into_split();
+    rude_write.shutdown().await.unwrap();
+    let mut first = [0; 4];
+    rude_read.read_exact(&mut first).await.unwrap();
+    assert_eq!(&first, b"TFD1", "even the rude one is served, though it says no more");
+    send_to_readers(&server, 1000, &mut readers).await;
+    drop((rude_read, rude_write));
+    send_to_readers(&server, 10, &mut readers).await;
+    assert_eq!(readers[0].losses().missed_frames, 0);
+}
+
+#[tokio::test]
+async fn the_last_frames_and_a_heartbeat_arrive_before_the_end() {
+    let server = start(Limits { clients: 8, queue: 256 }).await;
+    let mut client = connect(server.address).await;
+    for sequence in 0..100 {
+        server.frames.send(frame(sequence).encode()).await.unwrap();
+    }
+    server.shutdown.cancel();
+    drop(server.frames);
+    let (mut frames, mut last) = (0, Heartbeat::default());
+    loop {
+        match timeout(PATIENCE, client.next()).await.unwrap() {
+            Ok(Message::Pose(_)) => frames += 1,
+            Ok(Message::Heartbeat(heartbeat)) => last = heartbeat,
+            Err(ClientError::Closed) => break,
+            other => panic!("{other:?}"),
+        }
+    }
+    assert_eq!((frames, last.sent, last.dropped), (100, 100, 0));
+    server.task.await.unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn one_client_too_many_is_told_why_and_a_place_that_is_free_again_is_given() {
+    let server = start(Limits { clients: 1, queue: 256 }).await;
+    let first = connect(server.address).await;
+    let endpoint = Endpoint::Tcp(server.address.to_string());
+    let mut second = Client::connect(&endpoint).await.unwrap();
+    match timeout(PATIENCE, second.next()).await.unwrap() {
+        Err(ClientError::Refused(why)) => assert!(why.contains("1 TCP clients"), "{why}"),
+        other => panic!("{other:?}"),
+    }
+    drop(first);
+    // The server notices when it next writes to the first one: feed it until it does.
+    let admitted = async {
+        loop {
+            let _ = server.frames.send(frame(0).encode()).await;
+            let mut third = Client::connect(&endpoint).await.unwrap();
+            if let Ok(Message::Descriptor(_)) = third.next().await {
+                return;
+            }
+        }
+    };
+    timeout(PATIENCE, admitted).await.expect("the place becomes free");
+}
+
+#[tokio::test]
+async fn a_client_finds_its_way_back_in_a_damaged_stream() {
+    let server = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let endpoint = Endpoint::Tcp(server.local_addr().unwrap().to_string());
+    let mut damaged = frame(1).encode();
+    damaged[90] ^= 1;
+    let stream =
+        [&frame(0).encode()[..], &damaged, b"TFP1?", &frame(2).encode()[7..], &frame(3).encode()].concat();
+    let sending = tokio::spawn(async move {
+        let (mut socket, _) = server.accept().await.unwrap();
+        socket.write_all(&stream).await.unwrap();
+    });
+    let mut client = Client::connect(&endpoint).await.unwrap();
+    assert_eq!(next_sequence(&mut client).await, 0);
+    assert_eq!(next_sequence(&mut client).await, 3);
+    assert_eq!(client.losses().missed_frames, 2);
+    assert_eq!(client.losses().skipped_bytes, 192 + 5 + 185);
+    sending.await.unwrap();
+    assert!(matches!(client.next().await, Err(ClientError::Closed)));
+}
+
+#[tokio::test]
+async fn a_port_that_is_taken_is_named() {
+    let first = tcp::bind(([127, 0, 0, 1], 0).into()).await.unwrap();
+    let address = first.local_addr().unwrap();
+    let failure = tcp::bind(address).await.unwrap_err();
+    assert_eq!(failure.code, exit::IN_USE);
+    assert!(failure.message.contains(&address.to_string()), "{failure}");
+}
