@@ -1,5 +1,7 @@
 //! The serial source against `trifacet emulate`: the whole path through a pseudo-terminal, both ways.
 
+#![allow(clippy::unwrap_used)]
+
 use std::{
     io::{BufRead, BufReader, Write},
     path::{Path, PathBuf},
@@ -158,8 +160,8 @@ async fn scans_arrive_without_loss_and_with_their_times() {
     assert!(identity.simulated && identity.roles.len() == 11 && identity.rate_hz == 1000.0);
     let first = host.scans(500).await;
     let last = host.scans(1500).await;
-    assert_eq!(host.counters.list().iter().filter(|(_, n)| *n > 0).count(), 1, "{:?}", host.counters);
-    assert_eq!(host.counters.scans.get(), 2000);
+    assert_eq!(last.index, 1999);
+    assert!(host.counters.list().iter().all(|(_, n)| *n == 0), "{:?}", host.counters);
     // The board's clock is the host's: what is left is the jitter of the way.
     let period = last.time.seconds_since(first.time) / 1500.0;
     assert!((period - 1e-3).abs() < 2e-6, "{period}");
@@ -216,7 +218,6 @@ async fn a_stall_is_told_and_ends_by_itself() {
     let lost = host.counters.scans_lost.get();
     host.scans(100).await;
     assert!(host.counters.scans_lost.get() >= lost + 100);
-    assert_eq!(host.counters.source_downs.get(), 1);
 }
 
 #[tokio::test]

@@ -225,11 +225,7 @@ impl Session {
                 self.scanned(&scan, now);
             }
             (Answer::Ack { id, result }, State::Running(_)) => {
-                let ack = result.ack(id);
-                if !ack.accepted {
-                    self.tally.count(Mishap::Refused);
-                }
-                self.events.push_back(Event::Ack(ack));
+                self.events.push_back(Event::Ack(result.ack(id)));
             }
             (Answer::Identity(board), State::Identifying { .. }) => self.identified(board, now),
             (Answer::Reply(reply @ Reply { start: true, .. }), State::Starting { .. }) => {
@@ -299,7 +295,7 @@ impl Session {
             Arrival::Repeated => return self.tally.count(Mishap::Repeated),
             Arrival::Late => return self.tally.count(Mishap::Late),
         };
-        self.tally.scanned(lost);
+        self.tally.lost(lost);
         if scan.overrun {
             self.tally.count(Mishap::Overrun);
         }
@@ -356,9 +352,6 @@ impl Session {
         self.command = None;
         if self.told.as_ref() != Some(&reason) {
             tracing::warn!("{reason}");
-            if self.told.is_none() {
-                self.tally.down();
-            }
             self.told = Some(reason.clone());
             self.events.push_back(Event::Down(reason));
         }

@@ -23,16 +23,14 @@ pub(super) enum Mishap {
     Overrun,
     /// The outputs hold or park because commands stopped coming in time.
     LeaseExpired,
-    /// The board refused a command.
-    Refused,
 }
 
-/// Counts into the daemon's counters, and logs what came together.
+/// Counts what no event tells into the daemon's counters, and logs what came together.
 #[derive(Debug)]
 pub(super) struct Tally {
     counters: Arc<Counters>,
     /// Since the last line: each kind with its name.
-    recent: [(&'static str, u64); 9],
+    recent: [(&'static str, u64); 8],
     told: Option<Mono>,
 }
 
@@ -47,20 +45,13 @@ impl Tally {
             "not understood by the board",
             "overruns",
             "leases expired",
-            "commands refused",
         ];
         Self { counters, recent: names.map(|name| (name, 0)), told: None }
     }
 
-    /// A scan arrived, after so many that did not.
-    pub(super) fn scanned(&mut self, lost: u32) {
-        self.counters.scans.one();
-        self.add(Mishap::Lost, u64::from(lost));
-    }
-
-    /// The source went down.
-    pub(super) fn down(&mut self) {
-        self.counters.source_downs.one();
+    /// So many scans never arrived.
+    pub(super) fn lost(&mut self, n: u32) {
+        self.add(Mishap::Lost, n.into());
     }
 
     pub(super) fn count(&mut self, mishap: Mishap) {
@@ -78,7 +69,6 @@ impl Tally {
             Mishap::BoardError => &counters.board_errors,
             Mishap::Overrun => &counters.converter_overruns,
             Mishap::LeaseExpired => &counters.leases_expired,
-            Mishap::Refused => &counters.commands_refused,
         };
         counter.add(n);
         self.recent[mishap as usize].1 += n;
