@@ -16,12 +16,12 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    Watch(commands::watch::WatchArgs),
+    Watch(commands::WatchArgs),
 }
 
 fn main() -> ExitCode {
     let Command::Watch(args) = Cli::parse().command;
-    match commands::watch::watch(&args) {
+    match commands::watch(&args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) => {
             eprintln!("error: {e:#}");

@@ -1,3 +1,5 @@
 //! One file for each command of `trifacet`; `main.rs` only chooses.
 
-pub(crate) mod watch;
+mod watch;
+
+pub(crate) use watch::{WatchArgs, watch};

@@ -78,7 +78,7 @@ async fn follow(args: &WatchArgs) -> Result<()> {
                     return Err(unavailable(why));
                 }
                 if !silent {
-                    eprintln!("{why}; still waiting");
+                    note(&format!("{why}; still waiting"));
                 }
                 silent = true;
             }
@@ -104,6 +104,11 @@ fn opening_failed(endpoint: &Endpoint, error: &ClientError) -> anyhow::Error {
         }
         _ => unavailable(error.to_string()),
     }
+}
+
+/// A line on standard error, which may be closed.
+fn note(line: &str) {
+    let _ = writeln!(io::stderr(), "trifacet: {line}");
 }
 
 /// Why nothing may come.
@@ -230,18 +235,16 @@ impl LossNotes {
         self.said = Some(Instant::now());
         self.own = losses;
         let Losses { missed_frames, late_frames, skipped_bytes } = losses;
-        eprintln!(
+        note(&format!(
             "so far {missed_frames} frames missing, {late_frames} late, {skipped_bytes} bytes unreadable"
-        );
+        ));
     }
 
     fn note_daemon(&mut self, heartbeat: &Heartbeat) {
         if heartbeat.dropped > self.dropped {
             self.dropped = heartbeat.dropped;
-            eprintln!(
-                "the daemon dropped {} frames so far because this client did not keep up",
-                self.dropped
-            );
+            let dropped = self.dropped;
+            note(&format!("the daemon dropped {dropped} frames so far because this client did not keep up"));
         }
     }
 }

@@ -11,7 +11,10 @@ use std::{
 
 use tokio::sync::mpsc::{self, error::TrySendError};
 
-use super::frame::{FrameBytes, PoseFrame, Stamp};
+use super::{
+    frame::{FrameBytes, PoseFrame},
+    stamp::Stamp,
+};
 use crate::{
     clock::{Clock, utc::Utc},
     estimation::PoseReport,
@@ -160,7 +163,7 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
-    use crate::{clock::Mono, estimation::Status, publishing::frame::tests::report};
+    use crate::{clock::Mono, estimation::Status, publishing::stamp::tests::report};
 
     #[derive(Clone)]
     struct Fixed(Mono);
