@@ -3,6 +3,9 @@
 //!
 //! Code that needs "now" takes a [`Clock`]; only [`SystemClock`] asks the operating system.
 
+#[cfg(test)]
+pub(crate) mod manual;
+pub mod pace;
 pub mod utc;
 
 use std::ops::{Add, Sub};

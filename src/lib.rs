@@ -25,5 +25,6 @@ pub mod exit;
 pub mod monitor;
 pub mod optics;
 pub mod publishing;
+pub mod twin;
 
 pub use publishing::client;

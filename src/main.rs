@@ -1,31 +1,76 @@
-//! The command line of trifacet.
-
-use std::process::ExitCode;
-
-use clap::{Parser, Subcommand};
-use trifacet::exit::{self, Failure};
+//! The command line of trifacet: each command is one line to one function.
 
 mod commands;
 
-#[derive(Parser)]
-#[command(version, about)]
+use std::io::Write;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use trifacet::{config::ConfigError, exit};
+
+/// Six degrees of freedom from a three-facet mirror, a laser and three position-sensitive detectors.
+#[derive(Debug, Parser)]
+#[command(name = "trifacet", version, max_term_width = 100, after_help = EXIT_CODES)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
 }
 
-#[derive(Subcommand)]
+const EXIT_CODES: &str = "Exit codes: 0 fine, 64 wrong command line, 65 bad rows in the data, \
+    69 nothing there to talk to, 70 a defect, 74 a file or socket failed, 75 in use by another process, \
+    78 wrong configuration.";
+
+#[derive(Debug, Subcommand)]
 enum Command {
+    /// Say what a configuration means, or what is wrong with it
+    Check(commands::CheckArgs),
+    /// Compute signals from poses: CSV in, CSV out
+    Trace(commands::TableArgs),
+    /// Compute poses from signals: CSV in, CSV out
+    Solve(commands::TableArgs),
+    /// Compute samples of the digital twin, with the truth behind them, as CSV
+    Simulate(commands::SimulateArgs),
+    /// Print the frames of a running daemon
     Watch(commands::WatchArgs),
 }
 
 fn main() -> ExitCode {
-    let Command::Watch(args) = Cli::parse().command;
-    match commands::watch(&args) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(e) => {
-            eprintln!("error: {e:#}");
-            ExitCode::from(e.downcast_ref::<Failure>().map_or(exit::SOFTWARE, |f| f.code))
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(usage) => {
+            let _ = usage.print(); // help that nobody reads is no failure
+            return ExitCode::from(if usage.use_stderr() { exit::USAGE } else { 0 });
         }
+    };
+    let result = match cli.command {
+        Command::Check(args) => commands::check(&args),
+        Command::Trace(args) => commands::trace(&args),
+        Command::Solve(args) => commands::solve(&args),
+        Command::Simulate(args) => commands::simulate(&args),
+        Command::Watch(args) => commands::watch(&args),
+    };
+    result.map_or_else(|error| report(&error), |()| ExitCode::SUCCESS)
+}
+
+/// Says what went wrong, and why; gives the exit code for it.
+fn report(error: &anyhow::Error) -> ExitCode {
+    if error.is::<commands::OutputClosed>() {
+        return ExitCode::SUCCESS;
+    }
+    for line in format!("{error:#}").lines() {
+        let _ = writeln!(std::io::stderr(), "trifacet: {line}"); // standard error may be closed
+    }
+    ExitCode::from(code(error))
+}
+
+fn code(error: &anyhow::Error) -> u8 {
+    if let Some(failure) = error.downcast_ref::<exit::Failure>() {
+        failure.code
+    } else if error.is::<ConfigError>() {
+        exit::CONFIG
+    } else if error.chain().any(<dyn std::error::Error>::is::<std::io::Error>) {
+        exit::IO
+    } else {
+        exit::SOFTWARE
     }
 }

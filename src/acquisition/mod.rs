@@ -3,8 +3,13 @@
 //! A [`Source`] (the twin or a serial board) delivers [`Scan`]s of raw converter codes; the channel
 //! map turns each into a [`Sample`] in metres and watts. The steering command goes back the same way.
 
+pub mod board;
+pub mod port;
 pub mod scan;
+pub mod serial;
 pub mod source;
+pub mod timebase;
 
 pub use scan::{Converter, Identity, MAX_CHANNELS, PsdState, Role, Sample, Scan};
+pub use serial::SerialSource;
 pub use source::{Ack, Down, Event, Expiry, OutputCommand, Source};

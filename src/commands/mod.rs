@@ -1,5 +1,46 @@
 //! One file for each command of `trifacet`; `main.rs` only chooses.
 
+use std::io;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use trifacet::config::{self, Config};
+
+mod check;
+mod simulate;
+mod table;
+mod trace;
 mod watch;
 
+pub(crate) use check::{CheckArgs, check};
+pub(crate) use simulate::{SimulateArgs, simulate};
+pub(crate) use trace::{TableArgs, solve, trace};
 pub(crate) use watch::{WatchArgs, watch};
+
+/// The option that all commands with a configuration have.
+#[derive(Debug, clap::Args)]
+pub(crate) struct ConfigArg {
+    /// Configuration file; without one everything has its default
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+impl ConfigArg {
+    /// The checked configuration.
+    pub(crate) fn load(&self) -> anyhow::Result<Config> {
+        Ok(config::load(self.config.as_deref())?)
+    }
+}
+
+/// Whoever read our standard output has seen enough, as `head` does. No reason to complain.
+#[derive(Debug, thiserror::Error)]
+#[error("standard output was closed")]
+pub(crate) struct OutputClosed;
+
+/// The result of writing to standard output as the result of a command.
+pub(crate) fn written(result: io::Result<()>) -> anyhow::Result<()> {
+    match result {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Err(OutputClosed.into()),
+        result => result.context("cannot write to standard output"),
+    }
+}

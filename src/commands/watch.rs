@@ -16,6 +16,8 @@ use trifacet::{
     publishing::columns::Columns,
 };
 
+use super::written;
+
 /// Over UDP nothing says that a daemon is there; after this long without a frame, say so.
 const SILENCE: Duration = Duration::from_secs(3);
 /// Text shows at most a frame in this time.
@@ -151,13 +153,10 @@ impl Printer {
         }
     }
 
-    /// Prints a frame if it is due. Breaks after the last one, and when nobody reads any more.
+    /// Prints a frame if it is due. Breaks after the last one.
     fn frame(&mut self, frame: &PoseFrame) -> Result<ControlFlow<()>> {
         let Some(text) = self.lines(frame) else { return Ok(ControlFlow::Continue(())) };
-        match io::stdout().lock().write_all(text.as_bytes()) {
-            Err(e) if e.kind() == io::ErrorKind::BrokenPipe => return Ok(ControlFlow::Break(())),
-            result => result?,
-        }
+        written(io::stdout().lock().write_all(text.as_bytes()))?;
         self.started = true;
         if let Some(left) = &mut self.left {
             *left -= 1;

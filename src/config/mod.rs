@@ -1,8 +1,90 @@
 //! The configuration file: TOML to checked settings.
 //!
 //! Every key has a default and carries its unit in its name. Unknown keys and values out of range are
-//! refused with file, line, key and what is allowed.
+//! refused with file, line, key and what is allowed. `docs/configuration.md` has every key.
+//!
+//! - [`load()`] reads a file; the sections follow, one module each, with defaults and allowed ranges.
+//! - `check` collects what is wrong, `together` knows what must fit across sections, and `locate` finds
+//!   the lines.
 
-pub mod sections;
+mod acquisition;
+mod centering;
+mod channels;
+mod check;
+mod error;
+mod estimation;
+mod fault;
+mod head;
+mod id;
+mod load;
+mod locate;
+mod log;
+mod motion;
+mod publishing;
+mod realtime;
+mod steering;
+mod together;
+mod twin;
 
-pub use sections::*;
+use serde::Deserialize;
+
+pub use acquisition::{AcquisitionConfig, SerialConfig, SourceKind};
+pub use centering::{CenteringConfig, Gains, Target};
+pub use channels::{Amplifier, ChannelsConfig, PsdChannels};
+pub use error::{ConfigError, Problem};
+pub use estimation::{EstimationConfig, Model};
+pub use fault::{Fault, FaultKind};
+pub use head::{FacetConfig, HeadConfig};
+pub use load::{load, parse};
+pub use locate::Place;
+pub use log::{LogConfig, LogFormat};
+pub use motion::{Axis, Motion, MotionKind};
+pub use publishing::PublishingConfig;
+pub use realtime::RealtimeConfig;
+pub use steering::{OnExit, SteeringConfig};
+pub use twin::{TwinConfig, TwinSteering};
+
+/// The whole file.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// Geometry of the sensor head.
+    pub head: HeadConfig,
+    /// Where samples come from.
+    pub acquisition: AcquisitionConfig,
+    /// From codes to spots and powers.
+    pub channels: ChannelsConfig,
+    /// The centering loop.
+    pub centering: CenteringConfig,
+    /// The laser's steering stage.
+    pub steering: SteeringConfig,
+    /// From samples to poses.
+    pub estimation: EstimationConfig,
+    /// Where poses go.
+    pub publishing: PublishingConfig,
+    /// The digital twin.
+    pub twin: TwinConfig,
+    /// Priority, memory and CPU of the fast thread.
+    pub realtime: RealtimeConfig,
+    /// Logs.
+    pub log: LogConfig,
+}
+
+impl Config {
+    /// Every value against its own range, then, if all are fine, against each other.
+    fn check(&self, at: &mut check::Checker<'_>) {
+        self.head.check(at.section("head"));
+        self.acquisition.check(at.section("acquisition"));
+        self.channels.check(at.section("channels"));
+        self.centering.check(at.section("centering"));
+        self.steering.check(at.section("steering"));
+        self.estimation.check(at.section("estimation"));
+        self.publishing.check(at.section("publishing"));
+        self.twin.check(at.section("twin"), self.acquisition.rate_hz);
+        self.realtime.check(at.section("realtime"));
+        self.log.check(at.section("log"));
+        if at.clean() {
+            together::check(self, at);
+        }
+    }
+}

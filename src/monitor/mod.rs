@@ -30,6 +30,12 @@ counters! {
     frames_corrupted,
     /// Frames of the board that were whole and made no sense.
     frames_unknown,
+    /// Frames of the daemon that the board did not understand.
+    board_errors,
+    /// Times the board read its converter too late.
+    converter_overruns,
+    /// Times the board held or parked the steering because commands stopped coming in time.
+    leases_expired,
     /// Times the source went down.
     source_downs,
     /// Steering commands given to the source.

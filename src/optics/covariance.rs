@@ -3,7 +3,7 @@
 use nalgebra::{Matrix2, Matrix6, SMatrix, SVector, Vector6};
 
 use super::slopes::Residual;
-use super::{Solution, Vec2, Vec3};
+use super::{Estimator, Solution, Vec2, Vec3};
 
 /// One standard deviation of each signal, in its unit; the noises are taken as independent.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,19 +21,23 @@ pub struct Noise {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sensitivity(pub SMatrix<f64, 8, 9>);
 
-impl Solution {
-    /// The sensitivity at this solution, from the equations of its last step.
-    pub fn sensitivity(&self) -> Sensitivity {
+impl Estimator {
+    /// The sensitivity at a solution, to a hundredth of itself (the equations of the solver's last step).
+    pub fn sensitivity(&self, solution: &Solution) -> Sensitivity {
+        let to_world = self.optics().to_world;
+        let turn = solution.pose.euler_rates() * to_world;
         let mut matrix = SMatrix::<f64, 8, 9>::zeros();
         for signal in 0..9 {
-            let (dt, dw, doffset) = self.slopes.solve(&self.unit_residual(signal));
-            let (t, w) = (self.to_world * dt, self.pose.euler_rates() * (self.to_world * dw));
+            let (dt, dw, doffset) = solution.slopes.solve(&solution.unit_residual(signal));
+            let (t, w) = (to_world * dt, turn * dw);
             let column = SVector::from([t.x, t.y, t.z, w.x, w.y, w.z, doffset.x, doffset.y]);
             matrix.set_column(signal, &column);
         }
         Sensitivity(matrix)
     }
+}
 
+impl Solution {
     /// What a unit change of one signal does to the residual.
     fn unit_residual(&self, signal: usize) -> Residual {
         let mut residual = Residual::default();

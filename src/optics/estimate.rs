@@ -6,9 +6,11 @@
 //!
 //! All steps are taken in the beam frame, with the orientation as a quaternion.
 
+use std::sync::Arc;
+
 use nalgebra::{Quaternion, UnitQuaternion};
 
-use super::beam::{Split, Wedge};
+use super::beam::{DARK, Split, Wedge};
 use super::model::MIN_FACING;
 use super::ray::Ray;
 use super::slopes::{Linearised, Residual};
@@ -90,7 +92,7 @@ impl SolveError {
 }
 
 /// A solved pose. Also the warm start of the next solve.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Solution {
     /// Position and orientation of the mirror.
     pub pose: Pose,
@@ -101,9 +103,9 @@ pub struct Solution {
     /// Newton and chord steps taken.
     pub iterations: u8,
     state: State,
-    pub(super) slopes: Linearised,
+    /// The equations of the last step.
+    pub(super) slopes: Arc<Linearised>,
     pub(super) fractions: Vec2,
-    pub(super) to_world: Mat3,
 }
 
 /// The unknowns, in the beam frame.
@@ -118,6 +120,8 @@ struct State {
 pub(super) struct Light {
     pub split: Option<Split>,
     pub reflections: [Reflection; 3],
+    /// Every facet faces the light, is lit, and sends it to its PSD.
+    pub valid: bool,
 }
 
 /// The light of one facet.
@@ -137,12 +141,15 @@ struct Target {
     total: f64,
 }
 
-/// A step (metres and radians) below this ends the iteration: Newton's next one is far below rounding.
-const AT_REST: f64 = 1e-10;
-/// After a Newton step below this the next step reuses its equations.
-const CHORD: f64 = 1e-4;
-/// A chord step is the last if the one after it would be below this.
-const CHORD_AT_REST: f64 = 1e-14;
+/// The iteration ends when the next step (metres and radians) would be below this.
+const AT_REST: f64 = 1e-13;
+/// The step after a Newton step is at most this times its square (1/m or 1/rad): a bound for heads of
+/// the size of the nominal one, ten times what is seen on it.
+const CURVATURE: f64 = 1e5;
+/// After a larger step the equations are made anew.
+const NEAR: f64 = 1e-4;
+/// The equations are kept while each step is at most this fraction of the one before.
+const KEEP: f64 = 0.01;
 /// Most steps from one start.
 const MAX_STEPS: u8 = 14;
 
@@ -173,13 +180,28 @@ impl Estimator {
     /// from a centred mirror. If the warm start leads nowhere the cold one is tried.
     pub fn solve(&self, signals: &Signals, warm: Option<&Solution>) -> Result<Solution, SolveError> {
         let target = self.target(signals)?;
-        let mut iterations = 0;
-        if let Some(warm) = warm
-            && let Ok(solution) = self.iterate(&target, warm.state, &mut iterations)
-        {
-            return Ok(solution);
+        match self.model {
+            Model::Ray => self.solve_for::<false>(&target, warm),
+            Model::Gaussian => self.solve_for::<true>(&target, warm),
         }
-        self.iterate(&target, self.centred(), &mut iterations)
+    }
+
+    /// The models are compiled apart, so that the ray does not pay for the beam.
+    #[inline(always)]
+    fn solve_for<const GAUSSIAN: bool>(
+        &self,
+        target: &Target,
+        warm: Option<&Solution>,
+    ) -> Result<Solution, SolveError> {
+        let mut iterations = 0;
+        if let Some(warm) = warm {
+            let kept = Some(Arc::clone(&warm.slopes));
+            let solution = self.iterate::<GAUSSIAN>(target, warm.state, kept, &mut iterations);
+            if solution.is_ok() {
+                return solution;
+            }
+        }
+        self.iterate::<GAUSSIAN>(target, self.centred(), None, &mut iterations)
     }
 
     fn centred(&self) -> State {
@@ -206,33 +228,47 @@ impl Estimator {
         Ok(target)
     }
 
-    /// Newton steps until they are small, then a chord step, which reuses the equations of the step before.
-    fn iterate(&self, target: &Target, mut state: State, count: &mut u8) -> Result<Solution, SolveError> {
-        let last = *count + MAX_STEPS;
-        while *count < last {
+    /// Newton's method, which keeps its equations from step to step (and from sample to sample) as long
+    /// as each step is much smaller than the one before.
+    fn iterate<const GAUSSIAN: bool>(
+        &self,
+        target: &Target,
+        mut state: State,
+        mut kept: Option<Arc<Linearised>>,
+        count: &mut u8,
+    ) -> Result<Solution, SolveError> {
+        let mut last_step = f64::INFINITY;
+        let limit = *count + MAX_STEPS;
+        while *count < limit {
             let iterations = *count;
-            let light = self.light(&state).ok_or(SolveError::OutOfRange { iterations })?;
-            let slopes = Linearised::new(&self.optics, &light).ok_or(SolveError::Singular { iterations })?;
-            let (newton, limited) = self.step(&slopes, &target.minus(&light), &mut state);
+            let light = self.light::<GAUSSIAN>(&state);
+            if !light.valid {
+                return Err(SolveError::OutOfRange { iterations });
+            }
+            let fresh = kept.is_none();
+            let slopes = match kept.take() {
+                Some(slopes) => slopes,
+                None => Linearised::new(&self.optics, &light)
+                    .map(Arc::new)
+                    .ok_or(SolveError::Singular { iterations })?,
+            };
+            let (step, limited) = self.step(&slopes, &target.minus(&light), &mut state);
             *count += 1;
-            if newton < AT_REST {
-                return Ok(self.solution(target, state, &slopes, *count));
+            let shrink = if last_step.is_finite() { step / last_step } else { KEEP };
+            let next = step * if fresh { step * CURVATURE } else { shrink };
+            if next < AT_REST && !limited {
+                return Ok(self.solution(target, state, slopes, *count));
             }
-            if newton < CHORD && !limited {
-                let light = self.light(&state).ok_or(SolveError::OutOfRange { iterations: *count })?;
-                let (chord, _) = self.step(&slopes, &target.minus(&light), &mut state);
-                *count += 1;
-                // Chord steps shrink by the same factor each.
-                if chord * chord < CHORD_AT_REST * newton {
-                    return Ok(self.solution(target, state, &slopes, *count));
-                }
-            }
+            let good = if fresh { step < NEAR } else { shrink <= KEEP && step < NEAR };
+            kept = (good && !limited).then_some(slopes);
+            last_step = step;
         }
         Err(SolveError::NotConverged { iterations: *count })
     }
 
     /// Moves the state by the solution of the linear equations; returns the largest component of the step
     /// and whether it was shortened, so that the offset moves by at most the beam's deviation.
+    #[inline(always)]
     fn step(&self, slopes: &Linearised, residual: &Residual, state: &mut State) -> (f64, bool) {
         let (dt, dw, doffset) = slopes.solve(residual);
         let reach = doffset.norm() / self.optics.sigma;
@@ -246,7 +282,8 @@ impl Estimator {
         (dt.amax().max(dw.amax()).max(doffset.amax()), reach > 1.0)
     }
 
-    fn solution(&self, target: &Target, state: State, slopes: &Linearised, iterations: u8) -> Solution {
+    #[inline(always)]
+    fn solution(&self, target: &Target, state: State, slopes: Arc<Linearised>, iterations: u8) -> Solution {
         let rotation = self.optics.to_world * state.turn.to_rotation_matrix().into_inner();
         Solution {
             pose: Pose::new(self.optics.to_world * state.t, &rotation),
@@ -254,37 +291,39 @@ impl Estimator {
             total_power: target.total,
             iterations,
             state,
-            slopes: *slopes,
+            slopes,
             fractions: target.fractions,
-            to_world: self.optics.to_world,
         }
     }
 
-    /// `None` where a facet sees no light, does not face it, or does not send it to its PSD.
-    fn light(&self, state: &State) -> Option<Light> {
+    /// The light as the state has it.
+    #[inline(always)]
+    fn light<const GAUSSIAN: bool>(&self, state: &State) -> Light {
         let r: Mat3 = state.turn.to_rotation_matrix().into_inner();
-        let normals = self.optics.facets.map(|n| r * n);
-        if !normals.iter().all(|n| n.z > MIN_FACING) {
-            return None;
-        }
-        let split =
-            (self.model == Model::Gaussian).then(|| Split::new(&normals, state.offset / self.optics.sigma));
-        let reflect = |i: usize| {
-            let wedge = split.as_ref().map(|split| split.wedge(i));
-            let arm = match &wedge {
-                Some(wedge) => self.optics.arm(wedge, normals[i], state.offset)?,
-                None => Vec3::zeros(),
-            };
-            let ray = Ray::new(&self.optics.psds[i], normals[i], state.t + arm)?;
-            Some(Reflection { wedge, arm, ray })
+        let facets = &self.optics.facets;
+        let normals = [r * facets[0], r * facets[1], r * facets[2]];
+        let split = GAUSSIAN.then(|| Split::new(&normals, state.offset / self.optics.sigma));
+        let reflect = |facet| self.reflect(facet, normals[facet], state, split.as_ref());
+        let reflections = [reflect(0), reflect(1), reflect(2)];
+        let valid = normals.iter().all(|n| n.z > MIN_FACING)
+            && reflections.iter().all(|r| r.ray.reaches() && r.wedge.is_none_or(|w| w.power > DARK));
+        Light { split, reflections, valid }
+    }
+
+    #[inline(always)]
+    fn reflect(&self, facet: usize, normal: Vec3, state: &State, split: Option<&Split>) -> Reflection {
+        let wedge = split.map(|split| split.wedge(facet));
+        let arm = match &wedge {
+            Some(wedge) => self.optics.arm(wedge, normal, state.offset),
+            None => Vec3::zeros(),
         };
-        let reflections = [reflect(0)?, reflect(1)?, reflect(2)?];
-        Some(Light { split, reflections })
+        Reflection { wedge, arm, ray: Ray::new(&self.optics.psds[facet], normal, state.t + arm) }
     }
 }
 
 impl Target {
     /// Measured minus computed.
+    #[inline(always)]
     fn minus(&self, light: &Light) -> Residual {
         let mut residual = Residual::default();
         for (i, reflection) in light.reflections.iter().enumerate() {

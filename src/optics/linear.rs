@@ -9,10 +9,15 @@ use super::{Mat3, Vec3};
 /// With the rows ordered u | v and the columns tx ty wz | tz wx wy the blocks on the diagonal of a head
 /// like the nominal one are well conditioned, so no pivoting is needed. Any other head gets a full
 /// factorisation with pivoting.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Factored {
-    Blocks { a_inv: Mat3, b: Mat3, c: Mat3, s_inv: Mat3 },
-    Full { inverse: Matrix6<f64> },
+#[derive(Clone, Debug)]
+pub(super) struct Factored {
+    a_inv: Mat3,
+    b: Mat3,
+    c: Mat3,
+    /// Inverse of the Schur complement `d - c a^-1 b`.
+    s_inv: Mat3,
+    /// The inverse of all, where the blocks would not do. Boxed: rare, and large.
+    full: Option<Box<Matrix6<f64>>>,
 }
 
 /// A block whose determinant is smaller than this, relative to the product of its columns' lengths, is
@@ -23,16 +28,19 @@ const SINGULAR: f64 = 1e-9;
 
 impl Factored {
     /// `None` if the equations are singular or not finite.
+    #[inline(always)]
     pub fn new(a: Mat3, b: Mat3, c: Mat3, d: Mat3) -> Option<Self> {
         Self::blocks(a, b, c, d).or_else(|| Self::full(a, b, c, d))
     }
 
+    #[inline(always)]
     fn blocks(a: Mat3, b: Mat3, c: Mat3, d: Mat3) -> Option<Self> {
         let a_inv = inverse(&a)?;
         let s_inv = inverse(&(d - c * (a_inv * b)))?;
-        Some(Self::Blocks { a_inv, b, c, s_inv })
+        Some(Self { a_inv, b, c, s_inv, full: None })
     }
 
+    #[cold]
     fn full(a: Mat3, b: Mat3, c: Mat3, d: Mat3) -> Option<Self> {
         let mut m = Matrix6::zeros();
         for (at, block) in [((0, 0), a), ((0, 3), b), ((3, 0), c), ((3, 3), d)] {
@@ -40,28 +48,25 @@ impl Factored {
         }
         let lu = m.full_piv_lu();
         let size: f64 = m.column_iter().map(|column| column.norm()).product();
-        (lu.determinant().abs() > SINGULAR * size)
-            .then(|| lu.try_inverse())?
-            .map(|inverse| Self::Full { inverse })
+        let inverse = (lu.determinant().abs() > SINGULAR * size).then(|| lu.try_inverse()).flatten()?;
+        Some(Self { a_inv: a, b, c, s_inv: d, full: Some(Box::new(inverse)) })
     }
 
     /// The unknowns for a right-hand side.
+    #[inline(always)]
     pub fn solve(&self, r: Vec3, s: Vec3) -> (Vec3, Vec3) {
-        match self {
-            Self::Blocks { a_inv, b, c, s_inv } => {
-                let x = a_inv * r;
-                let y = s_inv * (s - c * x);
-                (x - a_inv * (b * y), y)
-            }
-            Self::Full { inverse } => {
-                let x = inverse * Vector6::new(r.x, r.y, r.z, s.x, s.y, s.z);
-                (x.fixed_rows::<3>(0).into(), x.fixed_rows::<3>(3).into())
-            }
+        if let Some(inverse) = &self.full {
+            let x = **inverse * Vector6::new(r.x, r.y, r.z, s.x, s.y, s.z);
+            return (x.fixed_rows::<3>(0).into(), x.fixed_rows::<3>(3).into());
         }
+        let x = self.a_inv * r;
+        let y = self.s_inv * (s - self.c * x);
+        (x - self.a_inv * (self.b * y), y)
     }
 }
 
 /// The inverse by cofactors; `None` if the matrix is nearly singular.
+#[inline(always)]
 fn inverse(m: &Mat3) -> Option<Mat3> {
     let [x, y, z] = [0, 1, 2].map(|i| Vec3::from(m.column(i)));
     let yz = y.cross(&z);

@@ -98,6 +98,11 @@ impl Optics {
         self.psds.map(|p| p.half_size)
     }
 
+    /// The part of a world vector that lies across the beam, in the axes of the beam's offset.
+    pub fn across(&self, v: Vec3) -> Vec2 {
+        (self.to_world.transpose() * v).xy()
+    }
+
     /// What the PSDs see of a mirror at `pose` with the beam's centre at `offset` from the apex, across
     /// the beam, metres (world x and y for a vertical beam). Fails unless all three see light.
     pub fn trace(&self, model: Model, pose: &Pose, offset: Vec2) -> Result<Reading, TraceError> {
@@ -130,7 +135,8 @@ impl Optics {
                 let split = Split::new(&mirror.normals, offset / self.sigma);
                 let wedges = [0, 1, 2].map(|i| split.wedge(i));
                 let spots = [0, 1, 2].map(|i| {
-                    let arm = self.arm(&wedges[i], mirror.normals[i], offset);
+                    let lit = wedges[i].power > DARK;
+                    let arm = lit.then(|| self.arm(&wedges[i], mirror.normals[i], offset));
                     self.spot(i, &mirror, arm.ok_or(TraceError::Dark(FACETS[i]))?)
                 });
                 (spots, wedges.map(|w| w.power.max(0.0)))
@@ -145,16 +151,19 @@ impl Optics {
         Mirror { t: into * t, normals: self.facets.map(|n| r * n) }
     }
 
-    /// The centroid of the light on a facet as seen from the apex; `None` if it is dark.
-    pub(super) fn arm(&self, wedge: &Wedge, normal: Vec3, offset: Vec2) -> Option<Vec3> {
+    /// The centroid of the light on a facet, which must not be dark, as seen from the apex.
+    #[inline(always)]
+    pub(super) fn arm(&self, wedge: &Wedge, normal: Vec3, offset: Vec2) -> Vec3 {
         let rho = offset + wedge.moment * (self.sigma / wedge.power);
-        (wedge.power > DARK).then(|| on_plane(normal, rho))
+        on_plane(normal, rho)
     }
 
     fn spot(&self, facet: usize, mirror: &Mirror, arm: Vec3) -> Result<[f64; 2], TraceError> {
         let psd = &self.psds[facet];
-        let ray =
-            Ray::new(psd, mirror.normals[facet], mirror.t + arm).ok_or(TraceError::Missed(FACETS[facet]))?;
+        let ray = Ray::new(psd, mirror.normals[facet], mirror.t + arm);
+        if !ray.reaches() {
+            return Err(TraceError::Missed(FACETS[facet]));
+        }
         let [u, v] = ray.spot;
         if u.abs() > psd.half_size || v.abs() > psd.half_size {
             return Err(TraceError::OffPsd { facet: FACETS[facet], u, v, half_size: psd.half_size });
@@ -167,6 +176,7 @@ impl Optics {
 pub(super) const MIN_FACING: f64 = 1e-3;
 
 /// The point of a plane through the origin below or above `p`, along the beam.
+#[inline(always)]
 pub(super) fn on_plane(normal: Vec3, p: Vec2) -> Vec3 {
     Vec3::new(p.x, p.y, -(normal.x * p.x + normal.y * p.y) / normal.z)
 }

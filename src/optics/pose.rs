@@ -34,7 +34,7 @@ impl Pose {
         Self {
             t,
             roll: r[(2, 1)].atan2(r[(2, 2)]),
-            pitch: (-r[(2, 0)]).atan2(r[(2, 1)].hypot(r[(2, 2)])),
+            pitch: -r[(2, 0)].clamp(-1.0, 1.0).asin(),
             yaw: r[(1, 0)].atan2(r[(0, 0)]),
         }
     }

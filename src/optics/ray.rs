@@ -2,9 +2,6 @@
 
 use super::{Psd, Vec3};
 
-/// The direction of the light in the beam frame is -z.
-pub const LIGHT: Vec3 = Vec3::new(0.0, 0.0, -1.0);
-
 /// The reflection of one ray, and where it meets the PSD.
 #[derive(Clone, Copy, Debug)]
 pub struct Ray {
@@ -30,26 +27,36 @@ pub struct Row {
 }
 
 impl Ray {
-    /// Reflects the light at `point` of a facet with unit normal `normal`.
-    /// `None` if the ray does not travel towards the PSD.
-    pub fn new(psd: &Psd, normal: Vec3, point: Vec3) -> Option<Self> {
-        let direction = LIGHT + normal * (2.0 * normal.z);
+    /// Reflects the light at `point` of a facet with unit normal `normal`. The spot has a meaning only if
+    /// the ray [reaches](Ray::reaches) the PSD.
+    #[inline(always)]
+    pub fn new(psd: &Psd, normal: Vec3, point: Vec3) -> Self {
+        let (x, y, z) = (normal.x, normal.y, normal.z);
+        let direction = Vec3::new(2.0 * z * x, 2.0 * z * y, 2.0 * z * z - 1.0);
         let toward = direction.dot(&psd.x);
         let from_psd = point - psd.origin;
         let length = -from_psd.dot(&psd.x) / toward;
         let hit = from_psd + direction * length;
         let spot = [hit.dot(&psd.y), hit.dot(&psd.z)];
-        (toward < 0.0 && length > 0.0).then_some(Self { normal, direction, length, toward, spot })
+        Self { normal, direction, length, toward, spot }
+    }
+
+    /// Whether the ray travels towards the PSD and meets its front.
+    pub fn reaches(&self) -> bool {
+        self.toward < 0.0 && self.length > 0.0
     }
 
     /// The derivatives of the coordinate along `axis` (the PSD's y or z); `arm` is the point of
     /// reflection as seen from the apex.
+    #[inline(always)]
     pub fn row(&self, psd: &Psd, axis: Vec3, arm: Vec3) -> Row {
         let n = self.normal;
         let g = axis - psd.x * (self.direction.dot(&axis) / self.toward);
         let tilt = g.z / n.z;
-        let n_cross_light = Vec3::new(-n.y, n.x, 0.0);
-        let reflected = (n_cross_light * g.dot(&n) - n.cross(&g) * n.z) * (-2.0 * self.length);
+        // (g.n)(n x light) + (n.light)(n x g), written out: the light has one component only.
+        let (along, across) = (g.dot(&n), n.cross(&g) * n.z);
+        let reflected = Vec3::new(-n.y * along - across.x, n.x * along - across.y, -across.z);
+        let reflected = reflected * (-2.0 * self.length);
         Row { shift: g, turn: reflected - n.cross(&arm) * tilt, across: g - n * tilt }
     }
 }

@@ -20,7 +20,7 @@ pub(super) struct Residual {
 pub(super) type Step = (Vec3, Vec3, Vec2);
 
 /// The linear equations, factored: solved for one residual after the other.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Linearised {
     pose: Factored,
     offset: Option<OffsetEquations>,
@@ -53,6 +53,7 @@ struct Centroid {
 
 impl Linearised {
     /// `None` if the equations are singular.
+    #[inline(always)]
     pub fn new(optics: &Optics, light: &Light) -> Option<Self> {
         let (mut u, mut v) = (Rows::default(), Rows::default());
         let (mut by_offset, mut by_turn) = (Matrix2::zeros(), Matrix2x3::zeros());
@@ -81,6 +82,7 @@ impl Linearised {
     }
 
     /// The step that takes the residual to zero.
+    #[inline(always)]
     pub fn solve(&self, residual: &Residual) -> Step {
         let (mut u, mut v, mut offset) = (residual.u, residual.v, Vec2::zeros());
         if let Some(light) = &self.offset {
@@ -98,6 +100,7 @@ impl Linearised {
 }
 
 impl Rows {
+    #[inline(always)]
     fn set(&mut self, facet: usize, row: &Row, centroid: Option<&Centroid>) {
         self.shift.set_row(facet, &row.shift.transpose());
         let mut turn = row.turn.transpose();
@@ -110,6 +113,7 @@ impl Rows {
     }
 
     /// Takes the offset out by the equations of the fractions.
+    #[inline(always)]
     fn eliminate(&mut self, inverse: &Matrix2<f64>, by_turn: &Matrix2x3<f64>) {
         self.turn -= self.offset * (inverse * by_turn);
     }
@@ -126,6 +130,7 @@ impl Rows {
 }
 
 impl Centroid {
+    #[inline(always)]
     fn new(wedge: &Wedge, slopes: &WedgeSlopes, sigma: f64) -> Self {
         let per_power = 1.0 / wedge.power;
         let mean = wedge.moment * per_power;

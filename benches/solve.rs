@@ -1,0 +1,186 @@
+//! Our solvers beside the `levenberg-marquardt` crate, in one run: `cargo bench --bench solve`.
+//!
+//! The crate solves the six-signal problem with the same ray model and the same analytic derivatives, at
+//! tolerances of 1e-6 (its defaults, some 1e-15, cost it 2.6 times as much and would flatter us).
+//! Warm means from the solution of the sample before, one noise deviation away; cold means from zero.
+//! Before anything is timed the results are checked to agree within 1e-12 m and rad.
+
+use std::hint::black_box;
+
+use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
+use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
+use nalgebra::{Matrix6, Owned, U6, Vector6};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use trifacet::optics::ray::Ray;
+use trifacet::optics::{Estimator, Head, Model, Optics, Pose, Psd, Signals, Solution, Vec2, Vec3};
+
+const CASES: usize = 64;
+
+/// The six-signal problem as the crate wants it.
+#[derive(Clone)]
+struct RayProblem<'a> {
+    head: &'a Head,
+    spots: [f64; 6],
+    pose: Vector6<f64>,
+    rays: [Ray; 3],
+}
+
+impl<'a> RayProblem<'a> {
+    fn new(head: &'a Head, spots: [f64; 6], start: &Pose) -> Self {
+        Self { head, spots, pose: Vector6::from(start.to_array()), rays: rays(head, start) }
+    }
+
+    fn pose(&self) -> Pose {
+        Pose::from_array(self.pose.into())
+    }
+}
+
+impl LeastSquaresProblem<f64, U6, U6> for RayProblem<'_> {
+    type ParameterStorage = Owned<f64, U6>;
+    type ResidualStorage = Owned<f64, U6>;
+    type JacobianStorage = Owned<f64, U6, U6>;
+
+    fn set_params(&mut self, pose: &Vector6<f64>) {
+        self.pose = *pose;
+        self.rays = rays(self.head, &self.pose());
+    }
+
+    fn params(&self) -> Vector6<f64> {
+        self.pose
+    }
+
+    fn residuals(&self) -> Option<Vector6<f64>> {
+        let mut residuals = Vector6::zeros();
+        for (i, ray) in self.rays.iter().enumerate() {
+            let spot = ray.spot;
+            residuals[2 * i] = spot[0] - self.spots[2 * i];
+            residuals[2 * i + 1] = spot[1] - self.spots[2 * i + 1];
+        }
+        Some(residuals)
+    }
+
+    fn jacobian(&self) -> Option<Matrix6<f64>> {
+        let mut jacobian = Matrix6::zeros();
+        let (sa, ca) = self.pose[5].sin_cos();
+        let (sb, cb) = self.pose[4].sin_cos();
+        let axes = [Vec3::new(ca * cb, sa * cb, -sb), Vec3::new(-sa, ca, 0.0), Vec3::z()];
+        for (i, ray) in self.rays.iter().enumerate() {
+            let psd: &Psd = &self.head.psds[i];
+            for (row, axis) in [(2 * i, psd.y), (2 * i + 1, psd.z)] {
+                let slopes = ray.row(psd, axis, Vec3::zeros());
+                for k in 0..3 {
+                    jacobian[(row, k)] = slopes.shift[k];
+                    jacobian[(row, 3 + k)] = slopes.turn.dot(&axes[k]);
+                }
+            }
+        }
+        Some(jacobian)
+    }
+}
+
+fn rays(head: &Head, pose: &Pose) -> [Ray; 3] {
+    let rotation = pose.rotation();
+    [0, 1, 2].map(|i| Ray::new(&head.psds[i], rotation * head.facets[i], pose.t))
+}
+
+/// A sample, and the solution of the one before.
+struct Case {
+    signals: Signals,
+    warm: Solution,
+}
+
+fn main_head() -> Head {
+    Head::nominal(0.25, 0.013, std::f64::consts::FRAC_PI_4, 0.46e-3).expect("the nominal head")
+}
+
+fn cases(estimator: &Estimator) -> Vec<Case> {
+    let mut random = Pcg64Mcg::seed_from_u64(1);
+    let mut draw = |scale: f64| random.random_range(-scale..scale);
+    let mut cases = Vec::new();
+    while cases.len() < CASES {
+        let pose = Pose::from_array([3e-3, 3e-3, 3e-3, 6e-3, 6e-3, 12e-3].map(&mut draw));
+        let offset = match estimator.model() {
+            Model::Ray => Vec2::zeros(),
+            Model::Gaussian => Vec2::new(draw(5e-5), draw(5e-5)),
+        };
+        let Ok(reading) = estimator.optics().trace(estimator.model(), &pose, offset) else { continue };
+        let mut signals = Signals { spots: reading.spots, powers: reading.powers };
+        let Ok(warm) = estimator.solve(&signals, None) else { continue };
+        signals.spots.iter_mut().for_each(|spot| *spot += draw(1.08e-6 * 1.73));
+        signals.powers.iter_mut().for_each(|power| *power *= 1.0 + draw(1.73e-3));
+        cases.push(Case { signals, warm });
+    }
+    cases
+}
+
+fn crate_at_1e_6() -> LevenbergMarquardt<f64> {
+    LevenbergMarquardt::new().with_tol(1e-6)
+}
+
+fn check_agreement(head: &Head, estimator: &Estimator, cases: &[Case]) {
+    let mut worst: f64 = 0.0;
+    for case in cases {
+        for (start, warm) in [(case.warm.pose, Some(&case.warm)), (Pose::default(), None)] {
+            let ours = estimator.solve(&case.signals, warm).expect("a solvable case");
+            let problem = RayProblem::new(head, case.signals.spots, &start);
+            let (theirs, report) = crate_at_1e_6().minimize(problem);
+            assert!(report.termination.was_successful());
+            let difference = Vector6::from(ours.pose.to_array()) - Vector6::from(theirs.pose().to_array());
+            worst = worst.max(difference.amax());
+        }
+    }
+    assert!(worst < 1e-12, "the solvers differ by {worst:e}");
+    println!(
+        "largest difference between the solvers: {worst:.1e} m or rad over {CASES} cases, warm and cold"
+    );
+}
+
+fn solve(criterion: &mut Criterion) {
+    let head = main_head();
+    let ray = Estimator::new(Optics::new(&head), Model::Ray);
+    let gaussian = Estimator::new(Optics::new(&head), Model::Gaussian);
+    let six = cases(&ray);
+    let nine = cases(&gaussian);
+    check_agreement(&head, &ray, &six);
+
+    for warm in [true, false] {
+        let mut group = criterion.benchmark_group(if warm { "warm" } else { "cold" });
+        group.throughput(criterion::Throughput::Elements(CASES as u64));
+        group.bench_function("levenberg-marquardt crate, 6 signals, tol 1e-6", |b| {
+            let starts = |case: &Case| if warm { case.warm.pose } else { Pose::default() };
+            b.iter_batched_ref(
+                || {
+                    six.iter()
+                        .map(|c| RayProblem::new(&head, c.signals.spots, &starts(c)))
+                        .collect::<Vec<_>>()
+                },
+                |problems| {
+                    for problem in problems.drain(..) {
+                        black_box(crate_at_1e_6().minimize(problem));
+                    }
+                },
+                BatchSize::SmallInput,
+            );
+        });
+        for (name, estimator, cases) in
+            [("ray, 6 signals", &ray, &six), ("gaussian, 9 signals", &gaussian, &nine)]
+        {
+            group.bench_function(name, |b| {
+                b.iter(|| {
+                    for case in cases {
+                        let warm = warm.then_some(&case.warm);
+                        let _ = black_box(estimator.solve(black_box(&case.signals), warm));
+                    }
+                });
+            });
+        }
+    }
+}
+
+criterion_group! {
+    name = benches;
+    config = Criterion::default().sample_size(50).measurement_time(std::time::Duration::from_secs(3));
+    targets = solve
+}
+criterion_main!(benches);

@@ -1,0 +1,62 @@
+//! How fast the wire has to be.
+
+use super::frame::OVERHEAD;
+
+/// Bits on the wire for a byte: start, eight data bits, stop.
+const BITS_PER_BYTE: f64 = 10.0;
+
+/// The part of the wire that may be in use. The rest lets a queue drain and bears that the two
+/// clocks are not the same.
+const LOAD: f64 = 0.95;
+
+/// Bytes of a frame with one scan.
+pub fn scan_bytes(channels: usize) -> usize {
+    OVERHEAD + 9 + 3 * channels
+}
+
+/// Bytes of a frame with an acknowledgement.
+const ACK_BYTES: usize = OVERHEAD + 5;
+
+/// The slowest baud rate at which a board with so many channels can send so many scans per second
+/// while every scan is answered by a steering command. Both directions are in use at once; the
+/// board's is the busier one: a scan and an acknowledgement against one command.
+pub fn required_baud(channels: usize, rate_hz: f64) -> u32 {
+    let bytes = scan_bytes(channels) + ACK_BYTES;
+    (bytes as f64 * rate_hz * BITS_PER_BYTE / LOAD).ceil() as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::acquisition::{
+        MAX_CHANNELS,
+        board::{
+            Answer, Request,
+            message::{BoardScan, SteerResult},
+        },
+        source::{Expiry, OutputCommand},
+    };
+
+    #[test]
+    fn the_budget_counts_what_is_sent() {
+        let mut ack = Vec::new();
+        Answer::Ack { id: 1, result: SteerResult::Accepted }.encode(&mut ack);
+        assert_eq!(ack.len(), ACK_BYTES);
+        let mut steer = Vec::new();
+        let command = OutputCommand { id: 1, codes: [-1, 1], lease_ms: 200, on_expiry: Expiry::Park };
+        Request::Steer(command).encode(&mut steer);
+        for channels in 9..=MAX_CHANNELS {
+            let mut scan = Vec::new();
+            Answer::Scan(BoardScan { channels: channels as u8, ..BoardScan::default() }).encode(&mut scan);
+            assert_eq!(scan.len(), scan_bytes(channels));
+            assert!(steer.len() < scan.len() + ack.len());
+        }
+    }
+
+    #[test]
+    fn the_default_baud_rate_carries_a_kilohertz_of_sixteen_channels() {
+        assert!(required_baud(16, 1000.0) <= 921_600);
+        assert!(required_baud(9, 2000.0) > 921_600);
+        assert_eq!(required_baud(11, 1000.0), 663_158);
+    }
+}

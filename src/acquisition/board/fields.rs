@@ -1,0 +1,106 @@
+//! The fields of a message, one after the other.
+
+use super::{
+    frame,
+    message::{MessageError, VERSION},
+};
+
+/// Writes a message field by field.
+pub(super) struct Writer(Vec<u8>);
+
+impl Writer {
+    pub(super) fn new(kind: u8) -> Self {
+        Self(vec![kind, VERSION])
+    }
+
+    pub(super) fn bytes(mut self, bytes: &[u8]) -> Self {
+        self.0.extend_from_slice(bytes);
+        self
+    }
+
+    pub(super) fn u8(self, x: u8) -> Self {
+        self.bytes(&[x])
+    }
+
+    pub(super) fn u16(self, x: u16) -> Self {
+        self.bytes(&x.to_le_bytes())
+    }
+
+    pub(super) fn u32(self, x: u32) -> Self {
+        self.bytes(&x.to_le_bytes())
+    }
+
+    pub(super) fn i32(self, x: i32) -> Self {
+        self.bytes(&x.to_le_bytes())
+    }
+
+    pub(super) fn i24(self, x: i32) -> Self {
+        self.bytes(&x.to_le_bytes()[..3])
+    }
+
+    pub(super) fn frame(self, out: &mut Vec<u8>) {
+        frame::encode(&self.0, out);
+    }
+}
+
+/// Reads a message field by field.
+pub(super) struct Reader<'a> {
+    pub(super) kind: u8,
+    length: usize,
+    pub(super) rest: &'a [u8],
+}
+
+impl<'a> Reader<'a> {
+    pub(super) fn new(message: &'a [u8]) -> Result<Self, MessageError> {
+        match *message {
+            [kind, VERSION, ref rest @ ..] => Ok(Self { kind, length: message.len(), rest }),
+            [kind, version, ..] => Err(MessageError::Version { kind, version }),
+            _ => Err(MessageError::Length { kind: 0, length: message.len() }),
+        }
+    }
+
+    pub(super) fn wrong_length(&self) -> MessageError {
+        MessageError::Length { kind: self.kind, length: self.length }
+    }
+
+    pub(super) fn meaningless(&self, field: &'static str) -> MessageError {
+        MessageError::Value { kind: self.kind, field }
+    }
+
+    pub(super) fn bytes(&mut self, n: usize) -> Result<&'a [u8], MessageError> {
+        let (bytes, rest) = self.rest.split_at_checked(n).ok_or_else(|| self.wrong_length())?;
+        self.rest = rest;
+        Ok(bytes)
+    }
+
+    pub(super) fn array<const N: usize>(&mut self) -> Result<[u8; N], MessageError> {
+        let (bytes, rest) = self.rest.split_first_chunk().ok_or_else(|| self.wrong_length())?;
+        self.rest = rest;
+        Ok(*bytes)
+    }
+
+    pub(super) fn u8(&mut self) -> Result<u8, MessageError> {
+        self.array().map(u8::from_le_bytes)
+    }
+
+    pub(super) fn u16(&mut self) -> Result<u16, MessageError> {
+        self.array().map(u16::from_le_bytes)
+    }
+
+    pub(super) fn u32(&mut self) -> Result<u32, MessageError> {
+        self.array().map(u32::from_le_bytes)
+    }
+
+    pub(super) fn i32(&mut self) -> Result<i32, MessageError> {
+        self.array().map(i32::from_le_bytes)
+    }
+
+    pub(super) fn i24(&mut self) -> Result<i32, MessageError> {
+        let [a, b, c] = self.array()?;
+        Ok(i32::from_le_bytes([0, a, b, c]) >> 8)
+    }
+
+    pub(super) fn end<T>(self, message: T) -> Result<T, MessageError> {
+        if self.rest.is_empty() { Ok(message) } else { Err(self.wrong_length()) }
+    }
+}

@@ -1,0 +1,93 @@
+//! What a board says of itself, on the wire.
+
+use super::{
+    fields::{Reader, Writer},
+    message::MessageError,
+};
+use crate::acquisition::{Converter, Role};
+
+/// The longest name of a board in bytes.
+pub const MAX_NAME: usize = 64;
+
+/// What a board says of itself.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BoardIdentity {
+    /// Ticks of the board's clock per second.
+    pub tick_hz: u32,
+    /// The converter; its range is in whole millivolts on the wire.
+    pub converter: Converter,
+    /// Resolution of the steering outputs in bits, sign included.
+    pub output_bits: u8,
+    /// The light is computed, not measured.
+    pub simulated: bool,
+    /// Slowest and fastest rate, scans per 1000 seconds.
+    pub rate_mhz: [u32; 2],
+    /// What each channel measures.
+    pub roles: Vec<Role>,
+    /// When each channel is sampled after the scan's tick, nanoseconds.
+    pub skew_ns: Vec<u32>,
+    /// Maker, model, firmware, serial number: for people.
+    pub name: String,
+}
+
+impl BoardIdentity {
+    pub(super) fn write(&self, message: Writer) -> Writer {
+        let message = message
+            .u32(self.tick_hz)
+            .u8(self.converter.bits)
+            .u8(self.output_bits)
+            .u32((self.converter.range_v * 1e3).round() as u32)
+            .u32(self.rate_mhz[0])
+            .u32(self.rate_mhz[1])
+            .u8(u8::from(self.simulated))
+            .u8(self.roles.len() as u8);
+        let message = self
+            .roles
+            .iter()
+            .zip(&self.skew_ns)
+            .fold(message, |message, (role, skew)| message.u8(role_number(*role)).u32(*skew));
+        message.u8(self.name.len() as u8).bytes(self.name.as_bytes())
+    }
+
+    pub(super) fn read(body: &mut Reader) -> Result<Self, MessageError> {
+        let tick_hz = body.u32()?;
+        let bits = body.u8()?;
+        let output_bits = body.u8()?;
+        let range_v = f64::from(body.u32()?) * 1e-3;
+        let rate_mhz = [body.u32()?, body.u32()?];
+        let simulated = body.u8()? & 1 != 0;
+        let channels = usize::from(body.u8()?);
+        let mut roles = Vec::with_capacity(channels);
+        let mut skew_ns = Vec::with_capacity(channels);
+        for _ in 0..channels {
+            roles.push(role(body.u8()?));
+            skew_ns.push(body.u32()?);
+        }
+        let length = usize::from(body.u8()?);
+        let name = String::from_utf8_lossy(body.bytes(length)?).into_owned();
+        let converter = Converter { bits, range_v };
+        Ok(Self { tick_hz, converter, output_bits, simulated, rate_mhz, roles, skew_ns, name })
+    }
+}
+
+/// The number of a role on the wire.
+fn role_number(role: Role) -> u8 {
+    match role {
+        Role::Auxiliary => 0x00,
+        Role::U(psd) => 0x10 + psd,
+        Role::V(psd) => 0x20 + psd,
+        Role::Sum(psd) => 0x30 + psd,
+        Role::Steering(axis) => 0x40 + axis,
+    }
+}
+
+/// The role of a number; a number that is not known is a channel that is not needed.
+fn role(number: u8) -> Role {
+    match (number >> 4, number & 0x0f) {
+        (1, psd @ 0..=2) => Role::U(psd),
+        (2, psd @ 0..=2) => Role::V(psd),
+        (3, psd @ 0..=2) => Role::Sum(psd),
+        (4, axis @ 0..=1) => Role::Steering(axis),
+        _ => Role::Auxiliary,
+    }
+}

@@ -1,0 +1,327 @@
+//! The messages: what the host asks of the board, and what the board answers.
+//!
+//! Every message starts with its type and the protocol's version. All numbers are little-endian.
+
+use super::{
+    fields::{Reader, Writer},
+    identity::BoardIdentity,
+};
+use crate::acquisition::{Ack, Expiry, MAX_CHANNELS, OutputCommand};
+
+/// The version of the protocol that is spoken here.
+pub const VERSION: u8 = 1;
+
+mod kind {
+    pub(super) const IDENTIFY: u8 = 0x01;
+    pub(super) const START: u8 = 0x02;
+    pub(super) const STOP: u8 = 0x03;
+    pub(super) const STEER: u8 = 0x04;
+    pub(super) const IDENTITY: u8 = 0x81;
+    pub(super) const REPLY: u8 = 0x82;
+    pub(super) const ACK: u8 = 0x83;
+    pub(super) const SCAN: u8 = 0x84;
+    pub(super) const ERROR: u8 = 0x85;
+}
+
+/// A whole frame that is not a message of this version.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum MessageError {
+    /// Another version of the protocol.
+    #[error("message {kind:#04x} of protocol version {version}; this side speaks version {VERSION}")]
+    Version {
+        /// Type of the message.
+        kind: u8,
+        /// Its version.
+        version: u8,
+    },
+    /// No message of this version has this type (in this direction).
+    #[error("unknown message type {0:#04x}")]
+    Type(u8),
+    /// Too short or too long for its type.
+    #[error("message {kind:#04x} has a wrong length: {length} bytes")]
+    Length {
+        /// Type of the message.
+        kind: u8,
+        /// Its length without check sum, bytes.
+        length: usize,
+    },
+    /// A field has a value that means nothing.
+    #[error("message {kind:#04x}: the {field} has no meaning")]
+    Value {
+        /// Type of the message.
+        kind: u8,
+        /// Which field.
+        field: &'static str,
+    },
+}
+
+/// From host to board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Request {
+    /// Who are you?
+    Identify,
+    /// Scan, from sequence number 0 on.
+    Start {
+        /// Scans per 1000 seconds.
+        rate_mhz: u32,
+        /// Where the outputs go when they park, codes.
+        park: [i32; 2],
+    },
+    /// Scan no more.
+    Stop,
+    /// Move the steering outputs.
+    Steer(OutputCommand),
+}
+
+/// From board to host.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Answer {
+    /// To `Identify`.
+    Identity(BoardIdentity),
+    /// To `Start` and `Stop`.
+    Reply(Reply),
+    /// To `Steer`.
+    Ack {
+        /// Of the command.
+        id: u32,
+        /// What became of it.
+        result: SteerResult,
+    },
+    /// One scan.
+    Scan(BoardScan),
+    /// To a frame that was not understood.
+    Error {
+        /// Why.
+        reason: ErrorReason,
+        /// Type of the message that was not understood; 0 if the frame was corrupted.
+        kind: u8,
+    },
+}
+
+/// What became of `Start` or `Stop`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reply {
+    /// Whether this is about `Start`; else it is about `Stop`.
+    pub start: bool,
+    /// What became of it.
+    pub result: StartResult,
+    /// The rate from now on, scans per 1000 seconds; 0 while stopped.
+    pub rate_mhz: u32,
+}
+
+/// One scan as the board sends it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BoardScan {
+    /// Counts the scans since `Start`, also those that were not sent; wraps.
+    pub sequence: u32,
+    /// The board's clock at the scan; wraps.
+    pub tick: u32,
+    /// The outputs stand at a limit of the stage.
+    pub output_railed: bool,
+    /// The lease of the last command has run out, and the outputs hold or park.
+    pub lease_expired: bool,
+    /// The converter was read too late just before this scan.
+    pub overrun: bool,
+    /// How many codes there are.
+    pub channels: u8,
+    /// The codes; zero beyond the last channel.
+    pub codes: [i32; MAX_CHANNELS],
+}
+
+macro_rules! numbered {
+    ($(#[$doc:meta])* $name:ident { $($(#[$vdoc:meta])* $variant:ident = $number:literal),* $(,)? }) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[repr(u8)]
+        pub enum $name { $($(#[$vdoc])* $variant = $number),* }
+
+        impl $name {
+            fn from_number(number: u8) -> Option<Self> {
+                match number { $($number => Some(Self::$variant),)* _ => None }
+            }
+        }
+    };
+}
+
+numbered! {
+    /// What became of a `Start` or `Stop`.
+    StartResult {
+        /// Done.
+        Done = 0,
+        /// The rate is outside the board's limits: nothing changed.
+        RateOutOfRange = 1,
+        /// A parking code is outside the range of the outputs: nothing changed.
+        ParkOutOfRange = 2,
+    }
+}
+
+numbered! {
+    /// What became of a `Steer`.
+    SteerResult {
+        /// The outputs move.
+        Accepted = 0,
+        /// A code or the lease is out of range: nothing changed, the old lease runs on.
+        OutOfRange = 1,
+        /// The board has not been started: nothing changed.
+        NotStarted = 2,
+    }
+}
+
+numbered! {
+    /// Why the board did not understand.
+    ErrorReason {
+        /// Check sum or stuffing wrong.
+        Corrupted = 1,
+        /// Unknown type.
+        Type = 2,
+        /// Another version of the protocol.
+        Version = 3,
+        /// Wrong length for its type.
+        Length = 4,
+        /// A field has a value that means nothing.
+        Value = 5,
+    }
+}
+
+impl MessageError {
+    /// How a board reports this error.
+    pub fn to_answer(self) -> Answer {
+        let (reason, kind) = match self {
+            Self::Version { kind, .. } => (ErrorReason::Version, kind),
+            Self::Type(kind) => (ErrorReason::Type, kind),
+            Self::Length { kind, .. } => (ErrorReason::Length, kind),
+            Self::Value { kind, .. } => (ErrorReason::Value, kind),
+        };
+        Answer::Error { reason, kind }
+    }
+}
+
+impl Request {
+    /// Appends the frame of this request to `out`.
+    pub fn encode(&self, out: &mut Vec<u8>) {
+        let message = match *self {
+            Self::Identify => Writer::new(kind::IDENTIFY),
+            Self::Start { rate_mhz, park } => {
+                Writer::new(kind::START).u32(rate_mhz).i32(park[0]).i32(park[1])
+            }
+            Self::Stop => Writer::new(kind::STOP),
+            Self::Steer(OutputCommand { id, codes, lease_ms, on_expiry }) => Writer::new(kind::STEER)
+                .u32(id)
+                .i32(codes[0])
+                .i32(codes[1])
+                .u16(lease_ms)
+                .u8(u8::from(on_expiry == Expiry::Park)),
+        };
+        message.frame(out);
+    }
+
+    /// Reads a message (type, version, body).
+    pub fn decode(message: &[u8]) -> Result<Self, MessageError> {
+        let mut body = Reader::new(message)?;
+        let request = match body.kind {
+            kind::IDENTIFY => Self::Identify,
+            kind::START => Self::Start { rate_mhz: body.u32()?, park: [body.i32()?, body.i32()?] },
+            kind::STOP => Self::Stop,
+            kind::STEER => Self::Steer(OutputCommand {
+                id: body.u32()?,
+                codes: [body.i32()?, body.i32()?],
+                lease_ms: body.u16()?,
+                on_expiry: match body.u8()? {
+                    0 => Expiry::Hold,
+                    1 => Expiry::Park,
+                    _ => return Err(body.meaningless("action on expiry")),
+                },
+            }),
+            unknown => return Err(MessageError::Type(unknown)),
+        };
+        body.end(request)
+    }
+}
+
+impl Answer {
+    /// Appends the frame of this answer to `out`.
+    pub fn encode(&self, out: &mut Vec<u8>) {
+        let message = match self {
+            Self::Identity(identity) => identity.write(Writer::new(kind::IDENTITY)),
+            Self::Reply(Reply { start, result, rate_mhz }) => Writer::new(kind::REPLY)
+                .u8(if *start { kind::START } else { kind::STOP })
+                .u8(*result as u8)
+                .u32(*rate_mhz),
+            Self::Ack { id, result } => Writer::new(kind::ACK).u32(*id).u8(*result as u8),
+            Self::Scan(scan) => scan.write(Writer::new(kind::SCAN)),
+            Self::Error { reason, kind } => Writer::new(kind::ERROR).u8(*reason as u8).u8(*kind),
+        };
+        message.frame(out);
+    }
+
+    /// Reads a message (type, version, body).
+    pub fn decode(message: &[u8]) -> Result<Self, MessageError> {
+        let mut body = Reader::new(message)?;
+        let answer = match body.kind {
+            kind::IDENTITY => Self::Identity(BoardIdentity::read(&mut body)?),
+            kind::REPLY => Self::Reply(Reply {
+                start: match body.u8()? {
+                    kind::START => true,
+                    kind::STOP => false,
+                    _ => return Err(body.meaningless("request")),
+                },
+                result: StartResult::from_number(body.u8()?).ok_or_else(|| body.meaningless("result"))?,
+                rate_mhz: body.u32()?,
+            }),
+            kind::ACK => Self::Ack {
+                id: body.u32()?,
+                result: SteerResult::from_number(body.u8()?).ok_or_else(|| body.meaningless("result"))?,
+            },
+            kind::SCAN => Self::Scan(BoardScan::read(&mut body)?),
+            kind::ERROR => Self::Error {
+                reason: ErrorReason::from_number(body.u8()?).ok_or_else(|| body.meaningless("reason"))?,
+                kind: body.u8()?,
+            },
+            unknown => return Err(MessageError::Type(unknown)),
+        };
+        body.end(answer)
+    }
+}
+
+impl From<SteerResult> for bool {
+    fn from(result: SteerResult) -> bool {
+        result == SteerResult::Accepted
+    }
+}
+
+impl SteerResult {
+    /// As the rest of the house knows it.
+    pub fn ack(self, id: u32) -> Ack {
+        Ack { id, accepted: self.into() }
+    }
+}
+
+impl BoardScan {
+    fn write(&self, message: Writer) -> Writer {
+        let status =
+            u8::from(self.output_railed) | u8::from(self.lease_expired) << 1 | u8::from(self.overrun) << 2;
+        let message = message.u32(self.sequence).u32(self.tick).u8(status);
+        self.codes.iter().take(usize::from(self.channels)).fold(message, |message, code| message.i24(*code))
+    }
+
+    fn read(body: &mut Reader) -> Result<Self, MessageError> {
+        let (sequence, tick, status) = (body.u32()?, body.u32()?, body.u8()?);
+        let channels = body.rest.len() / 3;
+        let mut codes = [0; MAX_CHANNELS];
+        if channels > MAX_CHANNELS {
+            return Err(body.wrong_length());
+        }
+        for code in &mut codes[..channels] {
+            *code = body.i24()?;
+        }
+        Ok(Self {
+            sequence,
+            tick,
+            output_railed: status & 1 != 0,
+            lease_expired: status & 2 != 0,
+            overrun: status & 4 != 0,
+            channels: channels as u8,
+            codes,
+        })
+    }
+}

@@ -1,0 +1,127 @@
+//! Sequence numbers to an index that never wraps and never goes back.
+
+/// Numbers remembered behind the newest one, to tell a frame that came twice from one that came late.
+const MEMORY: u32 = 64;
+
+/// What a sequence number says about its frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Arrival {
+    /// Newer than all before.
+    New {
+        /// Counts all scans since the daemon began.
+        index: u64,
+        /// Scans between this one and the one before that have not arrived.
+        lost: u32,
+    },
+    /// It was here already.
+    Repeated,
+    /// A younger one was here before. It has been counted as lost.
+    Late,
+}
+
+/// Follows the sequence numbers of a board through wraps and restarts.
+#[derive(Clone, Debug, Default)]
+pub struct Sequence {
+    /// Index of the next scan if nothing is lost.
+    index: u64,
+    /// Its sequence number.
+    expected: u32,
+    /// Bit k: the frame with the number `expected - 1 - k` has arrived.
+    seen: u64,
+    /// Scans missed while the board was away, not yet told.
+    missed: u64,
+}
+
+impl Sequence {
+    /// The board begins again at number 0, about `missed` scans after the last one that arrived.
+    pub fn restart(&mut self, missed: u64) {
+        self.index += missed;
+        self.missed += missed;
+        self.expected = 0;
+        self.seen = 0;
+    }
+
+    /// Places a number. Anything up to half the range ahead is new.
+    pub fn arrived(&mut self, sequence: u32) -> Arrival {
+        let ahead = sequence.wrapping_sub(self.expected);
+        if ahead > u32::MAX / 2 {
+            return self.older(self.expected.wrapping_sub(sequence) - 1);
+        }
+        let lost = std::mem::take(&mut self.missed) + u64::from(ahead);
+        let index = self.index + u64::from(ahead);
+        self.index = index + 1;
+        self.expected = sequence.wrapping_add(1);
+        self.seen = self.seen.checked_shl(ahead.saturating_add(1)).unwrap_or(0) | 1;
+        Arrival::New { index, lost: u32::try_from(lost).unwrap_or(u32::MAX) }
+    }
+
+    fn older(&mut self, age: u32) -> Arrival {
+        if age >= MEMORY {
+            return Arrival::Late;
+        }
+        let bit = 1 << age;
+        let seen = self.seen & bit != 0;
+        self.seen |= bit;
+        if seen { Arrival::Repeated } else { Arrival::Late }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn new(index: u64, lost: u32) -> Arrival {
+        Arrival::New { index, lost }
+    }
+
+    #[test]
+    fn lost_repeated_and_late_are_told_apart() {
+        let mut sequence = Sequence::default();
+        assert_eq!(sequence.arrived(0), new(0, 0));
+        assert_eq!(sequence.arrived(3), new(3, 2));
+        assert_eq!(sequence.arrived(3), Arrival::Repeated);
+        assert_eq!(sequence.arrived(2), Arrival::Late);
+        assert_eq!(sequence.arrived(2), Arrival::Repeated);
+        assert_eq!(sequence.arrived(0), Arrival::Repeated);
+        assert_eq!(sequence.arrived(4), new(4, 0));
+        assert_eq!(sequence.arrived(1000), new(1000, 995));
+        assert_eq!(sequence.arrived(900), Arrival::Late);
+    }
+
+    #[test]
+    fn numbers_wrap_and_the_index_does_not() {
+        let mut sequence = Sequence { expected: u32::MAX - 1, index: 5, ..Sequence::default() };
+        assert_eq!(sequence.arrived(u32::MAX - 1), new(5, 0));
+        assert_eq!(sequence.arrived(1), new(8, 2));
+        assert_eq!(sequence.arrived(u32::MAX), Arrival::Late);
+        assert_eq!(sequence.arrived(2), new(9, 0));
+    }
+
+    #[test]
+    fn a_restart_keeps_the_index_growing_and_tells_what_was_missed() {
+        let mut sequence = Sequence::default();
+        sequence.arrived(0);
+        sequence.restart(500);
+        assert_eq!(sequence.arrived(1), new(502, 501));
+        assert_eq!(sequence.arrived(2), new(503, 0));
+    }
+
+    proptest! {
+        #[test]
+        fn every_number_is_accounted_for(steps in prop::collection::vec(0_u32..200, 1..100)) {
+            let (mut sequence, mut number, mut lost, mut found) = (Sequence::default(), 0_u32, 0, 0);
+            for step in steps {
+                number += step;
+                match sequence.arrived(number) {
+                    Arrival::New { index, lost: n } => {
+                        prop_assert_eq!(index, u64::from(number));
+                        (lost, found) = (lost + n, found + 1);
+                    }
+                    arrival => prop_assert!(step == 0 && arrival == Arrival::Repeated),
+                }
+            }
+            prop_assert_eq!(lost + found, number + 1);
+        }
+    }
+}

@@ -1,0 +1,152 @@
+//! Opening a serial port for one process alone, and finding out who has it if that fails.
+
+use std::{
+    fs,
+    os::unix::fs::{FileTypeExt, MetadataExt},
+    path::{Path, PathBuf},
+};
+
+use serialport::TTYPort;
+
+use super::Down;
+
+/// Why a port cannot be opened.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PortError {
+    /// Another process has it.
+    #[error("{} is in use by {holder}", .port.display())]
+    InUse {
+        /// Path of the port.
+        port: PathBuf,
+        /// Process id and name of who has it.
+        holder: String,
+    },
+    /// Anything else; it may pass.
+    #[error("{}: {reason}", .port.display())]
+    Other {
+        /// Path of the port.
+        port: PathBuf,
+        /// What the system says.
+        reason: String,
+    },
+}
+
+impl From<PortError> for Down {
+    fn from(error: PortError) -> Self {
+        let (port, reason) = match error {
+            PortError::InUse { port, holder } => (port, format!("in use by {holder}")),
+            PortError::Other { port, reason } => (port, reason),
+        };
+        Self::Open { port: port.display().to_string(), reason }
+    }
+}
+
+/// Opens the port raw, 8N1, without flow control, for this process alone, and drops what lies in its
+/// buffers. Blocks while the system opens the device.
+///
+/// Two locks keep others out: the terminal's own, which root may override, and an advisory one on
+/// the file, which holds for everybody who asks. A process that had the port open before is found by
+/// looking for it.
+pub fn open(port: &Path, baud: u32) -> Result<TTYPort, PortError> {
+    let other = |reason: String| PortError::Other { port: port.to_owned(), reason };
+    let in_use = |holder| PortError::InUse { port: port.to_owned(), holder };
+    // What a link points at may be somewhere else the next time: only this name is kept.
+    let device = fs::canonicalize(port).map_err(|error| other(error.to_string()))?;
+    let metadata = fs::metadata(&device).map_err(|error| other(error.to_string()))?;
+    if !metadata.file_type().is_char_device() {
+        return Err(other("is not a serial port".into()));
+    }
+    if let Some(holder) = holders(metadata.rdev()) {
+        return Err(in_use(holder));
+    }
+    let builder = serialport::new(device.to_string_lossy(), baud).exclusive(true);
+    let open = TTYPort::open(&builder).map_err(|error| match error.kind() {
+        serialport::ErrorKind::NoDevice => {
+            let found = holders(metadata.rdev()).or_else(|| lock_owner(&metadata));
+            in_use(found.unwrap_or_else(|| "a process that this user cannot see".into()))
+        }
+        _ => other(error.to_string()),
+    })?;
+    serialport::SerialPort::clear(&open, serialport::ClearBuffer::All)
+        .map_err(|error| other(error.to_string()))?;
+    Ok(open)
+}
+
+/// The processes that have the character device `rdev` open, as far as this user may see.
+fn holders(rdev: u64) -> Option<String> {
+    let holds = |pid: &u32| {
+        let files = fs::read_dir(format!("/proc/{pid}/fd")).into_iter().flatten().flatten();
+        files.filter_map(|file| fs::metadata(file.path()).ok()).any(|file| is_device(&file, rdev))
+    };
+    let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
+    let pids = processes.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
+    let found: Vec<_> = pids.filter(holds).map(describe).collect();
+    (!found.is_empty()).then(|| found.join(", "))
+}
+
+fn is_device(file: &fs::Metadata, rdev: u64) -> bool {
+    file.file_type().is_char_device() && file.rdev() == rdev
+}
+
+/// The process that holds the advisory lock on a file. The list of locks is open to everyone, the
+/// open files of other users are not.
+fn lock_owner(file: &fs::Metadata) -> Option<String> {
+    let (major, minor) = (rustix::fs::major(file.dev()), rustix::fs::minor(file.dev()));
+    let wanted = format!("{major:02x}:{minor:02x}:{}", file.ino());
+    let locks = fs::read_to_string("/proc/locks").ok()?;
+    let line = locks.lines().find(|line| line.split_whitespace().any(|field| field == wanted))?;
+    line.split_whitespace().nth(4)?.parse().ok().map(describe)
+}
+
+fn describe(pid: u32) -> String {
+    let name = fs::read_to_string(format!("/proc/{pid}/comm")).unwrap_or_default();
+    format!("process {pid} ({})", name.trim())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+    use std::os::fd::OwnedFd;
+
+    fn pty() -> (OwnedFd, PathBuf) {
+        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+        grantpt(&master).unwrap();
+        unlockpt(&master).unwrap();
+        let name = ptsname(&master, Vec::new()).unwrap();
+        (master, PathBuf::from(name.to_str().unwrap()))
+    }
+
+    #[test]
+    fn a_port_is_opened_once_and_the_second_one_hears_who_has_it() {
+        let (_master, path) = pty();
+        let first = open(&path, 921_600).unwrap();
+        let me = format!("process {} (", std::process::id());
+        match open(&path, 921_600) {
+            Err(PortError::InUse { holder, .. }) => assert!(holder.starts_with(&me), "{holder}"),
+            other => panic!("{other:?}"),
+        }
+        let owner = lock_owner(&fs::metadata(&path).unwrap());
+        assert!(owner.is_some_and(|owner| owner.starts_with(&me)));
+        drop(first);
+        open(&path, 921_600).unwrap();
+    }
+
+    #[test]
+    fn a_process_that_does_not_lock_is_found_all_the_same() {
+        let (_master, path) = pty();
+        let reader = fs::File::open(&path).unwrap();
+        assert!(matches!(open(&path, 921_600), Err(PortError::InUse { .. })));
+        drop(reader);
+        open(&path, 921_600).unwrap();
+    }
+
+    #[test]
+    fn what_is_no_port_is_told_as_such() {
+        let missing = open(Path::new("/nowhere/port"), 921_600).unwrap_err();
+        assert!(missing.to_string().contains("/nowhere/port"), "{missing}");
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let error = open(file.path(), 921_600).unwrap_err();
+        assert!(error.to_string().contains("is not a serial port"), "{error}");
+    }
+}

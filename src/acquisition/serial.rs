@@ -1,0 +1,210 @@
+//! A board on a serial port: the thin layer between a [`Session`] and the wire.
+
+use std::{
+    future::poll_fn,
+    io,
+    path::PathBuf,
+    pin::Pin,
+    sync::Arc,
+    task::{Context, Poll},
+    time::Duration,
+};
+
+use serialport::TTYPort;
+use tokio::{
+    io::{AsyncRead, AsyncWrite, ReadBuf},
+    task::JoinHandle,
+    time::{sleep, timeout},
+};
+use tokio_serial::SerialStream;
+
+use super::{
+    Down, Event, OutputCommand, Source,
+    board::{Session, Settings},
+    port::{self, PortError},
+};
+use crate::{
+    clock::{Clock, Mono},
+    config::Config,
+    exit::{Failure, IN_USE},
+    monitor::Counters,
+};
+
+/// Between two attempts to open the port.
+const RETRY: Duration = Duration::from_millis(200);
+/// The longest wait at shutdown for the wire to take the last frames.
+const LAST_WRITE: Duration = Duration::from_millis(100);
+
+/// The state of the port.
+#[derive(Debug)]
+enum Port {
+    /// Opened before there was a runtime.
+    Opened(TTYPort),
+    /// Being opened, after a pause.
+    Opening(JoinHandle<Result<TTYPort, PortError>>),
+    /// In use.
+    Open(SerialStream),
+    /// Not there; to be opened.
+    Closed,
+}
+
+/// A board on a serial port. Finds it, keeps it, and finds it again when it was unplugged.
+#[derive(Debug)]
+pub struct SerialSource<C> {
+    path: PathBuf,
+    baud: u32,
+    clock: C,
+    session: Session,
+    port: Port,
+    buffer: Box<[u8; 4096]>,
+}
+
+impl<C: Clock> SerialSource<C> {
+    /// Opens the configured port. Blocks while the system does; needs no runtime. A port that is not
+    /// there now is waited for in [`Source::next`].
+    ///
+    /// # Errors
+    /// [`IN_USE`] with the process that has the port.
+    pub fn open(config: &Config, clock: C, counters: Arc<Counters>) -> Result<Self, Failure> {
+        let serial = &config.acquisition.serial;
+        let mut session = Session::new(Settings::from(config), counters);
+        let port = match port::open(&serial.port, serial.baud) {
+            Ok(port) => Port::Opened(port),
+            Err(error @ PortError::InUse { .. }) => return Err(Failure::new(IN_USE, error.to_string())),
+            Err(error) => {
+                session.disconnected(error.into());
+                Port::Closed
+            }
+        };
+        Ok(Self {
+            path: serial.port.clone(),
+            baud: serial.baud,
+            clock,
+            session,
+            port,
+            buffer: Box::new([0; 4096]),
+        })
+    }
+
+    /// Ends the conversation: sends what is under way, asks the board to scan no more, and closes
+    /// the port. Takes at most a tenth of a second.
+    pub async fn close(mut self) {
+        let Port::Open(mut stream) = std::mem::replace(&mut self.port, Port::Closed) else { return };
+        let session = &mut self.session;
+        session.stop();
+        let written = timeout(LAST_WRITE, poll_fn(|cx| poll_write(&mut stream, session, cx))).await;
+        if !matches!(written, Ok(Ok(()))) {
+            tracing::warn!("{}: the board could not be asked to stop", self.path.display());
+        }
+    }
+
+    /// Waits for the next thing to happen on the port, and tells the session of it. Everything that
+    /// lasts is in `self`, so this future may be dropped at any time.
+    async fn step(&mut self) {
+        match &mut self.port {
+            Port::Closed => {
+                let (path, baud) = (self.path.clone(), self.baud);
+                self.port = Port::Opening(tokio::task::spawn_blocking(move || {
+                    std::thread::sleep(RETRY);
+                    port::open(&path, baud)
+                }));
+            }
+            Port::Opening(opening) => {
+                let opened = match opening.await {
+                    Ok(opened) => opened,
+                    Err(error) => {
+                        Err(PortError::Other { port: self.path.clone(), reason: error.to_string() })
+                    }
+                };
+                self.port = match opened {
+                    Ok(port) => Port::Opened(port),
+                    Err(error) => {
+                        self.session.disconnected(error.into());
+                        Port::Closed
+                    }
+                };
+            }
+            Port::Opened(_) => self.connect(),
+            Port::Open(_) => self.converse().await,
+        }
+    }
+
+    /// Hands the open port to the runtime.
+    fn connect(&mut self) {
+        let Port::Opened(port) = std::mem::replace(&mut self.port, Port::Closed) else { return };
+        match SerialStream::try_from(port) {
+            Ok(stream) => {
+                self.port = Port::Open(stream);
+                self.session.connected(self.clock.now());
+            }
+            Err(error) => self.unplugged(error.to_string()),
+        }
+    }
+
+    /// Reads, writes and waits until one of them has led to something.
+    async fn converse(&mut self) {
+        let Port::Open(stream) = &mut self.port else { return };
+        let (session, buffer) = (&mut self.session, &mut self.buffer[..]);
+        let deadline = session.deadline().map_or(i64::MAX, |deadline| deadline - self.clock.now());
+        let mut sleep = std::pin::pin!(sleep(Duration::from_nanos(deadline.clamp(0, i64::MAX) as u64)));
+        let outcome = poll_fn(|cx| {
+            // Reading comes first: what has arrived counts before a time-out does.
+            if let Poll::Ready(read) = poll_read(stream, buffer, cx) {
+                return Poll::Ready(read.map(Some));
+            }
+            if let Poll::Ready(Err(error)) = poll_write(stream, session, cx) {
+                return Poll::Ready(Err(error));
+            }
+            sleep.as_mut().poll(cx).map(|()| Ok(None))
+        })
+        .await;
+        let now = self.clock.now();
+        match outcome {
+            Ok(Some(0)) => self.unplugged("the other side closed it".into()),
+            Ok(Some(read)) => self.session.received(&self.buffer[..read], now),
+            Ok(None) => self.session.timed_out(now),
+            Err(error) => self.unplugged(error.to_string()),
+        }
+    }
+
+    fn unplugged(&mut self, reason: String) {
+        self.port = Port::Closed;
+        self.session.disconnected(Down::Unplugged { port: self.path.display().to_string(), reason });
+    }
+}
+
+impl<C: Clock> Source for SerialSource<C> {
+    async fn next(&mut self) -> Event {
+        loop {
+            if let Some(event) = self.session.event() {
+                return event;
+            }
+            self.step().await;
+        }
+    }
+
+    fn steer(&mut self, command: OutputCommand, _now: Mono) {
+        self.session.steer(command);
+    }
+}
+
+fn poll_read(stream: &mut SerialStream, buffer: &mut [u8], cx: &mut Context) -> Poll<io::Result<usize>> {
+    let mut buffer = ReadBuf::new(buffer);
+    Pin::new(stream).poll_read(cx, &mut buffer).map_ok(|()| buffer.filled().len())
+}
+
+/// Writes until nothing is left to write.
+fn poll_write(stream: &mut SerialStream, session: &mut Session, cx: &mut Context) -> Poll<io::Result<()>> {
+    loop {
+        let output = session.output();
+        if output.is_empty() {
+            return Poll::Ready(Ok(()));
+        }
+        match Pin::new(&mut *stream).poll_write(cx, output) {
+            Poll::Ready(Ok(0)) => return Poll::Ready(Err(io::ErrorKind::WriteZero.into())),
+            Poll::Ready(Ok(written)) => session.written(written),
+            Poll::Ready(Err(error)) => return Poll::Ready(Err(error)),
+            Poll::Pending => return Poll::Pending,
+        }
+    }
+}

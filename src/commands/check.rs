@@ -1,0 +1,230 @@
+//! `trifacet check`: what a configuration means.
+
+use std::fmt::Write as _;
+use std::io::Write as _;
+
+use trifacet::config::{Config, FacetConfig, LogFormat, OnExit, SourceKind, Target};
+use trifacet::optics::covariance::deviations;
+use trifacet::optics::{Estimator, FACETS, Model, Noise, Optics, Pose, Signals, Vec2};
+
+use super::{ConfigArg, written};
+
+/// Arguments of `check`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct CheckArgs {
+    #[command(flatten)]
+    config: ConfigArg,
+}
+
+/// Says what a configuration means, or fails with what is wrong with it.
+pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
+    let config = args.config.load()?;
+    let mut lines = Lines::default();
+    let name = args.config.config.as_ref().map_or("defaults".into(), |file| file.display().to_string());
+    lines.say("configuration", format!("{name}: fine, id {:08x}", config.config_id()?));
+    head(&config, &mut lines)?;
+    source(&config, &mut lines);
+    centering(&config, &mut lines);
+    estimation(&config, &mut lines)?;
+    publishing(&config, &mut lines);
+    machine(&config, &mut lines);
+    notes(&config, &mut lines);
+    written(std::io::stdout().write_all(lines.0.as_bytes()))
+}
+
+/// Lines of a subject and what is said of it; a subject is named once.
+#[derive(Default)]
+struct Lines(String);
+
+impl Lines {
+    fn say(&mut self, subject: &str, what: impl AsRef<str>) {
+        let _ = writeln!(self.0, "{subject:<14} {}", what.as_ref()); // a String takes everything
+    }
+}
+
+fn head(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
+    let head = &config.head;
+    let calibrated =
+        head.beam_direction.is_some() || head.facets().iter().any(|f| **f != FacetConfig::default());
+    lines.say(
+        "head",
+        format!(
+            "PSDs of {} mm at {} mm, facets at {} deg, beam {} mm across{}",
+            head.psd_size_mm,
+            head.psd_distance_mm,
+            head.facet_angle_deg,
+            head.beam_diameter_mm,
+            if calibrated { "; single parts as calibrated" } else { "" }
+        ),
+    );
+    let rest = Optics::new(&head.build()?).trace(Model::Gaussian, &Pose::default(), Vec2::zeros())?;
+    for (i, name) in FACETS.iter().enumerate() {
+        let (u, v) = (rest.spots[2 * i] * 1e3, rest.spots[2 * i + 1] * 1e3);
+        let subject = if i == 0 { "light at rest" } else { "" };
+        // Adding zero turns the zeros of rounding, such as -0.0000, into plain ones.
+        let [u, v] = [u, v].map(|x| (x * 1e4).round() / 1e4 + 0.0);
+        lines.say(
+            subject,
+            format!("{name}: u {u:.4} mm, v {v:.4} mm, {:.2} % of the beam", rest.powers[i] * 100.0),
+        );
+    }
+    Ok(())
+}
+
+fn source(config: &Config, lines: &mut Lines) {
+    let acquisition = &config.acquisition;
+    let rate = acquisition.rate_hz;
+    lines.say(
+        "source",
+        match acquisition.source {
+            SourceKind::Twin => format!(
+                "digital twin (the light is computed), {rate} Hz, {} motions, {} faults, seed {}",
+                config.twin.motion.len(),
+                config.twin.fault.len(),
+                config.twin.seed
+            ),
+            SourceKind::Serial => format!(
+                "serial board at {}, {} baud, {rate} Hz",
+                acquisition.serial.port.display(),
+                acquisition.serial.baud
+            ),
+        },
+    );
+}
+
+fn centering(config: &Config, lines: &mut Lines) {
+    let (centering, steering) = (&config.centering, &config.steering);
+    if centering.enabled {
+        let target = match centering.target {
+            Target::Apex => "the beam on the apex",
+            Target::Balance => "equal powers",
+        };
+        let gains = centering.gains(config.acquisition.rate_hz);
+        let delay_ms = 1e3 * centering.loop_delay_s(config.acquisition.rate_hz);
+        lines.say(
+            "centering",
+            format!(
+                "{target}; Kp {:.4}, Ki {:.4} /s for a loop delay of {delay_ms} ms",
+                gains.kp, gains.ki_per_s
+            ),
+        );
+        lines.say(
+            "",
+            format!(
+                "locked within {} um for {} ms, lost after {} ms without light",
+                centering.lock_limit_um, centering.lock_time_ms, centering.lost_time_ms
+            ),
+        );
+    } else {
+        lines.say("centering", "off: the laser stays where it is");
+    }
+    let does = |action: OnExit| match action {
+        OnExit::Hold => "holds".to_owned(),
+        OnExit::Park => format!("parks at {:?} um", steering.park_um),
+    };
+    lines.say(
+        "steering",
+        format!(
+            "within +-{} um of a full scale of +-{} um, at most {} mm/s",
+            steering.limit_um, steering.full_scale_um, steering.slew_mm_per_s
+        ),
+    );
+    lines.say(
+        "",
+        format!(
+            "{} when the daemon ends; {} {} ms after the last command",
+            does(steering.on_exit),
+            does(steering.on_lease),
+            steering.lease_ms
+        ),
+    );
+}
+
+fn estimation(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
+    let estimation = &config.estimation;
+    let model: Model = estimation.model.into();
+    let of = match model {
+        Model::Ray => "ray model, six signals",
+        Model::Gaussian => "Gaussian beam, nine signals",
+    };
+    let average = match estimation.average {
+        1 => "every sample".into(),
+        n => format!("means of {n} samples"),
+    };
+    lines.say("estimation", format!("{of}, {average}"));
+    let optics = Optics::new(&config.head.build()?);
+    let rest = optics.trace(Model::Gaussian, &Pose::default(), Vec2::zeros())?;
+    let estimator = Estimator::new(optics, model);
+    let solution = estimator.solve(&Signals { spots: rest.spots, powers: rest.powers }, None)?;
+    let noise = Noise {
+        spots: [estimation.spot_noise_um * 1e-6; 6],
+        powers: rest.powers.map(|power| power * estimation.power_noise),
+    };
+    let covariance = estimator.sensitivity(&solution).pose_covariance(&noise) / f64::from(estimation.average);
+    let sigma = deviations(&covariance) * 1e6;
+    lines.say(
+        "deviations",
+        format!(
+            "tx {:.3} ty {:.3} tz {:.3} um, roll {:.3} pitch {:.3} yaw {:.3} urad (one sigma, at rest)",
+            sigma[0], sigma[1], sigma[2], sigma[3], sigma[4], sigma[5]
+        ),
+    );
+    Ok(())
+}
+
+fn publishing(config: &Config, lines: &mut Lines) {
+    let publishing = &config.publishing;
+    let rate = config.acquisition.rate_hz / f64::from(config.estimation.average);
+    let tcp = match publishing.tcp {
+        Some(address) => format!("TCP at {address} for {} clients", publishing.tcp_clients),
+        None => "no TCP".into(),
+    };
+    let udp: Vec<_> = publishing.udp.iter().map(ToString::to_string).collect();
+    let udp = if udp.is_empty() { "no UDP".into() } else { format!("UDP to {}", udp.join(", ")) };
+    lines.say("publishing", format!("{rate} frames per second: {tcp}; {udp}"));
+}
+
+fn machine(config: &Config, lines: &mut Lines) {
+    let realtime = &config.realtime;
+    let priority = match realtime.priority {
+        0 => "ordinary priority".into(),
+        priority => format!("SCHED_FIFO priority {priority}"),
+    };
+    let cpu = realtime.cpu.map_or("any CPU".into(), |cpu| format!("CPU {cpu}"));
+    let memory = if realtime.lock_memory { "memory locked" } else { "memory not locked" };
+    lines.say("fast thread", format!("{priority}, {cpu}, {memory}"));
+    let format = match config.log.format {
+        LogFormat::Text => "text",
+        LogFormat::Json => "JSON lines",
+    };
+    lines.say("log", format!("{}, as {format}", config.log.level));
+}
+
+/// What is allowed, and may surprise.
+fn notes(config: &Config, lines: &mut Lines) {
+    let bare: Vec<_> = FACETS
+        .iter()
+        .zip(config.channels.psds())
+        .filter(|(_, psd)| psd.correction.is_none())
+        .map(|(name, _)| name.to_string())
+        .collect();
+    if !bare.is_empty() {
+        let psds = bare.join(", ");
+        lines.say("note", format!("no correction table for PSD {psds}: the frames say UNCALIBRATED"));
+    }
+    let period_ms = 1e3 / config.acquisition.rate_hz;
+    if config.centering.enabled && f64::from(config.steering.lease_ms) < 3.0 * period_ms {
+        lines.say(
+            "note",
+            format!(
+                "steering.lease_ms = {} is short: samples, and with them commands, come every {period_ms} ms",
+                config.steering.lease_ms
+            ),
+        );
+    }
+    if config.centering.enabled
+        && config.centering.loop_delay_s(config.acquisition.rate_hz) > config.centering.loop_delay_ms * 1e-3
+    {
+        lines.say("note", "centering.loop_delay_ms is less than two sample periods: two periods count");
+    }
+}

@@ -1,0 +1,172 @@
+//! Tables of numbers as CSV: columns by name and in any order, one row after the other, and a bad row
+//! does not stop the rest.
+
+use std::fmt::Display;
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::path::Path;
+
+use anyhow::Context;
+use csv::ByteRecord;
+use trifacet::exit::{self, Failure};
+
+use super::written;
+
+/// A column of the input.
+pub(crate) struct Column {
+    pub(crate) name: &'static str,
+    /// What an input without this column means; without a default it is an error.
+    pub(crate) default: Option<f64>,
+}
+
+/// A row of the output.
+pub(crate) struct Row {
+    pub(crate) cells: Vec<String>,
+    /// What was wrong with it, if anything.
+    pub(crate) problem: Option<String>,
+}
+
+/// The numbers of a row in the order of the columns, or what is wrong with it.
+pub(crate) type Numbers = Result<Vec<f64>, String>;
+
+/// Seventeen significant digits: enough to give the same number back.
+pub(crate) fn digits(number: f64) -> String {
+    format!("{number:.16e}")
+}
+
+/// Reads rows of `columns` from a file (none, or `-`, is standard input), has each worked on, and writes
+/// the results to standard output. `work` gets the numbers of a row, or what is wrong with it.
+///
+/// Bad rows are told on standard error with their line; afterwards they make a [`exit::DATA`] failure.
+pub(crate) fn convert(
+    input: Option<&Path>,
+    columns: &[Column],
+    header: &[&str],
+    work: impl Fn(Numbers) -> Row,
+) -> anyhow::Result<()> {
+    let mut table = Table::open(input, columns)?;
+    let mut output = csv::Writer::from_writer(io::BufWriter::new(io::stdout().lock()));
+    wrote(output.write_record(header))?;
+    let (mut rows, mut bad) = (0_u64, 0_u64);
+    while let Some((line, numbers)) = table.next()? {
+        let row = work(numbers);
+        wrote(output.write_record(&row.cells))?;
+        rows += 1;
+        if let Some(problem) = row.problem {
+            bad += 1;
+            // Standard error may be closed; the exit code tells it still.
+            let _ = writeln!(io::stderr(), "trifacet: {}:{line}: {problem}", table.name);
+        }
+    }
+    written(output.flush())?;
+    if bad > 0 {
+        let message = format!("{}: {bad} of {rows} rows could not be worked on", table.name);
+        return Err(Failure::new(exit::DATA, message).into());
+    }
+    Ok(())
+}
+
+fn wrote(result: csv::Result<()>) -> anyhow::Result<()> {
+    written(result.map_err(io::Error::from))
+}
+
+/// An input whose header is read.
+struct Table<'c> {
+    name: String,
+    reader: csv::Reader<Box<dyn Read>>,
+    columns: &'c [Column],
+    /// Where in a row each column is.
+    places: Vec<Option<usize>>,
+    width: usize,
+    record: ByteRecord,
+}
+
+impl<'c> Table<'c> {
+    fn open(input: Option<&Path>, columns: &'c [Column]) -> anyhow::Result<Self> {
+        let (name, bytes): (_, Box<dyn Read>) = match input.filter(|path| *path != Path::new("-")) {
+            Some(path) => {
+                let name = path.display().to_string();
+                let file = File::open(path).with_context(|| format!("cannot open {name}"))?;
+                (name, Box::new(file))
+            }
+            None => ("standard input".into(), Box::new(io::stdin().lock())),
+        };
+        // A line feed ends a record, and the last one gets one too: only so does the reader know lines
+        // well enough to name them. Carriage returns are trimmed like blanks.
+        let reader = csv::ReaderBuilder::new()
+            .has_headers(false)
+            .flexible(true)
+            .trim(csv::Trim::All)
+            .terminator(csv::Terminator::Any(b'\n'))
+            .from_reader(Box::new(bytes.chain(&b"\n"[..])) as Box<dyn Read>);
+        let mut table =
+            Self { name, reader, columns, places: Vec::new(), width: 0, record: ByteRecord::new() };
+        table.read_header()?;
+        Ok(table)
+    }
+
+    fn read_header(&mut self) -> anyhow::Result<()> {
+        let needed: Vec<_> = self.columns.iter().filter(|c| c.default.is_none()).map(|c| c.name).collect();
+        let needed = needed.join(", ");
+        let Some(line) = self.next_record()? else {
+            return Err(self.unfit(1, format!("empty: the first line must name the columns {needed}")));
+        };
+        let names: Vec<_> =
+            self.record.iter().map(|n| n.strip_prefix(b"\xef\xbb\xbf").unwrap_or(n)).collect();
+        let mut places = Vec::new();
+        for Column { name, default } in self.columns {
+            let mut found = names.iter().enumerate().filter(|(_, n)| **n == name.as_bytes()).map(|(i, _)| i);
+            let place = found.next();
+            if found.next().is_some() {
+                return Err(self.unfit(line, format!("the column {name} is there twice")));
+            }
+            if place.is_none() && default.is_none() {
+                return Err(self.unfit(line, format!("the column {name} is missing; needed are {needed}")));
+            }
+            places.push(place);
+        }
+        self.width = names.len();
+        self.places = places;
+        Ok(())
+    }
+
+    fn unfit(&self, line: u64, what: impl Display) -> anyhow::Error {
+        Failure::new(exit::DATA, format!("{}:{line}: {what}", self.name)).into()
+    }
+
+    /// The line of the next row and its numbers, or what is wrong with them.
+    fn next(&mut self) -> anyhow::Result<Option<(u64, Numbers)>> {
+        let Some(line) = self.next_record()? else { return Ok(None) };
+        Ok(Some((line, self.numbers())))
+    }
+
+    fn numbers(&self) -> Numbers {
+        if self.record.len() != self.width {
+            return Err(format!("{} fields where the header has {}", self.record.len(), self.width));
+        }
+        let number = |(column, place): (&Column, &Option<usize>)| {
+            let Some(field) = place.and_then(|place| self.record.get(place)) else {
+                return Ok(column.default.unwrap_or(f64::NAN));
+            };
+            let text = String::from_utf8_lossy(field);
+            let number = text.parse().ok().filter(|x: &f64| x.is_finite());
+            number.ok_or_else(|| format!("{} is {text:?}, not a finite number", column.name))
+        };
+        self.columns.iter().zip(&self.places).map(number).collect()
+    }
+
+    /// Reads the next record that is no blank line; returns its line.
+    fn next_record(&mut self) -> anyhow::Result<Option<u64>> {
+        while self
+            .reader
+            .read_byte_record(&mut self.record)
+            .with_context(|| format!("cannot read {}", self.name))?
+        {
+            if self.record.len() > 1 || self.record.get(0).is_some_and(|field| !field.is_empty()) {
+                let within = self.record.iter().flatten().filter(|byte| **byte == b'\n').count() as u64;
+                return Ok(Some(self.reader.position().line().saturating_sub(1 + within)));
+            }
+        }
+        Ok(None)
+    }
+}

@@ -1,0 +1,69 @@
+//! `[acquisition]`: where samples come from.
+
+use std::path::PathBuf;
+
+use serde::Deserialize;
+
+use super::check::Checker;
+
+/// Which source.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SourceKind {
+    /// The digital twin.
+    Twin,
+    /// An acquisition board on a serial port.
+    Serial,
+}
+
+/// `[acquisition]`.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AcquisitionConfig {
+    /// Where samples come from.
+    pub source: SourceKind,
+    /// Samples per second.
+    pub rate_hz: f64,
+    /// The serial board.
+    pub serial: SerialConfig,
+}
+
+/// `[acquisition.serial]`.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SerialConfig {
+    /// Device path of the port.
+    pub port: PathBuf,
+    /// Bits per second on the wire. Ten bits carry a byte.
+    pub baud: u32,
+    /// Fixed time from the end of a scan to its arrival, subtracted from the arrival times.
+    pub latency_us: f64,
+}
+
+impl Default for AcquisitionConfig {
+    fn default() -> Self {
+        Self { source: SourceKind::Twin, rate_hz: 1000.0, serial: SerialConfig::default() }
+    }
+}
+
+impl Default for SerialConfig {
+    fn default() -> Self {
+        Self { port: "/dev/ttyACM0".into(), baud: 921_600, latency_us: 0.0 }
+    }
+}
+
+impl AcquisitionConfig {
+    pub(super) fn check(&self, mut at: Checker<'_>) {
+        at.number("rate_hz", self.rate_hz, 1.0..=20_000.0);
+        self.serial.check(at.section("serial"));
+    }
+}
+
+impl SerialConfig {
+    fn check(&self, mut at: Checker<'_>) {
+        let port = self.port.to_string_lossy();
+        at.demand(!port.trim().is_empty(), "port", format!("{port:?}"), "the path of a serial port");
+        at.number("baud", self.baud, 9600.0..=20_000_000.0);
+        at.number("latency_us", self.latency_us, 0.0..=1_000_000.0);
+    }
+}

@@ -1,0 +1,106 @@
+//! `[centering]`: the loop that keeps the beam on the apex.
+
+use serde::Deserialize;
+
+use super::check::{Checker, above_zero};
+
+/// What the loop brings to zero.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Target {
+    /// The offset between beam and apex, by the wedges of the last pose.
+    Apex,
+    /// The differences between the three powers, as in the paper.
+    Balance,
+}
+
+/// `[centering]`.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CenteringConfig {
+    /// Whether the loop is closed.
+    pub enabled: bool,
+    /// What the loop brings to zero.
+    pub target: Target,
+    /// From a sample to the effect of its command, everything included; sets the gains.
+    pub loop_delay_ms: f64,
+    /// First-order lag of the stage; sets the proportional gain.
+    pub lag_ms: f64,
+    /// Proportional gain, if not from the delay.
+    pub kp: Option<f64>,
+    /// Integral gain, if not from the delay.
+    pub ki_per_s: Option<f64>,
+    /// Locked while offset and its rms stay within this.
+    pub lock_limit_um: f64,
+    /// ... for this long.
+    pub lock_time_ms: f64,
+    /// Held becomes lost after this long.
+    pub lost_time_ms: f64,
+}
+
+/// Gains of the controller.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gains {
+    /// Proportional gain: metres of steering per metre of offset.
+    pub kp: f64,
+    /// Integral gain, per second.
+    pub ki_per_s: f64,
+}
+
+impl Default for CenteringConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            target: Target::Apex,
+            loop_delay_ms: 2.5,
+            lag_ms: 0.5,
+            kp: None,
+            ki_per_s: None,
+            lock_limit_um: 3.0,
+            lock_time_ms: 50.0,
+            lost_time_ms: 50.0,
+        }
+    }
+}
+
+impl CenteringConfig {
+    /// The delay that the gains are made for, seconds.
+    ///
+    /// A sampled loop has a delay of two periods at least, whatever `loop_delay_ms` says: one until
+    /// the next sample, half of one because the command stands still in between, and some to compute.
+    pub fn loop_delay_s(&self, rate_hz: f64) -> f64 {
+        (self.loop_delay_ms * 1e-3).max(2.0 / rate_hz)
+    }
+
+    /// The gains by the SIMC rule, `Ki = 1/(2 delay)` and `Kp = lag Ki`, unless the file sets them.
+    pub fn gains(&self, rate_hz: f64) -> Gains {
+        let ki_per_s = self.ki_per_s.unwrap_or(0.5 / self.loop_delay_s(rate_hz));
+        Gains { kp: self.kp.unwrap_or(self.lag_ms * 1e-3 * ki_per_s), ki_per_s }
+    }
+
+    pub(super) fn check(&self, mut at: Checker<'_>) {
+        at.number("loop_delay_ms", self.loop_delay_ms, above_zero(10_000.0));
+        at.number("lag_ms", self.lag_ms, 0.0..=10_000.0);
+        at.optional("kp", self.kp, 0.0..=10.0);
+        at.optional("ki_per_s", self.ki_per_s, 0.0..=100_000.0);
+        at.number("lock_limit_um", self.lock_limit_um, above_zero(1000.0));
+        at.number("lock_time_ms", self.lock_time_ms, 0.0..=60_000.0);
+        at.number("lost_time_ms", self.lost_time_ms, 0.0..=60_000.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gains_follow_from_the_delay_unless_they_are_given() {
+        let config = CenteringConfig::default();
+        let gains = config.gains(1000.0);
+        assert!((gains.ki_per_s - 200.0).abs() < 1e-9 && (gains.kp - 0.1).abs() < 1e-12);
+        // At 10 Hz the sampling is the delay, and the loop must be slower.
+        assert!((config.gains(10.0).ki_per_s - 2.5).abs() < 1e-12);
+        let given = CenteringConfig { kp: Some(0.3), ki_per_s: Some(7.0), ..config };
+        assert_eq!(given.gains(10.0), Gains { kp: 0.3, ki_per_s: 7.0 });
+    }
+}

@@ -1,0 +1,120 @@
+//! `[channels]`: from codes to spots and powers.
+
+use std::path::PathBuf;
+
+use serde::Deserialize;
+
+use super::check::{Checker, above_zero};
+
+/// `[channels]`.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ChannelsConfig {
+    /// Below this sum signal (dark offset subtracted) a PSD has no position.
+    pub sum_threshold_v: f64,
+    /// Fraction of the converter's range beyond which a code counts as clipped.
+    pub clip_limit: f64,
+    /// Power per volt of the sum signal.
+    pub power_mw_per_v: f64,
+    /// Position of the stage per volt of its readback signal.
+    pub readback_um_per_v: f64,
+    /// PSD A.
+    pub a: PsdChannels,
+    /// PSD B.
+    pub b: PsdChannels,
+    /// PSD C.
+    pub c: PsdChannels,
+}
+
+/// What the amplifier of a PSD puts out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Amplifier {
+    /// Positions, already divided by the sum: `full_scale_v` is the edge of the PSD.
+    Normalised,
+    /// Differences, not divided: a difference equal to the sum is the edge of the PSD.
+    Difference,
+}
+
+/// `[channels.a]`, `[channels.b]`, `[channels.c]`.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PsdChannels {
+    /// What the amplifier puts out.
+    pub amplifier: Amplifier,
+    /// Volts at the edge of the PSD, for a normalised amplifier.
+    pub full_scale_v: f64,
+    /// Gain of u, v and power on top of the nominal one; negative turns an axis around.
+    pub gain: [f64; 3],
+    /// Readings of the u, v and sum channel with the laser off; `trifacet dark` measures them.
+    pub dark_v: [f64; 3],
+    /// Correction table of the PSD's non-linearity, a CSV file relative to this one.
+    pub correction: Option<PathBuf>,
+}
+
+impl Default for ChannelsConfig {
+    fn default() -> Self {
+        Self {
+            sum_threshold_v: 0.05,
+            clip_limit: 0.999,
+            power_mw_per_v: 0.0667,
+            readback_um_per_v: 50.0,
+            a: PsdChannels::default(),
+            b: PsdChannels::default(),
+            c: PsdChannels::default(),
+        }
+    }
+}
+
+impl Default for PsdChannels {
+    fn default() -> Self {
+        Self {
+            amplifier: Amplifier::Normalised,
+            full_scale_v: 10.0,
+            gain: [1.0; 3],
+            dark_v: [0.0; 3],
+            correction: None,
+        }
+    }
+}
+
+impl ChannelsConfig {
+    /// The channels of the three PSDs in order.
+    pub fn psds(&self) -> [&PsdChannels; 3] {
+        [&self.a, &self.b, &self.c]
+    }
+
+    pub(super) fn psds_mut(&mut self) -> [&mut PsdChannels; 3] {
+        [&mut self.a, &mut self.b, &mut self.c]
+    }
+
+    pub(super) fn check(&self, mut at: Checker<'_>) {
+        at.number("sum_threshold_v", self.sum_threshold_v, above_zero(100.0));
+        at.number("clip_limit", self.clip_limit, above_zero(1.0));
+        at.number("power_mw_per_v", self.power_mw_per_v, above_zero(1e6));
+        at.number("readback_um_per_v", self.readback_um_per_v, above_zero(1e6));
+        for (name, psd) in ["a", "b", "c"].into_iter().zip(self.psds()) {
+            psd.check(at.section(name));
+        }
+    }
+}
+
+impl PsdChannels {
+    fn check(&self, mut at: Checker<'_>) {
+        at.number("full_scale_v", self.full_scale_v, above_zero(100.0));
+        at.numbers("gain", &self.gain, -100.0..=100.0);
+        for (i, gain) in self.gain.iter().enumerate() {
+            let useful = if i == 2 { *gain >= 0.01 } else { gain.abs() >= 0.01 };
+            let allowed = if i == 2 { "0.01 to 100 (a power)" } else { "0.01 to 100 or -100 to -0.01" };
+            let in_range = (-100.0..=100.0).contains(gain); // else it is said already
+            at.demand(useful || !in_range, &format!("gain[{i}]"), format!("{gain:?}"), allowed);
+        }
+        at.numbers("dark_v", &self.dark_v, -100.0..=100.0);
+        if let Some(path) = &self.correction
+            && let Err(error) = std::fs::read(path)
+        {
+            let allowed = format!("a CSV file, relative to this one: {}: {error}", path.display());
+            at.demand(false, "correction", path.display(), allowed);
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! `[[twin.fault]]`: what goes wrong in the twin, and when.
+
+use serde::Deserialize;
+
+use super::check::Checker;
+
+/// What can go wrong.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum FaultKind {
+    /// No light at all.
+    BeamBlocked,
+    /// One PSD (0 to 2 for A to C) sees no light.
+    PsdDark {
+        /// Which one.
+        psd: u8,
+    },
+    /// One channel (0 to 8) stands at its rail.
+    Clipped {
+        /// Which one.
+        channel: u8,
+    },
+    /// This fraction of the scans never leaves the board.
+    Dropped {
+        /// 0 to 1.
+        fraction: f64,
+    },
+    /// This fraction of the scans is damaged on the way.
+    Corrupted {
+        /// 0 to 1.
+        fraction: f64,
+    },
+    /// The board stops sending.
+    Stalled,
+    /// The stage ignores its commands.
+    SteeringStuck,
+    /// The laser's power is multiplied.
+    LaserPower {
+        /// By this.
+        factor: f64,
+    },
+}
+
+/// `[[twin.fault]]`: a fault from `at_s` on, for `for_s` seconds.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(try_from = "FaultKeys")]
+pub struct Fault {
+    /// When it starts.
+    pub at_s: f64,
+    /// How long it lasts; without, for ever.
+    pub for_s: Option<f64>,
+    /// What it is.
+    pub kind: FaultKind,
+}
+
+/// The keys as they stand in the file: which of the last four belong there is up to the kind.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FaultKeys {
+    at_s: f64,
+    for_s: Option<f64>,
+    kind: KindName,
+    psd: Option<u8>,
+    channel: Option<u8>,
+    fraction: Option<f64>,
+    factor: Option<f64>,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum KindName {
+    BeamBlocked,
+    PsdDark,
+    Clipped,
+    Dropped,
+    Corrupted,
+    Stalled,
+    SteeringStuck,
+    LaserPower,
+}
+
+impl TryFrom<FaultKeys> for Fault {
+    type Error = String;
+
+    fn try_from(mut keys: FaultKeys) -> Result<Self, String> {
+        let kind = match keys.kind {
+            KindName::BeamBlocked => FaultKind::BeamBlocked,
+            KindName::PsdDark => FaultKind::PsdDark { psd: needed(keys.psd.take(), "psd")? },
+            KindName::Clipped => FaultKind::Clipped { channel: needed(keys.channel.take(), "channel")? },
+            KindName::Dropped => FaultKind::Dropped { fraction: needed(keys.fraction.take(), "fraction")? },
+            KindName::Corrupted => {
+                FaultKind::Corrupted { fraction: needed(keys.fraction.take(), "fraction")? }
+            }
+            KindName::Stalled => FaultKind::Stalled,
+            KindName::SteeringStuck => FaultKind::SteeringStuck,
+            KindName::LaserPower => FaultKind::LaserPower { factor: needed(keys.factor.take(), "factor")? },
+        };
+        let stray = [
+            ("psd", keys.psd.is_some()),
+            ("channel", keys.channel.is_some()),
+            ("fraction", keys.fraction.is_some()),
+            ("factor", keys.factor.is_some()),
+        ];
+        match stray.iter().find(|(_, is_there)| *is_there) {
+            Some((key, _)) => Err(format!("`{key}` does not belong to this kind of fault")),
+            None => Ok(Self { at_s: keys.at_s, for_s: keys.for_s, kind }),
+        }
+    }
+}
+
+fn needed<T>(value: Option<T>, key: &str) -> Result<T, String> {
+    value.ok_or_else(|| format!("this kind of fault needs the key `{key}`"))
+}
+
+impl Fault {
+    pub(super) fn check(&self, mut at: Checker<'_>) {
+        at.number("at_s", self.at_s, 0.0..=1e6);
+        at.optional("for_s", self.for_s, 0.0..=1e6);
+        match self.kind {
+            FaultKind::PsdDark { psd } => at.number("psd", psd, 0.0..=2.0),
+            FaultKind::Clipped { channel } => at.number("channel", channel, 0.0..=8.0),
+            FaultKind::Dropped { fraction } | FaultKind::Corrupted { fraction } => {
+                at.number("fraction", fraction, 0.0..=1.0);
+            }
+            FaultKind::LaserPower { factor } => at.number("factor", factor, 0.0..=1000.0),
+            FaultKind::BeamBlocked | FaultKind::Stalled | FaultKind::SteeringStuck => {}
+        }
+    }
+}

@@ -1,0 +1,129 @@
+//! From a file to a checked configuration.
+
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use toml::de::{DeTable, DeValue};
+
+use super::check::{Checker, Finding, Report, without_index};
+use super::error::{ConfigError, Problem};
+use super::locate::{Found, find, path_at, place};
+use super::{Config, Fault, FaultKind};
+
+/// Reads and checks a configuration file; without one, the defaults.
+pub fn load(file: Option<&Path>) -> Result<Config, ConfigError> {
+    let Some(file) = file else { return parse("", None) };
+    let text = std::fs::read_to_string(file)
+        .map_err(|reason| ConfigError::Unreadable { file: file.to_owned(), reason })?;
+    parse(&text, Some(file))
+}
+
+/// Checks the text of a configuration. `file` is its name in messages, and paths are relative to it.
+pub fn parse(text: &str, file: Option<&Path>) -> Result<Config, ConfigError> {
+    read(text, file).map_err(|problems| ConfigError::Wrong { file: file.map(PathBuf::from), problems })
+}
+
+fn read(text: &str, file: Option<&Path>) -> Result<Config, Vec<Problem>> {
+    let table = DeTable::parse(text).map_err(|e| vec![syntax_problem(text, &e)])?;
+    let located = DeValue::Table(table.get_ref().clone());
+    let mut config = Config::deserialize(toml::Deserializer::from(table))
+        .map_err(|e| vec![shape_problem(text, &located, &e)])?;
+    resolve_paths(&mut config, file);
+    let mut report = Report::default();
+    config.check(&mut Checker::root(&mut report));
+    if report.findings.is_empty() {
+        return Ok(config);
+    }
+    let mut problems: Vec<_> = report.findings.iter().map(|f| value_problem(text, &located, f)).collect();
+    problems.sort_by_key(|p| p.place.map_or((usize::MAX, 0), |place| (place.line, place.column)));
+    Err(problems)
+}
+
+fn resolve_paths(config: &mut Config, file: Option<&Path>) {
+    let folder = file.and_then(Path::parent).unwrap_or(Path::new(""));
+    for psd in config.channels.psds_mut() {
+        psd.correction = psd.correction.take().map(|table| folder.join(table));
+    }
+}
+
+/// The text is no TOML.
+fn syntax_problem(text: &str, error: &toml::de::Error) -> Problem {
+    let place = error.span().map(|span| place(text, span.start));
+    Problem { place, message: format!("not TOML: {}", error.message()) }
+}
+
+/// The text is TOML, with an unknown key or a value of a wrong type.
+fn shape_problem(text: &str, file: &DeValue<'_>, error: &toml::de::Error) -> Problem {
+    let span = error.span();
+    let key = span.as_ref().and_then(|span| path_at(file, span.start)).unwrap_or_default();
+    let serde_says = error.message();
+    let message = if let Some(rest) = serde_says.strip_prefix("unknown field ") {
+        unknown_key(&key, rest)
+    } else {
+        let value = span.clone().and_then(|span| one_line(text.get(span)?));
+        let found = value.filter(|v| !v.starts_with('[')).map_or(String::new(), |v| format!(" = {v}"));
+        let allowed = allowed_at(&key).map_or(String::new(), |rule| format!("; allowed is {rule}"));
+        format!("{key}{found}: {serde_says}{allowed}")
+    };
+    Problem { place: span.map(|span| place(text, span.start)), message }
+}
+
+/// A value is not allowed.
+fn value_problem(text: &str, file: &DeValue<'_>, finding: &Finding) -> Problem {
+    let Finding { keys, found, allowed } = finding;
+    let key = &keys[0];
+    let at = |at: usize| Some(place(text, at));
+    match find(file, key) {
+        Found::Value(span) => {
+            let written = text.get(span.clone()).and_then(one_line).unwrap_or_else(|| found.clone());
+            Problem { place: at(span.start), message: format!("{key} = {written}: allowed is {allowed}") }
+        }
+        Found::Section { span, whole: true } => Problem {
+            place: span.and_then(|s| at(s.start)),
+            message: format!("{key}: {found}; allowed is {allowed}"),
+        },
+        // Not written in the file: the default clashes with another key, or a needed key is absent.
+        Found::Section { span, whole: false } => {
+            let clash = keys[1..].iter().find_map(|other| match find(file, other) {
+                Found::Value(span) => Some(span),
+                Found::Section { .. } => None,
+            });
+            let note = if found == "absent" { "" } else { " (default)" };
+            let message = format!("{key} = {found}{note}: allowed is {allowed}");
+            Problem { place: clash.or(span).and_then(|s| at(s.start)), message }
+        }
+    }
+}
+
+/// `rest` is what serde says after "unknown field": the name, and the names it knows, in backticks.
+fn unknown_key(key: &str, rest: &str) -> String {
+    let mut names = rest.split('`').skip(1).step_by(2);
+    let name = names.next().unwrap_or_default();
+    let known: Vec<_> = names.collect();
+    let nearest = known
+        .iter()
+        .map(|candidate| (strsim::jaro_winkler(name, candidate), candidate))
+        .filter(|(likeness, _)| *likeness > 0.8)
+        .max_by(|a, b| a.0.total_cmp(&b.0));
+    let hint = nearest.map_or(String::new(), |(_, candidate)| format!(" (did you mean {candidate}?)"));
+    format!("{key} is no key of this section{hint}; allowed are {}", known.join(", "))
+}
+
+fn one_line(text: &str) -> Option<String> {
+    (!text.contains('\n') && text.chars().count() <= 60).then(|| text.to_owned())
+}
+
+/// What the checks allow for a key; asked when its type is so wrong that no check saw the value.
+fn allowed_at(key: &str) -> Option<String> {
+    let mut config = Config::default();
+    let kinds = [
+        FaultKind::PsdDark { psd: 0 },
+        FaultKind::Clipped { channel: 0 },
+        FaultKind::Dropped { fraction: 0.0 },
+        FaultKind::LaserPower { factor: 1.0 },
+    ];
+    config.twin.fault = kinds.map(|kind| Fault { at_s: 0.0, for_s: None, kind }).to_vec();
+    let mut report = Report::default();
+    config.check(&mut Checker::root(&mut report));
+    report.rules.remove(&without_index(key))
+}

@@ -1,0 +1,146 @@
+//! `[[twin.motion]]`: how the mirror of the twin moves.
+
+use serde::Deserialize;
+
+use super::check::Checker;
+
+/// An axis of the mirror.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Axis {
+    /// Translation along x.
+    Tx,
+    /// Translation along y.
+    Ty,
+    /// Translation along z.
+    Tz,
+    /// Turn about x.
+    Roll,
+    /// Turn about y.
+    Pitch,
+    /// Turn about z.
+    Yaw,
+}
+
+impl Axis {
+    /// Whether its amounts are angles.
+    pub fn is_turn(self) -> bool {
+        matches!(self, Axis::Roll | Axis::Pitch | Axis::Yaw)
+    }
+}
+
+/// `[[twin.motion]]`: one movement of one axis.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Motion {
+    /// Which axis.
+    pub axis: Axis,
+    /// How far (the rms of a vibration), for translations.
+    pub amount_um: Option<f64>,
+    /// How far, for turns.
+    pub amount_urad: Option<f64>,
+    /// What kind of movement, and its own keys.
+    pub kind: MotionKind,
+    /// When it starts; 0 if absent.
+    #[serde(default)]
+    pub from_s: f64,
+    /// When it ends; never if absent. A ramp covers its amount between the two and stays there.
+    pub until_s: Option<f64>,
+    /// Frequency of a sine; lowest frequency of a vibration.
+    pub frequency_hz: Option<f64>,
+    /// Highest frequency of a vibration.
+    pub high_hz: Option<f64>,
+    /// Phase of a sine at its start.
+    #[serde(default)]
+    pub phase_deg: f64,
+}
+
+/// Kinds of movement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MotionKind {
+    /// A jump at `from_s`, there until `until_s`; from 0 on it is simply a place to rest.
+    Step,
+    /// A steady movement from `from_s` to `until_s`.
+    Ramp,
+    /// A sine between the two times.
+    Sine,
+    /// Band-limited noise between the two times.
+    Vibration,
+}
+
+impl MotionKind {
+    fn name(self) -> &'static str {
+        match self {
+            MotionKind::Step => "a step",
+            MotionKind::Ramp => "a ramp",
+            MotionKind::Sine => "a sine",
+            MotionKind::Vibration => "a vibration",
+        }
+    }
+
+    fn needs(self) -> String {
+        format!("a number: {} needs it", self.name())
+    }
+
+    fn has_no(self) -> String {
+        format!("absent: {} has no such key", self.name())
+    }
+}
+
+impl Motion {
+    pub(super) fn check(&self, mut at: Checker<'_>, rate_hz: f64) {
+        at.optional("amount_um", self.amount_um, -10_000.0..=10_000.0);
+        at.optional("amount_urad", self.amount_urad, -100_000.0..=100_000.0);
+        at.number("from_s", self.from_s, 0.0..=1e6);
+        at.optional("until_s", self.until_s, 0.0..=1e6);
+        at.optional("frequency_hz", self.frequency_hz, 0.0001..=10_000.0);
+        at.optional("high_hz", self.high_hz, 0.0001..=10_000.0);
+        at.number("phase_deg", self.phase_deg, -360.0..=360.0);
+        self.check_keys(&mut at);
+        let order = self.until_s.is_none_or(|until| until > self.from_s);
+        at.demand(order, "until_s", found(self.until_s), format_args!("later than from_s, {}", self.from_s));
+        if self.kind == MotionKind::Vibration {
+            self.check_band(&mut at, rate_hz);
+        }
+    }
+
+    /// Each axis and each kind has the keys it needs, and none that would be ignored.
+    fn check_keys(&self, at: &mut Checker<'_>) {
+        let (amount, key, other, other_key) = if self.axis.is_turn() {
+            (self.amount_urad, "amount_urad", self.amount_um, "amount_um")
+        } else {
+            (self.amount_um, "amount_um", self.amount_urad, "amount_urad")
+        };
+        let axis = if self.axis.is_turn() { "a turn" } else { "a translation" };
+        at.demand(amount.is_some(), key, "absent", format_args!("a number: {axis} needs it"));
+        at.demand(other.is_none(), other_key, found(other), format_args!("absent: {axis} has {key}"));
+
+        let kind = self.kind;
+        let sine = kind == MotionKind::Sine;
+        let vibration = kind == MotionKind::Vibration;
+        at.demand(self.until_s.is_some() || kind != MotionKind::Ramp, "until_s", "absent", kind.needs());
+        for (key, value, wanted) in
+            [("frequency_hz", self.frequency_hz, sine || vibration), ("high_hz", self.high_hz, vibration)]
+        {
+            let allowed = if wanted { kind.needs() } else { kind.has_no() };
+            at.demand(value.is_some() == wanted, key, found(value), allowed);
+        }
+        at.demand(self.phase_deg == 0.0 || sine, "phase_deg", found(Some(self.phase_deg)), kind.has_no());
+    }
+
+    fn check_band(&self, at: &mut Checker<'_>, rate_hz: f64) {
+        let (Some(low), Some(high)) = (self.frequency_hz, self.high_hz) else { return };
+        at.demand(high > low, "high_hz", high, format_args!("more than frequency_hz, {low}"));
+        let most = rate_hz / 2.0;
+        let allowed = format!("below half of acquisition.rate_hz, {most}");
+        at.demand(high < most || !most.is_finite(), "high_hz", high, allowed);
+        let rms = self.amount_um.or(self.amount_urad).unwrap_or(0.0);
+        let key = if self.axis.is_turn() { "amount_urad" } else { "amount_um" };
+        at.demand(rms >= 0.0 || rms.is_nan(), key, rms, "0 or more: it is the rms of a vibration");
+    }
+}
+
+fn found(value: Option<f64>) -> String {
+    value.map_or("absent".into(), |value| format!("{value:?}"))
+}

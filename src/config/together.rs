@@ -1,0 +1,104 @@
+//! Checks across sections: values that are fine alone and not together.
+
+use super::check::Checker;
+use super::{Config, SourceKind};
+use crate::optics::{Optics, Pose, Vec2};
+
+/// All of them. Run once every value is in its own range.
+pub(super) fn check(config: &Config, at: &mut Checker<'_>) {
+    light_at_rest(config, at);
+    match config.acquisition.source {
+        SourceKind::Twin => twin_signals(config, at),
+        SourceKind::Serial => serial_speed(config, at),
+    }
+    edge_margin(config, at);
+}
+
+/// The head can be built, and with the mirror at rest the light falls on all three PSDs.
+fn light_at_rest(config: &Config, at: &mut Checker<'_>) {
+    let head = match config.head.build() {
+        Ok(head) => head,
+        Err(error) => {
+            at.demand(false, "head", error, "facets that face the light and go counter-clockwise, A, B, C");
+            return;
+        }
+    };
+    let model = config.estimation.model.into();
+    if let Err(error) = Optics::new(&head).trace(model, &Pose::default(), Vec2::zeros()) {
+        let allowed = "a geometry in which the light reaches all three PSDs while the mirror is at rest";
+        at.demand(false, "head", error, allowed);
+    }
+}
+
+/// The twin's signals fit into its converter, and its channels into a period.
+fn twin_signals(config: &Config, at: &mut Checker<'_>) {
+    let twin = &config.twin;
+    let most = twin.converter_range_v * config.channels.clip_limit;
+    let brightest = config
+        .channels
+        .psds()
+        .iter()
+        .zip([2, 5, 8])
+        .map(|(psd, sum)| {
+            twin.laser_mw / 3.0 / config.channels.power_mw_per_v / psd.gain[2] + twin.dark_v[sum]
+        })
+        .fold(0.0, f64::max);
+    at.agree(
+        brightest < most,
+        "twin.laser_mw",
+        &["channels.power_mw_per_v", "channels.clip_limit", "twin.converter_range_v", "twin.dark_v"],
+        twin.laser_mw,
+        format_args!("a power of which a third reads below {most} V; now it reads {brightest:.3} V"),
+    );
+    if twin.steering.readback_noise_um.is_some() {
+        let reach = config.steering.limit_um.min(twin.steering.limit_um) / config.channels.readback_um_per_v;
+        at.agree(
+            reach < most,
+            "channels.readback_um_per_v",
+            &["steering.limit_um", "twin.steering.limit_um", "channels.clip_limit", "twin.converter_range_v"],
+            format!("{:?}", config.channels.readback_um_per_v),
+            format_args!(
+                "so much that the readback stays below {most} V at the steering limit; now it is {reach:.3} V"
+            ),
+        );
+    }
+    let skew_us = twin.channel_skew_us * (twin.channel_count() - 1) as f64;
+    let period_us = 1e6 / config.acquisition.rate_hz;
+    at.agree(
+        skew_us < period_us,
+        "twin.channel_skew_us",
+        &["acquisition.rate_hz"],
+        twin.channel_skew_us,
+        format_args!("{} channels within a period of {period_us} us", twin.channel_count()),
+    );
+}
+
+/// The link carries more than the board sends.
+fn serial_speed(config: &Config, at: &mut Checker<'_>) {
+    let acquisition = &config.acquisition;
+    let needed = required_baud(9, acquisition.rate_hz);
+    at.agree(
+        acquisition.serial.baud >= needed,
+        "acquisition.serial.baud",
+        &["acquisition.rate_hz"],
+        acquisition.serial.baud,
+        format_args!("{needed} or more: nine channels at {} Hz need it", acquisition.rate_hz),
+    );
+}
+
+fn edge_margin(config: &Config, at: &mut Checker<'_>) {
+    let half = config.head.psd_size_mm / 2.0;
+    at.agree(
+        config.estimation.edge_margin_mm < half,
+        "estimation.edge_margin_mm",
+        &["head.psd_size_mm"],
+        config.estimation.edge_margin_mm,
+        format_args!("less than half of head.psd_size_mm, {half}"),
+    );
+}
+
+/// Bits per second that scans of so many 24-bit codes need: ten bits a byte, about 16 bytes of header,
+/// check sum and framing.
+fn required_baud(channels: u32, rate_hz: f64) -> u32 {
+    ((f64::from(channels) * 3.0 + 16.0) * 10.0 * rate_hz).ceil() as u32
+}

@@ -1,0 +1,167 @@
+//! `[twin]`: the digital twin of optics, stage and converter.
+
+use serde::{Deserialize, Deserializer, de};
+
+use super::check::{Checker, above_zero};
+use super::fault::Fault;
+use super::motion::{Axis, Motion, MotionKind};
+
+/// `[twin]`.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TwinConfig {
+    /// Starts the random numbers: the same seed gives the same samples.
+    pub seed: u64,
+    /// Radius of the mirror; light outside is lost.
+    pub mirror_radius_mm: f64,
+    /// Power of the laser.
+    pub laser_mw: f64,
+    /// Beam position at rest, world x and y, before steering.
+    pub laser_offset_um: [f64; 2],
+    /// One standard deviation of each spot coordinate.
+    pub spot_noise_um: f64,
+    /// One standard deviation of each power, relative to it.
+    pub power_noise: f64,
+    /// Resolution of the converter.
+    pub converter_bits: u8,
+    /// Range of the converter, plus and minus.
+    pub converter_range_v: f64,
+    /// What the nine channels read without light, volts: u, v, sum of A, of B, of C.
+    pub dark_v: [f64; 9],
+    /// Delay from one channel of the converter to the next.
+    pub channel_skew_us: f64,
+    /// Bow of the PSDs: how far the reading is off at the middle of an edge.
+    pub bow_um: f64,
+    /// The steering stage.
+    pub steering: TwinSteering,
+    /// How the mirror moves; motions add up.
+    pub motion: Vec<Motion>,
+    /// What goes wrong, and when.
+    pub fault: Vec<Fault>,
+}
+
+/// `[twin.steering]`.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TwinSteering {
+    /// From command to the start of the movement.
+    pub delay_ms: f64,
+    /// Time constant of the movement.
+    pub lag_ms: f64,
+    /// Mechanical limits, plus and minus.
+    pub limit_um: f64,
+    /// One standard deviation of the readback; none (`"off"` in the file) without a readback channel.
+    #[serde(deserialize_with = "number_or_off")]
+    pub readback_noise_um: Option<f64>,
+}
+
+impl Default for TwinConfig {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            mirror_radius_mm: 5.0,
+            laser_mw: 0.8,
+            laser_offset_um: [0.0; 2],
+            spot_noise_um: 1.08,
+            power_noise: 1e-3,
+            converter_bits: 18,
+            converter_range_v: 10.0,
+            dark_v: [0.0; 9],
+            channel_skew_us: 0.0,
+            bow_um: 0.0,
+            steering: TwinSteering::default(),
+            motion: demo_motion(),
+            fault: Vec::new(),
+        }
+    }
+}
+
+impl Default for TwinSteering {
+    fn default() -> Self {
+        Self { delay_ms: 1.0, lag_ms: 0.5, limit_um: 500.0, readback_noise_um: Some(0.1) }
+    }
+}
+
+/// The mirror of the demo wanders slowly by some tens of micrometres and microradians on every axis.
+fn demo_motion() -> Vec<Motion> {
+    let wander = [
+        (Axis::Tx, 40.0, 0.11),
+        (Axis::Ty, 30.0, 0.07),
+        (Axis::Tz, 20.0, 0.05),
+        (Axis::Roll, 60.0, 0.09),
+        (Axis::Pitch, 50.0, 0.13),
+        (Axis::Yaw, 80.0, 0.04),
+    ];
+    wander
+        .into_iter()
+        .map(|(axis, amount, frequency_hz)| Motion {
+            axis,
+            amount_um: (!axis.is_turn()).then_some(amount),
+            amount_urad: axis.is_turn().then_some(amount),
+            kind: MotionKind::Sine,
+            from_s: 0.0,
+            until_s: None,
+            frequency_hz: Some(frequency_hz),
+            high_hz: None,
+            phase_deg: 0.0,
+        })
+        .collect()
+}
+
+impl TwinConfig {
+    /// Channels of a scan: nine signals, and the readback of both steering axes if there is one.
+    pub fn channel_count(&self) -> usize {
+        if self.steering.readback_noise_um.is_some() { 11 } else { 9 }
+    }
+
+    pub(super) fn check(&self, mut at: Checker<'_>, rate_hz: f64) {
+        at.number("seed", self.seed as f64, 0.0..=9_007_199_254_740_992.0); // what a double can say exactly
+        at.number("mirror_radius_mm", self.mirror_radius_mm, 0.01..=1000.0);
+        at.number("laser_mw", self.laser_mw, 0.0..=1e6);
+        at.numbers("laser_offset_um", &self.laser_offset_um, -100_000.0..=100_000.0);
+        at.number("spot_noise_um", self.spot_noise_um, 0.0..=1000.0);
+        at.number("power_noise", self.power_noise, 0.0..=1.0);
+        at.number("converter_bits", self.converter_bits, 8.0..=24.0);
+        at.number("converter_range_v", self.converter_range_v, above_zero(100.0));
+        at.numbers("dark_v", &self.dark_v, -100.0..=100.0);
+        at.number("channel_skew_us", self.channel_skew_us, 0.0..=100_000.0);
+        at.number("bow_um", self.bow_um, -1000.0..=1000.0);
+        self.steering.check(at.section("steering"));
+        for (i, motion) in self.motion.iter().enumerate() {
+            motion.check(at.section(&format!("motion[{i}]")), rate_hz);
+        }
+        for (i, fault) in self.fault.iter().enumerate() {
+            fault.check(at.section(&format!("fault[{i}]")));
+        }
+    }
+}
+
+impl TwinSteering {
+    fn check(&self, mut at: Checker<'_>) {
+        at.number("delay_ms", self.delay_ms, 0.0..=10_000.0);
+        at.number("lag_ms", self.lag_ms, 0.0..=10_000.0);
+        at.number("limit_um", self.limit_um, above_zero(100_000.0));
+        at.optional("readback_noise_um", self.readback_noise_um, 0.0..=1000.0);
+    }
+}
+
+fn number_or_off<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
+    struct NumberOrOff;
+    impl de::Visitor<'_> for NumberOrOff {
+        type Value = Option<f64>;
+        fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+            f.write_str("a number, or \"off\"")
+        }
+        fn visit_f64<E: de::Error>(self, number: f64) -> Result<Option<f64>, E> {
+            Ok(Some(number))
+        }
+        fn visit_i64<E: de::Error>(self, number: i64) -> Result<Option<f64>, E> {
+            Ok(Some(number as f64))
+        }
+        fn visit_str<E: de::Error>(self, text: &str) -> Result<Option<f64>, E> {
+            let other = || E::invalid_value(de::Unexpected::Str(text), &self);
+            if text == "off" { Ok(None) } else { Err(other()) }
+        }
+    }
+    from.deserialize_any(NumberOrOff)
+}

@@ -1,0 +1,197 @@
+//! What goes wrong, and when.
+
+use super::TwinError;
+use crate::{
+    acquisition::scan::SIGNALS,
+    config::{Fault, FaultKind},
+};
+
+/// What becomes of a scan on its way to the host.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Fate {
+    /// It arrives.
+    #[default]
+    Sent,
+    /// It never leaves the board.
+    Dropped,
+    /// It arrives damaged.
+    Corrupted,
+    /// The board sends nothing at all.
+    Stalled,
+}
+
+/// All faults, planned and injected.
+#[derive(Clone, Debug, Default)]
+pub struct Faults {
+    list: Vec<Fault>,
+}
+
+/// What is wrong at one moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Active {
+    /// PSDs without light.
+    pub dark: [bool; 3],
+    /// Channels at their rail.
+    pub clipped: [bool; SIGNALS.len()],
+    /// Fraction of the scans that is dropped.
+    pub dropped: f64,
+    /// Fraction of the scans that is damaged.
+    pub corrupted: f64,
+    /// Nothing is sent.
+    pub stalled: bool,
+    /// The steering stage does not move.
+    pub stuck: bool,
+    /// The laser's power is multiplied by this.
+    pub power: f64,
+}
+
+impl Faults {
+    /// The faults of the configuration.
+    pub fn new(planned: &[Fault]) -> Result<Self, TwinError> {
+        for (i, fault) in planned.iter().enumerate() {
+            check(fault).map_err(|(key, reason)| TwinError::new(format!("twin.fault[{i}].{key}"), reason))?;
+        }
+        Ok(Self { list: planned.to_vec() })
+    }
+
+    /// Adds a fault while running. Those that are over are forgotten.
+    pub fn inject(&mut self, fault: Fault) -> Result<(), TwinError> {
+        check(&fault).map_err(|(key, reason)| TwinError::new(format!("fault.{key}"), reason))?;
+        self.list.retain(|f| end(f) > fault.at_s);
+        self.list.push(fault);
+        Ok(())
+    }
+
+    /// What is wrong at `t_s`.
+    pub fn active(&self, t_s: f64) -> Active {
+        let mut active = Active::default();
+        for fault in self.list.iter().filter(|f| f.at_s <= t_s && t_s < end(f)) {
+            active.add(fault.kind);
+        }
+        active
+    }
+}
+
+impl Default for Active {
+    fn default() -> Self {
+        Self {
+            dark: [false; 3],
+            clipped: [false; SIGNALS.len()],
+            dropped: 0.0,
+            corrupted: 0.0,
+            stalled: false,
+            stuck: false,
+            power: 1.0,
+        }
+    }
+}
+
+impl Active {
+    /// Decides on one scan with two random numbers from 0 to 1.
+    pub fn fate(&self, drop: f64, corrupt: f64) -> Fate {
+        match () {
+            () if self.stalled => Fate::Stalled,
+            () if drop < self.dropped => Fate::Dropped,
+            () if corrupt < self.corrupted => Fate::Corrupted,
+            () => Fate::Sent,
+        }
+    }
+
+    fn add(&mut self, kind: FaultKind) {
+        match kind {
+            FaultKind::BeamBlocked => self.dark = [true; 3],
+            FaultKind::PsdDark { psd } => self.dark[usize::from(psd)] = true,
+            FaultKind::Clipped { channel } => self.clipped[usize::from(channel)] = true,
+            FaultKind::Dropped { fraction } => self.dropped = either(self.dropped, fraction),
+            FaultKind::Corrupted { fraction } => self.corrupted = either(self.corrupted, fraction),
+            FaultKind::Stalled => self.stalled = true,
+            FaultKind::SteeringStuck => self.stuck = true,
+            FaultKind::LaserPower { factor } => self.power *= factor,
+        }
+    }
+}
+
+/// The probability that one of two independent things happens.
+fn either(a: f64, b: f64) -> f64 {
+    1.0 - (1.0 - a) * (1.0 - b)
+}
+
+fn end(fault: &Fault) -> f64 {
+    fault.for_s.map_or(f64::INFINITY, |for_s| fault.at_s + for_s)
+}
+
+fn check(fault: &Fault) -> Result<(), (&'static str, &'static str)> {
+    let within = |x: f64, max: f64| (0.0..=max).contains(&x);
+    match fault.kind {
+        _ if !fault.at_s.is_finite() => Err(("at_s", "must be a finite number of seconds")),
+        _ if fault.for_s.is_some_and(|x| !within(x, f64::MAX)) => Err(("for_s", "must be 0 or more")),
+        FaultKind::PsdDark { psd: 3.. } => Err(("psd", "must be 0, 1 or 2 (A, B, C)")),
+        FaultKind::Clipped { channel: 9.. } => Err(("channel", "must be 0 to 8")),
+        FaultKind::Dropped { fraction } | FaultKind::Corrupted { fraction } if !within(fraction, 1.0) => {
+            Err(("fraction", "must be from 0 to 1"))
+        }
+        FaultKind::LaserPower { factor } if !within(factor, f64::MAX) => {
+            Err(("factor", "must be a finite number, 0 or more"))
+        }
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fault(at_s: f64, for_s: Option<f64>, kind: FaultKind) -> Fault {
+        Fault { at_s, for_s, kind }
+    }
+
+    #[test]
+    fn faults_come_and_go_and_combine() {
+        let faults = Faults::new(&[
+            fault(1.0, Some(1.0), FaultKind::LaserPower { factor: 0.5 }),
+            fault(1.5, None, FaultKind::LaserPower { factor: 0.5 }),
+            fault(1.0, Some(1.0), FaultKind::Dropped { fraction: 0.5 }),
+            fault(1.0, Some(1.0), FaultKind::Dropped { fraction: 0.5 }),
+            fault(1.0, Some(1.0), FaultKind::PsdDark { psd: 2 }),
+        ])
+        .unwrap();
+        assert_eq!(faults.active(0.999), Active::default());
+        let middle = faults.active(1.5);
+        assert_eq!((middle.power, middle.dropped, middle.dark), (0.25, 0.75, [false, false, true]));
+        assert_eq!(faults.active(2.0), Active { power: 0.5, ..Active::default() });
+    }
+
+    #[test]
+    fn injected_faults_start_when_told_and_old_ones_are_forgotten() {
+        let mut faults = Faults::default();
+        for k in 0..1000 {
+            faults.inject(fault(f64::from(k), Some(0.5), FaultKind::Stalled)).unwrap();
+        }
+        assert_eq!(faults.list.len(), 1);
+        assert!(faults.active(999.2).stalled && !faults.active(999.5).stalled);
+    }
+
+    #[test]
+    fn the_link_decides_in_order_of_gravity() {
+        let all = Active { stalled: true, dropped: 1.0, corrupted: 1.0, ..Active::default() };
+        assert_eq!(all.fate(0.0, 0.0), Fate::Stalled);
+        assert_eq!(Active { stalled: false, ..all }.fate(0.999, 0.0), Fate::Dropped);
+        assert_eq!(Active { stalled: false, dropped: 0.0, ..all }.fate(0.0, 0.999), Fate::Corrupted);
+        assert_eq!(Active::default().fate(0.0, 0.0), Fate::Sent);
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused_by_key() {
+        for (kind, key) in [
+            (FaultKind::PsdDark { psd: 3 }, "psd"),
+            (FaultKind::Clipped { channel: 9 }, "channel"),
+            (FaultKind::Dropped { fraction: 1.1 }, "fraction"),
+            (FaultKind::Corrupted { fraction: f64::NAN }, "fraction"),
+            (FaultKind::LaserPower { factor: -1.0 }, "factor"),
+        ] {
+            let error = Faults::new(&[fault(0.0, None, kind)]).unwrap_err();
+            assert_eq!(error.key, format!("twin.fault[0].{key}"));
+        }
+        assert!(Faults::new(&[fault(0.0, Some(-1.0), FaultKind::Stalled)]).is_err());
+    }
+}

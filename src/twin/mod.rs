@@ -1,0 +1,264 @@
+//! The digital twin of the sensor: a mirror that moves, a laser on a steering stage, detectors, a
+//! converter, and what can go wrong with them. The same seed gives the same scans.
+//!
+//! [`Twin`] is pure: it computes scan after scan for the times `index / rate`, as fast as it is asked.
+//! [`TwinSource`] runs it in real time; the board emulator and `trifacet simulate`
+//! use it too.
+//!
+//! - [`trajectory`]: how the mirror moves.
+//! - [`stage`], [`outputs`]: how the laser follows its commands.
+//! - [`light`]: what the PSDs see.
+//! - [`electronics`]: from light to codes.
+//! - [`faults`]: what goes wrong.
+
+pub mod electronics;
+pub mod faults;
+pub mod light;
+pub mod outputs;
+pub mod source;
+pub mod stage;
+pub mod trajectory;
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+pub use faults::Fate;
+pub use light::{Scene, Spot};
+pub use outputs::{OUTPUT_BITS, Outputs};
+pub use source::TwinSource;
+
+use crate::{
+    acquisition::{Identity, MAX_CHANNELS, Role, Scan, scan::SIGNALS},
+    clock::Mono,
+    config::{Config, Fault, FaultKind},
+};
+use electronics::{Electronics, Noise, READBACK};
+use faults::{Active, Faults};
+use light::Lighting;
+use stage::Stage;
+use trajectory::Trajectory;
+
+/// The fastest rate of the twin, scans per second.
+pub const MAX_RATE_HZ: f64 = 20_000.0;
+
+/// Why a twin cannot be made, or a fault not be injected.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{key}: {reason}")]
+pub struct TwinError {
+    /// The key in the configuration.
+    pub key: String,
+    /// What is wrong, and what is allowed.
+    pub reason: String,
+}
+
+impl TwinError {
+    fn new(key: impl Into<String>, reason: impl Into<String>) -> Self {
+        Self { key: key.into(), reason: reason.into() }
+    }
+}
+
+/// One scan of the twin, with what lies behind it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TwinScan {
+    /// Counts every scan from 0.
+    pub index: u64,
+    /// When it is taken: `index / rate`, seconds since the twin's start.
+    pub t_s: f64,
+    /// The codes; only the first `Identity::roles.len()` have a meaning.
+    pub codes: [i32; MAX_CHANNELS],
+    /// Whether it arrives. The codes are those of the converter, also of a scan that does not.
+    pub fate: Fate,
+    /// The stage stands at one of its limits.
+    pub output_railed: bool,
+    /// Mirror, laser and light at `t_s`, before faults of detection.
+    pub truth: Scene,
+}
+
+impl TwinScan {
+    /// What arrives of it, if it arrives, with the time at which it was taken.
+    pub fn arrived(&self, time: Mono, lost: u32) -> Option<Scan> {
+        (self.fate == Fate::Sent).then_some(Scan {
+            index: self.index,
+            time,
+            time_sigma_ns: Some(0.0),
+            lost,
+            codes: self.codes,
+            output_railed: self.output_railed,
+        })
+    }
+}
+
+/// The digital twin.
+#[derive(Clone, Debug)]
+pub struct Twin {
+    rate_hz: f64,
+    skew_s: f64,
+    identity: Identity,
+    trajectory: Trajectory,
+    laser_rest: [f64; 2],
+    stage: Stage,
+    outputs: Outputs,
+    lighting: Lighting,
+    electronics: Electronics,
+    faults: Faults,
+    noise: Pcg64,
+    fates: Pcg64,
+    index: u64,
+}
+
+impl Twin {
+    /// The twin that the configuration describes, at rest before its first scan.
+    pub fn new(config: &Config) -> Result<Self, TwinError> {
+        let (twin, seed) = (&config.twin, config.twin.seed);
+        let rate_hz = config.acquisition.rate_hz;
+        check(config)?;
+        let head = config.head.build().map_err(|e| TwinError::new("head", e.to_string()))?;
+        let lighting = Lighting::new(&head, twin.mirror_radius_mm * 1e-3);
+        let electronics = Electronics::new(config, lighting.half_sizes());
+        let identity = identity(config, &electronics);
+        let steering = &twin.steering;
+        Ok(Self {
+            rate_hz,
+            skew_s: twin.channel_skew_us * 1e-6,
+            identity,
+            trajectory: Trajectory::new(&twin.motion, seed)?,
+            laser_rest: twin.laser_offset_um.map(|um| um * 1e-6),
+            stage: Stage::new(steering.delay_ms * 1e-3, steering.lag_ms * 1e-3, steering.limit_um * 1e-6),
+            outputs: Outputs::new(&config.steering),
+            lighting,
+            electronics,
+            faults: Faults::new(&twin.fault)?,
+            noise: random(seed, 0),
+            fates: random(seed, 1),
+            index: 0,
+        })
+    }
+
+    /// What the twin says of itself as a source.
+    pub fn identity(&self) -> &Identity {
+        &self.identity
+    }
+
+    /// The board's steering outputs: codes to metres, range, leases and parking position.
+    pub fn outputs(&self) -> &Outputs {
+        &self.outputs
+    }
+
+    /// Index of the next scan.
+    pub fn next_index(&self) -> u64 {
+        self.index
+    }
+
+    /// Seconds from the twin's start to the next scan.
+    pub fn next_s(&self) -> f64 {
+        self.index as f64 / self.rate_hz
+    }
+
+    /// Power of the whole beam in watts, without faults.
+    pub fn laser_w(&self) -> f64 {
+        self.electronics.laser_w()
+    }
+
+    /// A steering command in output codes, given at `t_s` seconds since the twin's start. Range and
+    /// lease are the board's business: [`Outputs`].
+    pub fn steer(&mut self, codes: [i32; 2], t_s: f64) {
+        self.stage.command(self.outputs.metres(codes), t_s);
+    }
+
+    /// Lets something go wrong from the next scan on, for so many seconds or for good.
+    pub fn inject(&mut self, kind: FaultKind, for_s: Option<f64>) -> Result<(), TwinError> {
+        self.faults.inject(Fault { at_s: self.next_s(), for_s, kind })
+    }
+
+    /// Takes the next scan.
+    pub fn next_scan(&mut self) -> TwinScan {
+        let (index, t_s) = (self.index, self.next_s());
+        self.index += 1;
+        let faults = self.faults.active(t_s);
+        let noise = Noise::draw(&mut self.noise);
+        let fate = faults.fate(self.fates.random(), self.fates.random());
+        let mut moment = self.moment(t_s, &faults);
+        let truth = moment.0;
+        let mut codes = [0; MAX_CHANNELS];
+        for (channel, code) in codes.iter_mut().enumerate().take(self.identity.roles.len()) {
+            if channel > 0 && self.skew_s > 0.0 {
+                moment = self.moment(t_s + channel as f64 * self.skew_s, &faults);
+            }
+            *code = self.code(channel, &moment, &faults, &noise);
+        }
+        TwinScan { index, t_s, codes, fate, output_railed: self.stage.railed(), truth }
+    }
+
+    /// Mirror, laser and light at `t_s`, and where the stage stands.
+    fn moment(&mut self, t_s: f64, faults: &Active) -> (Scene, [f64; 2]) {
+        let stage = self.stage.advance(t_s, faults.stuck);
+        let laser = [self.laser_rest[0] + stage[0], self.laser_rest[1] + stage[1]];
+        (self.lighting.scene(self.trajectory.pose(t_s), laser), stage)
+    }
+
+    fn code(
+        &self,
+        channel: usize,
+        (scene, stage): &(Scene, [f64; 2]),
+        faults: &Active,
+        noise: &Noise,
+    ) -> i32 {
+        if channel >= READBACK {
+            return self.electronics.readback(channel - READBACK, stage[channel - READBACK], noise);
+        }
+        if faults.clipped[channel] {
+            return self.electronics.rail();
+        }
+        let mut spots = scene.spots;
+        for (spot, dark) in spots.iter_mut().zip(faults.dark) {
+            *spot = spot.filter(|_| !dark);
+        }
+        self.electronics.signal(channel, &spots, faults.power, noise)
+    }
+}
+
+/// An independent stream of random numbers for each use of a seed.
+fn random(seed: u64, stream: u64) -> Pcg64 {
+    Pcg64::seed_from_u64(seed ^ stream.wrapping_mul(0x9E37_79B9_7F4A_7C15))
+}
+
+fn identity(config: &Config, electronics: &Electronics) -> Identity {
+    let mut roles = SIGNALS.to_vec();
+    if config.twin.steering.readback_noise_um.is_some() {
+        roles.extend([Role::Steering(0), Role::Steering(1)]);
+    }
+    let skew = |channel| (config.twin.channel_skew_us * 1e3 * channel as f64).round() as u32;
+    Identity {
+        name: format!("digital twin, seed {}", config.twin.seed),
+        rate_hz: config.acquisition.rate_hz,
+        converter: electronics.converter(),
+        skew_ns: (0..roles.len()).map(skew).collect(),
+        roles,
+        output_bits: OUTPUT_BITS,
+        simulated: true,
+    }
+}
+
+/// What would break the twin. The ranges that make sense are the business of the configuration, which
+/// has been checked when it comes from a file.
+fn check(config: &Config) -> Result<(), TwinError> {
+    let bits = config.twin.converter_bits;
+    let rate_hz = config.acquisition.rate_hz;
+    if !(rate_hz > 0.0 && rate_hz <= MAX_RATE_HZ) {
+        let reason = format!("must be above 0 and at most {MAX_RATE_HZ} with the twin, not {rate_hz}");
+        return Err(TwinError::new("acquisition.rate_hz", reason));
+    }
+    if !(8..=24).contains(&bits) {
+        let reason = format!("must be from 8 to 24, not {bits}");
+        return Err(TwinError::new("twin.converter_bits", reason));
+    }
+    let channels = config.twin.channel_count();
+    if config.twin.channel_skew_us * 1e-6 * (channels - 1) as f64 * rate_hz >= 1.0 {
+        let reason = format!("{channels} channels must fit into one sample period");
+        return Err(TwinError::new("twin.channel_skew_us", reason));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

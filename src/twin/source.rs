@@ -1,0 +1,287 @@
+//! The twin in real time, as a source of scans like any board.
+
+use std::collections::VecDeque;
+use std::io;
+use std::sync::Arc;
+
+use super::{Fate, Outputs, Twin};
+use crate::{
+    acquisition::{Ack, Down, Event, Expiry, OutputCommand, Source},
+    clock::{
+        Mono, NS_PER_S,
+        pace::{Pace, Waiting},
+    },
+    monitor::Counters,
+};
+
+/// Runs a [`Twin`] on an absolute schedule. What its faults do to the link shows as it would with a
+/// board: a lost scan as a gap before the next one, silence as [`Down::Stalled`]. It counts what no
+/// event tells: lost scans, corrupted frames, leases that ran out.
+pub struct TwinSource<C: Waiting> {
+    twin: Twin,
+    outputs: Outputs,
+    pace: Pace<C>,
+    counters: Arc<Counters>,
+    /// Happened, and not yet told.
+    events: VecDeque<Event>,
+    /// Scans that are due and not yet taken.
+    due: u64,
+    /// Scans lost since the last one that arrived.
+    lost: u32,
+    /// Time of the last scan that arrived.
+    heard: Mono,
+    down: bool,
+    stalled: bool,
+    /// Silence after which the source is down, nanoseconds.
+    patience: i64,
+}
+
+impl<C: Waiting> TwinSource<C> {
+    /// Starts the twin now. With the system's clock this must be called on the thread and in the tokio
+    /// runtime that will ask for events.
+    pub fn new(twin: Twin, clock: C, counters: Arc<Counters>) -> io::Result<Self> {
+        let rate_hz = twin.identity().rate_hz;
+        let pace = Pace::new(clock, rate_hz)?;
+        Ok(Self {
+            events: VecDeque::from([Event::Up(twin.identity().clone())]),
+            outputs: twin.outputs().clone(),
+            counters,
+            due: 0,
+            lost: 0,
+            heard: pace.schedule().time(0),
+            down: false,
+            stalled: false,
+            patience: MIN_SILENCE_NS.max((5.0 / rate_hz * NS_PER_S as f64) as i64),
+            pace,
+            twin,
+        })
+    }
+
+    /// Takes the next scan, which is due.
+    fn sample(&mut self) {
+        let time = self.pace.schedule().time(self.twin.next_index());
+        if let Some(then) = self.outputs.expire(time) {
+            self.counters.leases_expired.one();
+            if then == Expiry::Park {
+                self.twin.steer(self.outputs.park(), self.twin.next_s());
+            }
+        }
+        let scan = self.twin.next_scan();
+        self.stalled = scan.fate == Fate::Stalled;
+        match scan.arrived(time, self.lost) {
+            Some(scan) => {
+                self.counters.scans_lost.add(scan.lost.into());
+                (self.heard, self.lost, self.down) = (time, 0, false);
+                self.events.push_back(Event::Scan(scan));
+            }
+            None => self.miss(scan.fate, time),
+        }
+    }
+
+    /// A scan that was due at `time` does not arrive.
+    fn miss(&mut self, fate: Fate, time: Mono) {
+        self.lost = self.lost.saturating_add(1);
+        if fate == Fate::Corrupted {
+            self.counters.frames_corrupted.one();
+        }
+        let silence = time - self.heard;
+        if silence >= self.patience && !self.down {
+            self.down = true;
+            let silence_ms = u32::try_from(silence / 1_000_000).unwrap_or(u32::MAX);
+            self.events.push_back(Event::Down(Down::Stalled { silence_ms }));
+        }
+    }
+}
+
+impl<C: Waiting> Source for TwinSource<C> {
+    async fn next(&mut self) -> Event {
+        loop {
+            if let Some(event) = self.events.pop_front() {
+                return event;
+            }
+            if self.due > 0 {
+                // Catching up: those who work on the scans must have their turn in between.
+                tokio::task::yield_now().await;
+            } else {
+                match self.pace.due().await {
+                    Ok(due) => self.due = due,
+                    Err(e) if !self.down => {
+                        self.down = true;
+                        return Event::Down(Down::Unfit(format!("the twin's timer failed: {e}")));
+                    }
+                    // Said already, and without a timer nothing more can come.
+                    Err(_) => std::future::pending().await,
+                }
+            }
+            self.due -= 1;
+            self.sample();
+        }
+    }
+
+    fn steer(&mut self, command: OutputCommand, now: Mono) {
+        let accepted = self.outputs.take(&command, now);
+        if accepted {
+            let t_s = now.seconds_since(self.pace.schedule().time(0));
+            self.twin.steer(command.codes, t_s);
+        }
+        // A stalled board sends no answers either.
+        if !self.stalled {
+            self.events.push_back(Event::Ack(Ack { id: command.id, accepted }));
+        }
+    }
+}
+
+/// The shortest silence that counts as a stall, nanoseconds.
+const MIN_SILENCE_NS: i64 = 20_000_000;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        acquisition::Scan,
+        clock::{Clock, manual::ManualClock},
+        config::{Config, Fault, FaultKind},
+    };
+
+    const MS: i64 = 1_000_000;
+
+    struct Bench {
+        clock: ManualClock,
+        counters: Arc<Counters>,
+        source: TwinSource<ManualClock>,
+    }
+
+    fn bench(faults: &[Fault]) -> Bench {
+        let mut config = Config::default();
+        config.twin.motion.clear();
+        config.twin.fault = faults.to_vec();
+        config.steering.park_um = [250.0, 0.0];
+        let (clock, counters) = (ManualClock::new(), Arc::<Counters>::default());
+        let twin = Twin::new(&config).unwrap();
+        let source = TwinSource::new(twin, clock.clone(), Arc::clone(&counters)).unwrap();
+        Bench { clock, counters, source }
+    }
+
+    impl Bench {
+        /// All that happens in so many milliseconds, with their time.
+        async fn run(&mut self, ms: u32) -> Vec<Event> {
+            let mut events = Vec::new();
+            for _ in 0..ms {
+                self.clock.advance(MS);
+                events.extend(self.now().await);
+            }
+            events
+        }
+
+        /// All that is there without waiting.
+        async fn now(&mut self) -> Vec<Event> {
+            let mut events = Vec::new();
+            loop {
+                tokio::select! {
+                    biased;
+                    event = self.source.next() => events.push(event),
+                    () = patience() => return events,
+                }
+            }
+        }
+
+        fn command(&mut self, codes: [i32; 2], on_expiry: Expiry) {
+            let command = OutputCommand { id: 9, codes, lease_ms: 50, on_expiry };
+            let now = self.clock.now();
+            self.source.steer(command, now);
+        }
+    }
+
+    /// Longer than the source needs to catch up, in turns of the runtime: no clock is involved.
+    async fn patience() {
+        for _ in 0..200 {
+            tokio::task::yield_now().await;
+        }
+    }
+
+    fn scans(events: &[Event]) -> Vec<Scan> {
+        events.iter().filter_map(|e| if let Event::Scan(s) = e { Some(*s) } else { None }).collect()
+    }
+
+    /// Position of the stage in micrometres by the readback of a scan.
+    fn readback_um(scan: &Scan) -> f64 {
+        f64::from(scan.codes[9]) * 10.0 / f64::from(1 << 17) * 50.0
+    }
+
+    #[tokio::test]
+    async fn it_comes_up_and_delivers_every_scan_with_its_scheduled_time() {
+        let mut bench = bench(&[]);
+        let start = bench.clock.now();
+        assert!(matches!(&bench.now().await[..], [Event::Up(id), Event::Scan(_)] if id.simulated));
+        bench.clock.advance(30 * MS + 1);
+        let scans = scans(&bench.now().await);
+        assert_eq!(scans.len(), 30);
+        for (k, scan) in (1..).zip(&scans) {
+            assert_eq!((scan.index, scan.time), (k, start + k as i64 * MS));
+            assert_eq!((scan.time_sigma_ns, scan.lost), (Some(0.0), 0));
+        }
+    }
+
+    #[tokio::test]
+    async fn a_stall_is_told_once_and_ends_with_a_gap() {
+        let mut bench = bench(&[Fault { at_s: 0.1, for_s: Some(0.1), kind: FaultKind::Stalled }]);
+        let events = bench.run(250).await;
+        let silence = Event::Down(Down::Stalled { silence_ms: 20 });
+        assert_eq!(events.iter().filter(|e| matches!(e, Event::Down(_))).count(), 1);
+        let at = events.iter().position(|e| *e == silence).unwrap();
+        // Up and scans 0 to 99 come before; then scan 200 with the gap.
+        assert_eq!(at, 101);
+        let Event::Scan(first) = events[at + 1] else { panic!("{:?}", events[at + 1]) };
+        assert_eq!((first.index, first.lost), (200, 100));
+        assert_eq!(bench.counters.scans_lost.get(), 100);
+    }
+
+    #[tokio::test]
+    async fn lost_and_corrupted_scans_are_gaps_and_counted() {
+        let fault = |kind| Fault { at_s: 0.0, for_s: None, kind };
+        let mut bench = bench(&[
+            fault(FaultKind::Dropped { fraction: 0.2 }),
+            fault(FaultKind::Corrupted { fraction: 0.1 }),
+        ]);
+        let scans = scans(&bench.run(1000).await);
+        let mut expected = 0;
+        for scan in &scans {
+            assert_eq!(scan.index, expected + u64::from(scan.lost));
+            expected = scan.index + 1;
+        }
+        let (lost, corrupted) = (bench.counters.scans_lost.get(), bench.counters.frames_corrupted.get());
+        assert_eq!(lost + scans.len() as u64, expected);
+        assert!((220..340).contains(&lost) && (40..120).contains(&corrupted), "{lost} {corrupted}");
+    }
+
+    #[tokio::test]
+    async fn commands_move_the_stage_and_are_answered() {
+        let mut bench = bench(&[]);
+        bench.now().await;
+        bench.command([6554, 0], Expiry::Hold);
+        bench.command([40_000, 0], Expiry::Hold);
+        let events = bench.now().await;
+        assert_eq!(events, [true, false].map(|accepted| Event::Ack(Ack { id: 9, accepted })));
+        let last = *scans(&bench.run(200).await).last().unwrap();
+        assert!((readback_um(&last) - 100.0).abs() < 1.0, "held at the end of the lease");
+        assert_eq!(bench.counters.leases_expired.get(), 1);
+    }
+
+    #[tokio::test]
+    async fn at_the_end_of_the_lease_the_stage_parks_by_itself() {
+        let mut bench = bench(&[]);
+        bench.now().await;
+        bench.command([6554, 0], Expiry::Park);
+        let scans = scans(&bench.run(80).await);
+        assert!((readback_um(&scans[48]) - 100.0).abs() < 1.0);
+        assert!((readback_um(&scans[70]) - 250.0).abs() < 1.0);
+    }
+
+    #[tokio::test]
+    async fn a_stalled_board_does_not_answer() {
+        let mut bench = bench(&[Fault { at_s: 0.0, for_s: Some(0.01), kind: FaultKind::Stalled }]);
+        bench.now().await;
+        bench.command([1, 1], Expiry::Hold);
+        assert!(bench.now().await.is_empty());
+    }
+}

@@ -1,0 +1,190 @@
+//! The twin as a whole: what its codes say about what it did.
+
+use super::*;
+use crate::config::{Fault, Motion};
+
+/// A mirror at rest under a centred beam.
+fn quiet() -> Config {
+    let mut config = Config::default();
+    config.twin.motion = Vec::<Motion>::new();
+    config
+}
+
+fn scans(config: &Config, n: usize) -> Vec<TwinScan> {
+    let mut twin = Twin::new(config).unwrap();
+    (0..n).map(|_| twin.next_scan()).collect()
+}
+
+fn volts(scan: &TwinScan, channel: usize) -> f64 {
+    f64::from(scan.codes[channel]) * 10.0 / f64::from(1 << 17)
+}
+
+fn mean_and_sd(x: &[f64]) -> (f64, f64) {
+    let n = x.len() as f64;
+    let mean = x.iter().sum::<f64>() / n;
+    (mean, (x.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt())
+}
+
+#[test]
+fn a_seed_gives_the_same_scans_and_another_others() {
+    let mut config = Config::default();
+    let first = scans(&config, 500);
+    assert_eq!(first, scans(&config, 500));
+    config.twin.seed = 2;
+    assert_ne!(first[499].codes, scans(&config, 500)[499].codes);
+}
+
+#[test]
+fn scans_come_at_index_over_rate() {
+    let mut config = quiet();
+    config.acquisition.rate_hz = 3000.0;
+    for (k, scan) in scans(&config, 100).iter().enumerate() {
+        assert_eq!((scan.index, scan.t_s), (k as u64, k as f64 / 3000.0));
+    }
+}
+
+#[test]
+fn the_noise_is_that_of_the_configuration() {
+    let n = 20_000;
+    let scans = scans(&quiet(), n);
+    let light = scans[0].truth.spots.map(Option::unwrap);
+    let check = |channel: usize, scale: f64, mean: f64, sd: f64| {
+        let x: Vec<f64> = scans.iter().map(|s| volts(s, channel) * scale).collect();
+        let (m, s) = mean_and_sd(&x);
+        let root = (n as f64).sqrt();
+        assert!((m - mean).abs() < 4.0 * sd / root, "channel {channel}: mean {m}, not {mean}");
+        assert!((s / sd - 1.0).abs() < 4.0 / (root * 2_f64.sqrt()), "channel {channel}: sd {s}, not {sd}");
+    };
+    for (psd, spot) in light.iter().enumerate() {
+        for axis in 0..2 {
+            check(3 * psd + axis, 6.5e-3 / 10.0, spot.at[axis], 1.08e-6);
+        }
+        let power_mw = 0.8 * spot.power;
+        check(3 * psd + 2, 0.0667, power_mw, 1e-3 * power_mw);
+    }
+    check(9, 50e-6, 0.0, 0.1e-6);
+    check(10, 50e-6, 0.0, 0.1e-6);
+}
+
+#[test]
+fn faults_show_in_their_channels_alone_and_leave_later_noise_as_it_was() {
+    let plain = scans(&quiet(), 300);
+    let rail = (1 << 17) - 1;
+    let faulty = |kind: FaultKind| {
+        let mut config = quiet();
+        config.twin.fault = vec![Fault { at_s: 0.1, for_s: Some(0.1), kind }];
+        let faulty = scans(&config, 300);
+        assert!(faulty[..100].iter().zip(&plain).all(|(a, b)| a == b), "{kind:?} came early");
+        assert!(faulty[200..].iter().zip(&plain[200..]).all(|(a, b)| a == b), "{kind:?} left a trace");
+        faulty[100..200].to_vec()
+    };
+    let changed = |scans: &[TwinScan]| -> Vec<usize> {
+        (0..11).filter(|&c| scans.iter().zip(&plain[100..]).any(|(a, b)| a.codes[c] != b.codes[c])).collect()
+    };
+    let no_light = |s: &TwinScan, psd: usize| s.codes[3 * psd + 2] == 0 && volts(s, 3 * psd).abs() < 0.01;
+
+    let blocked = faulty(FaultKind::BeamBlocked);
+    assert!(blocked.iter().all(|s| (0..3).all(|psd| no_light(s, psd))));
+    let dark = faulty(FaultKind::PsdDark { psd: 1 });
+    assert!(dark.iter().all(|s| no_light(s, 1)));
+    // With the beam centred, B's own u is 0 with or without light; v and the sum are not.
+    assert_eq!(changed(&dark).into_iter().filter(|c| !(3..6).contains(c)).count(), 0);
+    let clipped = faulty(FaultKind::Clipped { channel: 7 });
+    assert_eq!(changed(&clipped), [7]);
+    assert!(clipped.iter().all(|s| s.codes[7] == rail));
+    let dimmed = faulty(FaultKind::LaserPower { factor: 0.5 });
+    assert_eq!(changed(&dimmed), [2, 5, 8]);
+    assert!((volts(&dimmed[0], 2) / volts(&plain[100], 2) - 0.5).abs() < 1e-4);
+
+    let fates = |kind| faulty(kind).iter().map(|s| s.fate).collect::<Vec<_>>();
+    let count = |fates: Vec<Fate>, fate| fates.iter().filter(|f| **f == fate).count();
+    assert_eq!(count(fates(FaultKind::Stalled), Fate::Stalled), 100);
+    let dropped = count(fates(FaultKind::Dropped { fraction: 0.3 }), Fate::Dropped);
+    assert!((10..=50).contains(&dropped), "{dropped}");
+    let corrupted = count(fates(FaultKind::Corrupted { fraction: 0.3 }), Fate::Corrupted);
+    assert!((10..=50).contains(&corrupted), "{corrupted}");
+    assert!(plain.iter().all(|s| s.fate == Fate::Sent));
+}
+
+#[test]
+fn the_laser_follows_its_commands_and_the_readback_tells() {
+    let mut config = quiet();
+    config.twin.laser_offset_um = [20.0, 0.0];
+    let mut twin = Twin::new(&config).unwrap();
+    // 100 um and -50 um; 1 ms of delay and 0.5 ms of lag.
+    twin.steer([6554, -3277], 0.0);
+    for _ in 0..2 {
+        let laser = twin.next_scan().truth.laser;
+        assert!((laser[0] - 20e-6).abs() < 1e-18 && laser[1] == 0.0, "{laser:?}");
+    }
+    let after_two_lags = twin.next_scan().truth.laser;
+    assert!((after_two_lags[0] - (20e-6 + 100e-6 * (1.0 - (-2_f64).exp()))).abs() < 1e-8);
+    let last = (0..20).map(|_| twin.next_scan()).last().unwrap();
+    assert!((last.truth.offset.x - 120e-6).abs() < 1e-8 && (last.truth.offset.y + 50e-6).abs() < 1e-8);
+    assert!((volts(&last, 9) * 50.0 - 100.0).abs() < 1.0 && (volts(&last, 10) * 50.0 + 50.0).abs() < 1.0);
+    assert!(!last.output_railed);
+}
+
+#[test]
+fn a_stuck_stage_stays_and_a_railed_one_says_so() {
+    let mut config = quiet();
+    config.twin.steering.limit_um = 100.0;
+    let mut twin = Twin::new(&config).unwrap();
+    twin.inject(FaultKind::SteeringStuck, Some(0.05)).unwrap();
+    twin.steer([20_000, 0], 0.0);
+    let run: Vec<_> = (0..100).map(|_| twin.next_scan()).collect();
+    assert!(run[..50].iter().all(|s| s.truth.laser == [0.0; 2] && !s.output_railed));
+    assert!((run[99].truth.laser[0] - 100e-6).abs() < 1e-12 && run[99].output_railed);
+}
+
+#[test]
+fn with_skew_each_channel_is_taken_at_its_own_time() {
+    let mut config = Config::default();
+    config.acquisition.rate_hz = 100.0;
+    config.twin.channel_skew_us = 100.0;
+    config.twin.spot_noise_um = 0.0;
+    config.twin.motion = vec![Motion {
+        axis: crate::config::Axis::Tz,
+        amount_um: Some(100_000.0),
+        amount_urad: None,
+        kind: crate::config::MotionKind::Ramp,
+        from_s: 0.0,
+        until_s: Some(100.0),
+        frequency_hz: None,
+        high_hz: None,
+        phase_deg: 0.0,
+    }];
+    let mut twin = Twin::new(&config).unwrap();
+    assert_eq!(twin.identity().skew_ns[10], 1_000_000);
+    let scan = twin.next_scan();
+    // tz rises by 1 mm/s: 0.1 um from channel to channel. All v read the same height otherwise.
+    let v = |psd: usize| volts(&scan, 3 * psd + 1) * 650.0;
+    assert!((v(1) - v(0) - 0.3).abs() < 0.06 && (v(2) - v(1) - 0.3).abs() < 0.06);
+    config.acquisition.rate_hz = 1000.0;
+    assert_eq!(Twin::new(&config).unwrap_err().key, "twin.channel_skew_us");
+}
+
+#[test]
+fn without_readback_there_are_nine_channels() {
+    let mut config = quiet();
+    config.twin.steering.readback_noise_um = None;
+    assert_eq!(Twin::new(&config).unwrap().identity().roles, SIGNALS);
+}
+
+#[test]
+fn what_a_twin_cannot_be_is_refused_by_key() {
+    let refused = |key: &str, change: &dyn Fn(&mut Config)| {
+        let mut config = quiet();
+        change(&mut config);
+        assert_eq!(Twin::new(&config).unwrap_err().key, key);
+    };
+    for rate_hz in [0.0, -1.0, f64::NAN, 20_001.0] {
+        refused("acquisition.rate_hz", &|c| c.acquisition.rate_hz = rate_hz);
+    }
+    refused("twin.converter_bits", &|c| c.twin.converter_bits = 33);
+    refused("head", &|c| c.head.psd_distance_mm = 0.0);
+    refused("twin.motion[0].amount_um", &|c| {
+        c.twin.motion = Config::default().twin.motion;
+        c.twin.motion[0].amount_um = None;
+    });
+}

@@ -1,0 +1,171 @@
+//! Configurations, good and bad: what is refused, where, and with which words.
+
+use std::path::Path;
+
+use trifacet::config::{Config, ConfigError, SourceKind, parse};
+
+/// The message of a configuration that must be refused.
+fn refusal(text: &str) -> String {
+    match parse(text, Some(Path::new("lab.toml"))) {
+        Ok(_) => panic!("accepted:\n{text}"),
+        Err(error) => error.to_string(),
+    }
+}
+
+/// Text, and what the message must contain: place, key with its value, what is allowed.
+#[rustfmt::skip]
+const BAD: &[(&str, &[&str])] = &[
+    // Not TOML
+    ("[head\n", &["lab.toml:1:", "not TOML"]),
+    ("\n\nx = = 1", &["lab.toml:3:", "not TOML"]),
+    ("[head]\npsd_size_mm = 13\npsd_size_mm = 12\n", &["lab.toml:3:1: ", "duplicate key"]),
+    // Unknown keys
+    ("[heda]\n", &["lab.toml:1:2: heda is no key", "did you mean head?", "acquisition, channels"]),
+    ("[head]\npsd_distance = 250\n", &["lab.toml:2:1: head.psd_distance is no key", "did you mean psd_distance_mm?"]),
+    ("# first\nacquisition.rate = 5\n", &["lab.toml:2:13: acquisition.rate is no key", "did you mean rate_hz?"]),
+    ("[acquisition.serial]\nbadu = 9600\n", &["lab.toml:2:1: acquisition.serial.badu", "did you mean baud?"]),
+    ("[[twin.motion]]\naxis = 'tx'\nkind = 'step'\namount_mm = 1\n", &["lab.toml:4:1: twin.motion[0].amount_mm", "did you mean amount_um?"]),
+    ("[[twin.fault]]\nkind = 'stalled'\nat = 1\n", &["lab.toml:3:1: twin.fault[0].at ", "did you mean at_s?"]),
+    // Wrong types, with what is allowed
+    ("[head]\npsd_size_mm = \"13\"\n", &["lab.toml:2:15: head.psd_size_mm = \"13\": ", "expected f64", "allowed is 0.5 to 200"]),
+    ("acquisition = 3", &["lab.toml:1:15: acquisition = 3: "]),
+    ("[steering]\nlease_ms = 70000\n", &["lab.toml:2:12: steering.lease_ms = 70000", "allowed is 10 to 10000"]),
+    ("[steering]\nlease_ms = -1\n", &["lab.toml:2:12: steering.lease_ms = -1", "allowed is 10 to 10000"]),
+    ("[estimation]\naverage = 2.5\n", &["lab.toml:2:11: estimation.average = 2.5", "allowed is 1 to 60000"]),
+    ("[realtime]\npriority = 300", &["lab.toml:2:12: realtime.priority = 300", "allowed is 0 to 99"]),
+    ("[twin]\nseed = -1", &["lab.toml:2:8: twin.seed = -1", "allowed is 0 to 9007199254740992"]),
+    ("[twin]\ndark_v = [0, 0]\n", &["lab.toml:2:10: twin.dark_v", "array of length 9"]),
+    ("[channels.b]\ngain = [1, 'x', 1]\n", &["lab.toml:2:12: channels.b.gain[1] = 'x'", "-100 to 100"]),
+    ("[acquisition]\nsource = 'usb'\n", &["lab.toml:2:10: acquisition.source = 'usb'", "`twin` or `serial`"]),
+    ("[estimation]\nmodel = 'Gaussian'\n", &["lab.toml:2:9: estimation.model", "`ray` or `gaussian`"]),
+    ("[publishing]\ntcp = 'localhost'\n", &["lab.toml:2:7: publishing.tcp = 'localhost'", "127.0.0.1:7361", "\"off\""]),
+    ("[publishing]\nudp = ['127.0.0.1:1', 'b']\n", &["lab.toml:2:23: publishing.udp[1] = 'b'", "127.0.0.1:7361"]),
+    ("[twin.steering]\nreadback_noise_um = 'no'\n", &["lab.toml:2:21: twin.steering.readback_noise_um = 'no'", "\"off\"", "0 to 1000"]),
+    ("[[twin.motion]]\nkind = 'step'\namount_um = 1\n", &["lab.toml:1:", "twin.motion[0]", "missing field `axis`"]),
+    ("[[twin.fault]]\nat_s = 1\nkind = 'psd-dark'\n", &["lab.toml:1:", "twin.fault[0]", "needs the key `psd`"]),
+    ("[[twin.fault]]\nat_s = 1\nkind = 'stalled'\npsd = 1\n", &["twin.fault[0]", "`psd` does not belong"]),
+    ("[[twin.fault]]\nat_s = 1\nkind = 'psd-dark'\npsd = -1\n", &["lab.toml:4:7: twin.fault[0].psd = -1", "allowed is 0 to 2"]),
+    // Values that are no numbers
+    ("[head]\npsd_distance_mm = nan\n", &["lab.toml:2:19: head.psd_distance_mm = nan: allowed is 5 to 10000"]),
+    ("[head]\nfacet_angle_deg = inf\n", &["lab.toml:2:19: head.facet_angle_deg = inf: allowed is 5 to 85"]),
+    ("[centering]\nkp = -inf\n", &["lab.toml:2:6: centering.kp = -inf: allowed is 0 to 10"]),
+    ("[head]\nbeam_direction = [0, 0, nan]\n", &["lab.toml:2:18: head.beam_direction", "three finite numbers"]),
+    ("[head.a]\npsd_origin_mm = [250, inf, 0]\n", &["lab.toml:2:23: head.a.psd_origin_mm[1] = inf: allowed is -10000 to 10000"]),
+    // Clashes of values that are fine alone
+    ("[steering]\nlimit_um = 600\n", &["lab.toml:2:12: steering.limit_um = 600: allowed is at most steering.full_scale_um, 500"]),
+    ("[steering]\nfull_scale_um = 300\n", &["lab.toml:2:17: steering.limit_um = 400.0 (default): allowed is at most steering.full_scale_um, 300"]),
+    ("[steering]\npark_um = [0, -401]\n", &["lab.toml:2:15: steering.park_um[1] = -401: allowed is within plus/minus steering.limit_um, 400"]),
+    ("[head]\nfacet_angle_deg = 40\n", &["lab.toml:1:1: head: ", "falls off its PSD", "light reaches all three PSDs"]),
+    ("[head]\nbeam_direction = [0, 0, 1]\n", &["lab.toml:1:1: head: ", "does not face the light"]),
+    ("[head.a]\nnormal = [-1, 1.7, 2]\n[head.b]\nnormal = [1, 0, 1]\n", &["head: ", "counter-clockwise"]),
+    ("[head.c]\npsd_normal = [1, 2, 0]\npsd_up = [2, 4, 0]\n", &["lab.toml:3:10: head.c.psd_up = [2, 4, 0]: allowed is a direction across psd_normal"]),
+    ("[acquisition]\nsource = 'serial'\nserial.baud = 115200\n", &["lab.toml:3:15: acquisition.serial.baud = 115200: allowed is ", "or more", "at 1000 Hz"]),
+    ("[acquisition]\nsource = 'serial'\nrate_hz = 20000\n", &["lab.toml:3:11: acquisition.serial.baud = 921600 (default): allowed is ", "at 20000 Hz"]),
+    ("[twin]\nlaser_mw = 5\n", &["lab.toml:2:12: twin.laser_mw = 5: allowed is ", "below 9.99 V", "24.988 V"]),
+    ("[twin]\nchannel_skew_us = 100\n", &["lab.toml:2:19: twin.channel_skew_us = 100: allowed is 11 channels within a period of 1000 us"]),
+    ("[head]\npsd_size_mm = 1\n", &["lab.toml:2:15: estimation.edge_margin_mm = 0.5 (default): allowed is less than half of head.psd_size_mm, 0.5"]),
+    ("[channels.a]\ngain = [0, 1, -1]\n", &["lab.toml:2:9: channels.a.gain[0] = 0: allowed is 0.01 to 100 or", "lab.toml:2:15: channels.a.gain[2] = -1: allowed is 0.01 to 100 (a power)"]),
+    ("[channels.c]\ncorrection = 'no/such.csv'\n", &["lab.toml:2:14: channels.c.correction = 'no/such.csv'", "relative to this one: no/such.csv: No such file"]),
+    ("[log]\nlevel = 'inof'\n", &["lab.toml:2:9: log.level = 'inof': allowed is off, error, warn, info"]),
+    ("[acquisition.serial]\nport = ''\n", &["lab.toml:2:8: acquisition.serial.port = '': allowed is the path of a serial port"]),
+    ("[publishing]\nudp = ['1.2.3.4:0']\n", &["lab.toml:2:8: publishing.udp[0] = '1.2.3.4:0': allowed is a port from 1 to 65535"]),
+    ("[publishing]\nudp = ['1.2.3.4:5', '1.2.3.4:5']\n", &["lab.toml:2:21: publishing.udp[1]", "each address once"]),
+    // Motions
+    ("[[twin.motion]]\naxis = 'roll'\nkind = 'step'\namount_um = 1\n",
+        &["lab.toml:1:1: twin.motion[0].amount_urad = absent: allowed is a number", "lab.toml:4:13: twin.motion[0].amount_um = 1: allowed is absent: a turn has amount_urad"]),
+    ("[[twin.motion]]\naxis = 'tx'\nkind = 'step'\namount_urad = 1\n", &["twin.motion[0].amount_um = absent", "lab.toml:4:15: twin.motion[0].amount_urad = 1: allowed is absent: a translation has amount_um"]),
+    ("[twin]\nmotion = [{axis = 'tx', kind = 'step', amount_um = 1},\n {axis = 'tx', kind = 'ramp', amount_um = 99999, until_s = 1}]\n", &["lab.toml:3:43: twin.motion[1].amount_um = 99999: allowed is -10000 to 10000"]),
+    ("[[twin.motion]]\naxis = 'tx'\nkind = 'ramp'\namount_um = 1\n", &["lab.toml:1:1: twin.motion[0].until_s = absent: allowed is a number: a ramp needs it"]),
+    ("[[twin.motion]]\naxis = 'tx'\nkind = 'sine'\namount_um = 1\n", &["twin.motion[0].frequency_hz = absent: allowed is a number: a sine needs it"]),
+    ("[[twin.motion]]\naxis = 'tx'\nkind = 'step'\namount_um = 1\nfrequency_hz = 2\n", &["lab.toml:5:16: twin.motion[0].frequency_hz = 2: allowed is absent: a step has no such key"]),
+    ("[[twin.motion]]\naxis = 'tx'\nkind = 'step'\namount_um = 1\nfrom_s = 3\nuntil_s = 2\n", &["lab.toml:6:11: twin.motion[0].until_s = 2: allowed is later than from_s, 3"]),
+    ("[[twin.motion]]\naxis = 'tx'\nkind = 'vibration'\namount_um = 1\nfrequency_hz = 10\nhigh_hz = 500\n", &["lab.toml:6:11: twin.motion[0].high_hz = 500: allowed is below half of acquisition.rate_hz, 500"]),
+    ("[[twin.motion]]\naxis = 'tx'\nkind = 'vibration'\namount_um = -1\nfrequency_hz = 10\nhigh_hz = 5\n", &["lab.toml:4:13: twin.motion[0].amount_um = -1: allowed is 0 or more", "lab.toml:6:11: twin.motion[0].high_hz = 5: allowed is more than frequency_hz, 10"]),
+];
+
+#[test]
+fn bad_files_are_refused_with_place_key_and_what_is_allowed() {
+    for (text, parts) in BAD {
+        let message = refusal(text);
+        for part in *parts {
+            assert!(message.contains(part), "{text}\nsays: {message}\nwants: {part}");
+        }
+    }
+}
+
+#[test]
+fn all_values_out_of_range_are_reported_in_the_order_of_the_file() {
+    let message = refusal("[twin]\nbow_um = 2e4\n[head]\npsd_size_mm = 0\n[acquisition]\nrate_hz = 1e6\n");
+    let lines: Vec<_> = message.lines().map(|line| line.split(" = ").next().unwrap()).collect();
+    assert_eq!(
+        lines,
+        [
+            "lab.toml:2:10: twin.bow_um",
+            "lab.toml:4:15: head.psd_size_mm",
+            "lab.toml:6:11: acquisition.rate_hz"
+        ]
+    );
+}
+
+#[test]
+fn an_empty_file_is_the_defaults() {
+    assert_eq!(parse("", None).unwrap(), Config::default());
+}
+
+#[test]
+fn good_files_mean_what_they_say() {
+    let config = parse(
+        "acquisition = {source = 'serial', rate_hz = 100}\n\
+         [publishing]\ntcp = 'off'\nudp = []\n\
+         [twin]\nmotion = []\nsteering.readback_noise_um = 'off'\n\
+         [[twin.fault]]\nat_s = 1\nfor_s = 2.5\nkind = 'dropped'\nfraction = 0.5\n",
+        None,
+    )
+    .unwrap();
+    assert_eq!(config.acquisition.source, SourceKind::Serial);
+    assert_eq!(config.publishing.tcp, None);
+    assert!(config.publishing.udp.is_empty() && config.twin.motion.is_empty());
+    assert_eq!(config.twin.steering.readback_noise_um, None);
+    assert_eq!(config.twin.channel_count(), 9);
+    assert_eq!(config.twin.fault[0].for_s, Some(2.5));
+    let off = |text: &str| parse(text, None).unwrap();
+    assert_eq!(off("twin.steering.readback_noise_um = 1").twin.steering.readback_noise_um, Some(1.0));
+}
+
+#[test]
+fn a_file_that_is_not_there_is_an_error_with_its_name() {
+    let error = trifacet::config::load(Some(Path::new("/no/such/lab.toml"))).unwrap_err();
+    assert!(matches!(error, ConfigError::Unreadable { .. }));
+    assert!(error.to_string().contains("/no/such/lab.toml"), "{error}");
+}
+
+#[test]
+fn a_correction_table_is_found_beside_the_file_and_counts_in_the_fingerprint() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("lab.toml");
+    let table = folder.path().join("a.csv");
+    std::fs::write(&table, "u_m,v_m,du_m,dv_m\n").unwrap();
+    std::fs::write(&file, "channels.a.correction = 'a.csv'\n").unwrap();
+    let config = trifacet::config::load(Some(&file)).unwrap();
+    assert_eq!(config.channels.a.correction.as_deref(), Some(table.as_path()));
+
+    let before = config.config_id().unwrap();
+    assert_ne!(before, Config::default().config_id().unwrap());
+    std::fs::write(&table, "u_m,v_m,du_m,dv_m\n1,1,1,1\n").unwrap();
+    assert_ne!(config.config_id().unwrap(), before);
+}
+
+#[test]
+fn the_fingerprint_is_that_of_geometry_and_calibration() {
+    let id = |text: &str| parse(text, None).unwrap().config_id().unwrap();
+    // This number is part of the format: it must be the same in every version and on every machine.
+    assert_eq!(id(""), 3_635_944_138, "the defaults");
+    assert_eq!(id("acquisition.rate_hz = 50\nlog.level = 'warn'\ntwin.seed = 3"), id(""));
+    for text in [
+        "head.psd_distance_mm = 250.0000001",
+        "channels.b.gain = [1, -1, 1]",
+        "channels.a.dark_v = [0.0, 0.0, 1e-6]",
+    ] {
+        assert_ne!(id(text), id(""), "{text}");
+    }
+}
