@@ -20,7 +20,7 @@ use crate::{
 const TICK_HZ: u32 = 10_000_000;
 
 /// Bytes that may wait for the wire. What comes on top is not sent, as on a board whose buffer is full.
-const QUEUE: usize = 8192;
+const QUEUE: usize = 65_536;
 
 /// What moved the steering outputs last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -406,6 +406,6 @@ mod tests {
             bench.board.sample(bench.now);
         }
         assert!(bench.board.output().len() < QUEUE + 250);
-        assert!(bench.board.state().scans_unsent > 9_000);
+        assert!(bench.board.state().scans_unsent > 8_000);
     }
 }
