@@ -1,0 +1,51 @@
+//! `trifacet simulate` through the binary.
+
+#![allow(clippy::unwrap_used)]
+
+use std::io::{BufRead, BufReader};
+use std::process::{Command, Output, Stdio};
+
+fn simulate() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_trifacet"));
+    command.arg("simulate");
+    command
+}
+
+fn with_config(text: &str) -> Output {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), text).unwrap();
+    simulate().args(["--samples", "300", "--config"]).arg(file.path()).output().unwrap()
+}
+
+#[test]
+fn a_seed_gives_the_same_bytes_and_another_others() {
+    let shaken = |seed: u64| {
+        let output = with_config(&format!(
+            "[twin]\nseed = {seed}\n[[twin.motion]]\naxis = \"tz\"\nkind = \"vibration\"\n\
+             amount_um = 5.0\nfrequency_hz = 10\nhigh_hz = 100\n"
+        ));
+        assert!(output.status.success(), "{output:?}");
+        let text = String::from_utf8(output.stdout).unwrap();
+        assert_eq!(text.lines().count(), 301);
+        text
+    };
+    assert_eq!(shaken(7), shaken(7));
+    assert_ne!(shaken(7), shaken(8));
+}
+
+#[test]
+fn a_reader_that_has_seen_enough_may_leave() {
+    let mut child = simulate().args(["--samples", "1000000000"]).stdout(Stdio::piped()).spawn().unwrap();
+    let mut line = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    assert!(line.starts_with("sample,time_s,true_tx_m,"), "{line}");
+    assert!(child.wait().unwrap().success());
+}
+
+#[test]
+fn a_wrong_configuration_is_refused() {
+    let output = with_config("[twin]\nlaser_w = 1.0\n");
+    assert_eq!(output.status.code(), Some(78));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("laser_w"), "{output:?}");
+    assert!(output.stdout.is_empty());
+}
