@@ -83,7 +83,8 @@ struct Host {
 }
 
 fn config(port: &Path) -> Config {
-    let text = format!("[acquisition]\nsource = \"serial\"\n[acquisition.serial]\nport = {port:?}\n");
+    let text =
+        format!("[acquisition]\nsource = \"serial\"\n[acquisition.serial]\nport = '{}'\n", port.display());
     config::parse(&text, None).unwrap()
 }
 
