@@ -24,6 +24,8 @@ const EXIT_CODES: &str = "Exit codes: 0 fine, 64 wrong command line, 65 bad rows
 enum Command {
     /// Say what a configuration means, or what is wrong with it
     Check(commands::CheckArgs),
+    /// Play an acquisition board on a pseudo-terminal
+    Emulate(commands::EmulateArgs),
     /// Compute signals from poses: CSV in, CSV out
     Trace(commands::TableArgs),
     /// Compute poses from signals: CSV in, CSV out
@@ -44,6 +46,7 @@ fn main() -> ExitCode {
     };
     let result = match cli.command {
         Command::Check(args) => commands::check(&args),
+        Command::Emulate(args) => commands::emulate(&args),
         Command::Trace(args) => commands::trace(&args),
         Command::Solve(args) => commands::solve(&args),
         Command::Simulate(args) => commands::simulate(&args),

@@ -7,12 +7,14 @@ use anyhow::Context;
 use trifacet::config::{self, Config};
 
 mod check;
+mod emulate;
 mod simulate;
 mod table;
 mod trace;
 mod watch;
 
 pub(crate) use check::{CheckArgs, check};
+pub(crate) use emulate::{EmulateArgs, emulate};
 pub(crate) use simulate::{SimulateArgs, simulate};
 pub(crate) use trace::{TableArgs, solve, trace};
 pub(crate) use watch::{WatchArgs, watch};

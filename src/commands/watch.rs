@@ -16,6 +16,8 @@ use trifacet::{
     publishing::columns::Columns,
 };
 
+use super::written;
+
 /// Over UDP nothing says that a daemon is there; after this long without a frame, say so.
 const SILENCE: Duration = Duration::from_secs(3);
 /// Text shows at most a frame in this time.
@@ -78,7 +80,7 @@ async fn follow(args: &WatchArgs) -> Result<()> {
                     return Err(unavailable(why));
                 }
                 if !silent {
-                    eprintln!("{why}; still waiting");
+                    note(&format!("{why}; still waiting"));
                 }
                 silent = true;
             }
@@ -104,6 +106,11 @@ fn opening_failed(endpoint: &Endpoint, error: &ClientError) -> anyhow::Error {
         }
         _ => unavailable(error.to_string()),
     }
+}
+
+/// A line on standard error, which may be closed.
+fn note(line: &str) {
+    let _ = writeln!(io::stderr(), "trifacet: {line}");
 }
 
 /// Why nothing may come.
@@ -146,13 +153,10 @@ impl Printer {
         }
     }
 
-    /// Prints a frame if it is due. Breaks after the last one, and when nobody reads any more.
+    /// Prints a frame if it is due. Breaks after the last one.
     fn frame(&mut self, frame: &PoseFrame) -> Result<ControlFlow<()>> {
         let Some(text) = self.lines(frame) else { return Ok(ControlFlow::Continue(())) };
-        match io::stdout().lock().write_all(text.as_bytes()) {
-            Err(e) if e.kind() == io::ErrorKind::BrokenPipe => return Ok(ControlFlow::Break(())),
-            result => result?,
-        }
+        written(io::stdout().lock().write_all(text.as_bytes()))?;
         self.started = true;
         if let Some(left) = &mut self.left {
             *left -= 1;
@@ -230,18 +234,16 @@ impl LossNotes {
         self.said = Some(Instant::now());
         self.own = losses;
         let Losses { missed_frames, late_frames, skipped_bytes } = losses;
-        eprintln!(
+        note(&format!(
             "so far {missed_frames} frames missing, {late_frames} late, {skipped_bytes} bytes unreadable"
-        );
+        ));
     }
 
     fn note_daemon(&mut self, heartbeat: &Heartbeat) {
         if heartbeat.dropped > self.dropped {
             self.dropped = heartbeat.dropped;
-            eprintln!(
-                "the daemon dropped {} frames so far because this client did not keep up",
-                self.dropped
-            );
+            let dropped = self.dropped;
+            note(&format!("the daemon dropped {dropped} frames so far because this client did not keep up"));
         }
     }
 }

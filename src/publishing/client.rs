@@ -236,7 +236,7 @@ mod tests {
     use super::*;
     use crate::{
         clock::Mono,
-        publishing::frame::{Stamp, tests::report},
+        publishing::stamp::{Stamp, tests::report},
     };
 
     fn frame(session: u32, sequence: u64) -> PoseFrame {

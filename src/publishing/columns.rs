@@ -132,7 +132,7 @@ mod tests {
     use super::*;
     use crate::{
         clock::Mono,
-        publishing::frame::{Stamp, tests::report},
+        publishing::stamp::{Stamp, tests::report},
     };
 
     fn frame() -> PoseFrame {

@@ -4,12 +4,7 @@ use super::{
     layout::FRAME_SIZE,
     message::{self, CRC_SIZE, Kind, MAJOR},
 };
-use crate::{
-    centering::LockState,
-    clock::Mono,
-    estimation::{PoseReport, Status},
-    optics::Pose,
-};
+use crate::{centering::LockState, estimation::Status};
 
 /// The clock quality of a frame whose time is of unknown quality.
 pub const CLOCK_UNKNOWN: u16 = u16::MAX;
@@ -62,23 +57,6 @@ pub struct PoseFrame {
     pub steering: [f32; 2],
 }
 
-/// What a frame says besides the report: who sends it, as what number, and when.
-#[derive(Clone, Copy, Debug)]
-pub struct Stamp {
-    /// As in [`PoseFrame::session`].
-    pub session: u32,
-    /// As in [`PoseFrame::config`].
-    pub config: u32,
-    /// As in [`PoseFrame::sequence`].
-    pub sequence: u64,
-    /// The report's time in nanoseconds of UTC since 1970.
-    pub time_ns: i64,
-    /// Whether `time_ns` agrees with the system clock (else `CLOCK_UNSYNCED`).
-    pub synced: bool,
-    /// The moment of sending.
-    pub sent: Mono,
-}
-
 /// Why bytes are not a pose frame.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FrameError {
@@ -113,40 +91,6 @@ pub enum FrameError {
 }
 
 impl PoseFrame {
-    /// The frame of a report. What the report does not know becomes NaN; the pose is there exactly
-    /// if `POSE_VALID` is.
-    pub fn from_report(report: &PoseReport, stamp: Stamp) -> Self {
-        let pose = report.pose.filter(|_| report.status.has(Status::POSE_VALID));
-        let mut status = report.status;
-        if pose.is_none() {
-            status.0 &= !Status::POSE_VALID.0;
-        }
-        status.set(Status::CLOCK_UNSYNCED, !stamp.synced);
-        let variances = pose.and(report.covariance).map(|c| c.diagonal());
-        Self {
-            session: stamp.session,
-            config: stamp.config,
-            sequence: stamp.sequence,
-            sample_index: report.index,
-            time_ns: stamp.time_ns,
-            solve_delay_ns: delay_ns(report.solved - report.time),
-            send_delay_ns: delay_ns(stamp.sent - report.time),
-            status,
-            clock_quality: clock_quality(report.time_sigma_ns),
-            lock: report.lock,
-            iterations: report.iterations,
-            pose: pose.map_or([f64::NAN; 6], Pose::to_array),
-            deviations: variances.map_or([f32::NAN; 6], |v| std::array::from_fn(|i| v[i].sqrt() as f32)),
-            beam_offset: report.offset.map_or([f32::NAN; 2], |o| o.map(|x| x as f32)),
-            steering_residual: report.steering_residual.map_or(f32::NAN, |x| x as f32),
-            averaged: report.averaged,
-            lost: u16::try_from(report.lost).unwrap_or(u16::MAX),
-            spots: report.spots.map(|x| x as f32),
-            powers: report.powers.map(|x| x as f32),
-            steering: report.steering.map_or([f32::NAN; 2], |s| s.map(|x| x as f32)),
-        }
-    }
-
     /// The 192 bytes of this frame.
     pub fn encode(&self) -> FrameBytes {
         let mut w = Writer { bytes: [0; FRAME_SIZE], at: 0 };
@@ -228,16 +172,6 @@ fn lock_state([number]: [u8; 1]) -> Result<LockState, FrameError> {
     LockState::ALL.get(usize::from(number)).copied().ok_or(FrameError::Lock(number))
 }
 
-fn delay_ns(ns: i64) -> u32 {
-    ns.clamp(0, i64::from(u32::MAX)) as u32
-}
-
-fn clock_quality(sigma_ns: Option<f64>) -> u16 {
-    sigma_ns
-        .filter(|s| s.is_finite())
-        .map_or(CLOCK_UNKNOWN, |s| (s / 100.0).round().clamp(0.0, f64::from(CLOCK_UNKNOWN - 1)) as u16)
-}
-
 struct Writer {
     bytes: FrameBytes,
     at: usize,
@@ -274,82 +208,16 @@ impl Reader<'_> {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
-    use nalgebra::Matrix6;
+mod tests {
     use proptest::prelude::*;
 
     use super::*;
-
-    /// A report with everything in it.
-    pub(crate) fn report() -> PoseReport {
-        PoseReport {
-            index: 1234,
-            time: Mono(1_000_000),
-            time_sigma_ns: Some(1_840.0),
-            solved: Mono(1_080_000),
-            status: Status::POSE_VALID | Status::SIMULATED,
-            lock: LockState::Locked,
-            pose: Some(Pose::from_array([1e-6, -2e-6, 3e-6, 4e-6, -5e-6, 6e-6])),
-            covariance: Some(Matrix6::identity() * 4e-12),
-            offset: Some([0.5e-6, -0.25e-6]),
-            steering_residual: Some(1e-7),
-            iterations: 2,
-            averaged: 1,
-            lost: 0,
-            spots: [1e-3; 6],
-            powers: [0.8e-3 / 3.0; 3],
-            steering: Some([1e-5, 2e-5]),
-        }
-    }
-
-    fn stamp() -> Stamp {
-        Stamp { session: 7, config: 8, sequence: 9, time_ns: 10, synced: true, sent: Mono(1_090_000) }
-    }
+    use crate::publishing::stamp::tests::{report, stamp};
 
     fn resealed(mut bytes: FrameBytes) -> FrameBytes {
         let crc = crc32fast::hash(&bytes[..188]);
         bytes[188..].copy_from_slice(&crc.to_le_bytes());
         bytes
-    }
-
-    #[test]
-    fn a_report_becomes_a_frame() {
-        let frame = PoseFrame::from_report(&report(), stamp());
-        assert_eq!(frame.pose, report().pose.unwrap().to_array());
-        assert_eq!(frame.deviations, [2e-6; 6]);
-        assert_eq!((frame.solve_delay_ns, frame.send_delay_ns), (80_000, 90_000));
-        assert_eq!(frame.clock_quality, 18);
-        assert_eq!(frame.status, report().status);
-        assert_eq!((frame.session, frame.config, frame.sequence, frame.time_ns), (7, 8, 9, 10));
-    }
-
-    #[test]
-    fn what_is_not_known_is_nan_and_the_pose_is_there_exactly_if_it_is_valid() {
-        let unknown =
-            PoseReport { pose: None, offset: None, steering: None, steering_residual: None, ..report() };
-        let not_valid = PoseReport { status: Status::OUT_OF_RANGE, ..report() };
-        for report in [unknown, not_valid] {
-            let frame = PoseFrame::from_report(&report, stamp());
-            assert!(!frame.status.has(Status::POSE_VALID));
-            assert!(frame.pose.iter().all(|x| x.is_nan()), "{frame:?}");
-            assert!(frame.deviations.iter().all(|x| x.is_nan()), "{frame:?}");
-        }
-        let frame = PoseFrame::from_report(&unknown, stamp());
-        let rest = [frame.beam_offset, frame.steering, [frame.steering_residual; 2]];
-        assert!(rest.iter().flatten().all(|x| x.is_nan()), "{frame:?}");
-    }
-
-    #[test]
-    fn numbers_too_large_for_their_field_saturate() {
-        let late = Stamp { sent: Mono(i64::MAX), synced: false, ..stamp() };
-        let report = PoseReport { lost: 70_000, time_sigma_ns: Some(1e9), ..report() };
-        let frame = PoseFrame::from_report(&report, late);
-        assert_eq!(frame.send_delay_ns, u32::MAX);
-        assert_eq!(frame.lost, u16::MAX);
-        assert_eq!(frame.clock_quality, CLOCK_UNKNOWN - 1, "known to be bad is not unknown");
-        assert!(frame.status.has(Status::CLOCK_UNSYNCED));
-        let unknown = PoseReport { time_sigma_ns: None, ..report };
-        assert_eq!(PoseFrame::from_report(&unknown, late).clock_quality, CLOCK_UNKNOWN);
     }
 
     #[test]

@@ -220,7 +220,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::publishing::frame::{Stamp, tests::report};
+    use crate::publishing::stamp::{Stamp, tests::report};
 
     fn pose(sequence: u64) -> PoseFrame {
         let sent = crate::clock::Mono(2_000_000);

@@ -1,6 +1,6 @@
 //! [`PoseReport`](crate::estimation::PoseReport)s to UDP and TCP, and the client side of the same protocol.
 //!
-//! - [`frame`]: the 192 bytes of a pose frame; [`layout`] is its byte table.
+//! - [`frame`]: the 192 bytes of a pose frame; [`layout`] is its byte table; [`stamp`] makes one of a report.
 //! - [`message`]: how messages follow each other on TCP, and how a reader finds them again after damage.
 //! - [`descriptor`]: what the daemon says of itself in JSON: descriptor, heartbeat, refusal.
 //! - [`publisher`]: the fast side: makes every frame and sends the datagrams.
@@ -16,6 +16,7 @@ pub mod frame;
 pub mod layout;
 pub mod message;
 pub mod publisher;
+pub mod stamp;
 pub mod tcp;
 
 pub use descriptor::{Descriptor, Heartbeat};

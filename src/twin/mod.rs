@@ -10,11 +10,14 @@
 //! - [`light`]: what the PSDs see.
 //! - [`electronics`]: from light to codes.
 //! - [`faults`]: what goes wrong.
+//! - [`emulator`], [`pty`]: a serial board with the twin behind it.
 
 pub mod electronics;
+pub mod emulator;
 pub mod faults;
 pub mod light;
 pub mod outputs;
+pub mod pty;
 pub mod source;
 pub mod stage;
 pub mod trajectory;
@@ -22,9 +25,11 @@ pub mod trajectory;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+pub use emulator::Emulator;
 pub use faults::Fate;
 pub use light::{Scene, Spot};
 pub use outputs::{OUTPUT_BITS, Outputs};
+pub use pty::Pty;
 pub use source::TwinSource;
 
 use crate::{

@@ -39,11 +39,21 @@ impl Outputs {
     /// refused command changes nothing, the lease included.
     #[must_use]
     pub fn take(&mut self, command: &OutputCommand, now: Mono) -> bool {
-        let accepted = command.codes.iter().all(|code| (-FULL_SCALE..FULL_SCALE).contains(code));
+        let accepted = Self::in_range(command.codes);
         if accepted {
             self.lease = Some((now + i64::from(command.lease_ms) * 1_000_000, command.on_expiry));
         }
         accepted
+    }
+
+    /// The parking position from now on, in codes that are within range.
+    pub fn set_park(&mut self, park: [i32; 2]) {
+        self.park = park;
+    }
+
+    /// Whether the outputs have these codes.
+    pub fn in_range(codes: [i32; 2]) -> bool {
+        codes.iter().all(|code| (-FULL_SCALE..FULL_SCALE).contains(code))
     }
 
     /// Says, once, that the lease of the last command has run out, and what follows: the outputs stay,

@@ -1,6 +1,6 @@
 //! The TCP server and its client over real loopback sockets.
 
-use std::net::SocketAddr;
+use std::{net::SocketAddr, time::Duration};
 
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
@@ -91,7 +91,7 @@ async fn a_client_that_never_reads_costs_the_others_nothing() {
     let mut readers = [connect(server.address).await, connect(server.address).await];
     let stalled = stalled(server.address).await;
     send_to_readers(&server, FRAMES, &mut readers).await;
-    assert!(readers.iter().all(|r| r.losses() == Default::default()), "{readers:?}");
+    assert!(readers.iter().all(|r| r.losses() == Losses::default()), "{readers:?}");
 
     let (received, heartbeat) = read_on(stalled, FRAMES).await;
     assert!(heartbeat.dropped > 0, "{FRAMES} frames do not fit any buffer");
@@ -161,6 +161,32 @@ async fn one_client_too_many_is_told_why_and_a_place_that_is_free_again_is_given
         }
     };
     timeout(PATIENCE, admitted).await.expect("the place becomes free");
+}
+
+#[tokio::test]
+async fn a_client_that_takes_nothing_for_long_loses_its_place() {
+    let server = start(Limits { clients: 1, queue: 64 }).await;
+    let hung = stalled(server.address).await;
+    let endpoint = Endpoint::Tcp(server.address.to_string());
+    let mut refused = 0;
+    let admitted = async {
+        loop {
+            // Enough to fill what the sockets hold.
+            for sequence in 0..1000 {
+                server.frames.send(frame(sequence).encode()).await.unwrap();
+            }
+            let mut other = Client::connect(&endpoint).await.unwrap();
+            match other.next().await {
+                Ok(Message::Descriptor(_)) => return,
+                Err(ClientError::Refused(_)) => refused += 1,
+                other => panic!("{other:?}"),
+            }
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    };
+    timeout(PATIENCE, admitted).await.expect("the hung client is dropped");
+    assert!(refused > 0, "a client may pause for a while");
+    drop(hung);
 }
 
 #[tokio::test]

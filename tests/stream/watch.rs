@@ -107,12 +107,19 @@ fn a_reader_that_has_seen_enough_ends_it_quietly() {
 }
 
 #[test]
-fn datagrams_are_shown_too() {
+fn datagrams_are_waited_for_and_shown() {
     // The port is free: it has just been let go.
     let to = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
-    let child = trifacet(&[&format!("udp://{to}"), "--format", "json"]).stdout(Stdio::piped()).spawn();
-    let mut child = child.unwrap();
+    let mut child = trifacet(&[&format!("udp://{to}"), "--format", "json"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut note = String::new();
+    let mut stderr = BufReader::new(child.stderr.take().unwrap());
+    stderr.read_line(&mut note).unwrap();
+    assert!(note.contains("still waiting"), "{note}");
     let (stop, stopped) = std::sync::mpsc::channel::<()>();
     let sender = std::thread::spawn(move || {
         for sequence in 0.. {

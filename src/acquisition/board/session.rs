@@ -295,7 +295,7 @@ impl Session {
             Arrival::Repeated => return self.tally.count(Mishap::Repeated),
             Arrival::Late => return self.tally.count(Mishap::Late),
         };
-        self.tally.count(Mishap::Lost(lost));
+        self.tally.lost(lost);
         if scan.overrun {
             self.tally.count(Mishap::Overrun);
         }

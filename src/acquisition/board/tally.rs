@@ -7,11 +7,11 @@ use crate::{
     monitor::Counters,
 };
 
-/// What goes wrong between the board and here.
+/// What goes wrong between the board and here; in the order of the names below.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Mishap {
-    /// So many scans never arrived.
-    Lost(u32),
+    /// A scan never arrived.
+    Lost,
     Repeated,
     Late,
     Corrupted,
@@ -25,7 +25,7 @@ pub(super) enum Mishap {
     LeaseExpired,
 }
 
-/// Counts into the daemon's counters, and logs what came together.
+/// Counts what no event tells into the daemon's counters, and logs what came together.
 #[derive(Debug)]
 pub(super) struct Tally {
     counters: Arc<Counters>,
@@ -49,20 +49,29 @@ impl Tally {
         Self { counters, recent: names.map(|name| (name, 0)), told: None }
     }
 
+    /// So many scans never arrived.
+    pub(super) fn lost(&mut self, n: u32) {
+        self.add(Mishap::Lost, n.into());
+    }
+
     pub(super) fn count(&mut self, mishap: Mishap) {
+        self.add(mishap, 1);
+    }
+
+    fn add(&mut self, mishap: Mishap, n: u64) {
         let counters = &self.counters;
-        let (place, counter, n) = match mishap {
-            Mishap::Lost(n) => (0, &counters.scans_lost, u64::from(n)),
-            Mishap::Repeated => (1, &counters.scans_repeated, 1),
-            Mishap::Late => (2, &counters.scans_late, 1),
-            Mishap::Corrupted => (3, &counters.frames_corrupted, 1),
-            Mishap::Unknown => (4, &counters.frames_unknown, 1),
-            Mishap::BoardError => (5, &counters.board_errors, 1),
-            Mishap::Overrun => (6, &counters.converter_overruns, 1),
-            Mishap::LeaseExpired => (7, &counters.leases_expired, 1),
+        let counter = match mishap {
+            Mishap::Lost => &counters.scans_lost,
+            Mishap::Repeated => &counters.scans_repeated,
+            Mishap::Late => &counters.scans_late,
+            Mishap::Corrupted => &counters.frames_corrupted,
+            Mishap::Unknown => &counters.frames_unknown,
+            Mishap::BoardError => &counters.board_errors,
+            Mishap::Overrun => &counters.converter_overruns,
+            Mishap::LeaseExpired => &counters.leases_expired,
         };
-        self.recent[place].1 += n;
         counter.add(n);
+        self.recent[mishap as usize].1 += n;
     }
 
     /// Logs what came together since the last line, at most once a second.

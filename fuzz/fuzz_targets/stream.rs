@@ -1,0 +1,44 @@
+//! Whatever bytes come: the frame decoder and the message decoder return, what they accept comes back
+//! byte for byte, and no byte of a stream is unaccounted for.
+
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use trifacet::publishing::{PoseFrame, layout::FRAME_SIZE, message::Decoder};
+
+fuzz_target!(|bytes: &[u8]| {
+    frame(bytes);
+    if let Some(sealed) = sealed(bytes) {
+        frame(&sealed);
+        stream(&[bytes, &sealed, bytes].concat());
+    }
+    stream(bytes);
+});
+
+/// The same bytes as a frame whose magic, version, size and CRC are right: the fuzzer need not guess them.
+fn sealed(bytes: &[u8]) -> Option<[u8; FRAME_SIZE]> {
+    let mut frame: [u8; FRAME_SIZE] = *bytes.first_chunk()?;
+    frame[..8].copy_from_slice(b"TFP1\x01\x00\xc0\x00");
+    let crc = crc32fast::hash(&frame[..FRAME_SIZE - 4]);
+    frame[FRAME_SIZE - 4..].copy_from_slice(&crc.to_le_bytes());
+    Some(frame)
+}
+
+fn frame(bytes: &[u8]) {
+    if let Ok(frame) = PoseFrame::decode(bytes) {
+        let again = frame.encode();
+        let minor = 5;
+        assert_eq!(again[..minor], bytes[..minor]);
+        assert_eq!(again[minor + 1..FRAME_SIZE - 4], bytes[minor + 1..FRAME_SIZE - 4]);
+    }
+}
+
+fn stream(bytes: &[u8]) {
+    let mut decoder = Decoder::default();
+    let (start, rest) = bytes.split_at(bytes.len() / 2);
+    for part in [start, rest] {
+        decoder.push(part);
+        while decoder.next_message().is_some() {}
+    }
+    assert!(decoder.skipped() <= bytes.len() as u64);
+}

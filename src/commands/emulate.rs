@@ -1,0 +1,167 @@
+//! `trifacet emulate`: an acquisition board on a pseudo-terminal, with the digital twin behind it.
+
+mod link;
+mod order;
+
+use std::{
+    io::{self, BufRead, Write},
+    path::PathBuf,
+    time::Duration,
+};
+
+use anyhow::Context;
+use tokio::{
+    signal::unix::{Signal, SignalKind, signal},
+    sync::mpsc,
+    time::{Instant, sleep_until},
+};
+use trifacet::{
+    clock::{SystemClock, pace::Pace},
+    exit::{CONFIG, Failure},
+    twin::{Emulator, Pty},
+};
+
+use super::{ConfigArg, written};
+use link::Link;
+use order::Order;
+
+/// Play an acquisition board on a pseudo-terminal, with the digital twin behind it.
+///
+/// Prints the path of the port and runs until SIGTERM or SIGINT. Faults are ordered on standard input,
+/// one a line, each with its duration in seconds (without one it stays):
+///
+///   beam-blocked [S]          no light at all
+///   psd-dark PSD [S]          PSD 0, 1 or 2 sees no light
+///   clipped CHANNEL [S]       channel 0 to 8 stands at its rail
+///   dropped FRACTION [S]      scans never leave the board
+///   corrupted FRACTION [S]    scans are damaged on the way
+///   stalled [S]               the board does nothing
+///   steering-stuck [S]        the stage does not move
+///   laser-power FACTOR [S]    the laser's power is multiplied
+///   unplug S                  the port is gone, and comes back
+///   status                    prints one line of JSON
+#[derive(Debug, clap::Args)]
+#[command(verbatim_doc_comment)]
+pub(crate) struct EmulateArgs {
+    /// Make PATH a symbolic link to the port, and remove it at the end
+    #[arg(long, value_name = "PATH")]
+    link: Option<PathBuf>,
+    #[command(flatten)]
+    config: ConfigArg,
+}
+
+/// Runs the board until it is told to end.
+pub(crate) fn emulate(args: &EmulateArgs) -> anyhow::Result<()> {
+    let config = args.config.load()?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    runtime.block_on(async {
+        let pace = Pace::new(SystemClock, config.acquisition.rate_hz)?;
+        let board = Emulator::new(&config, pace.schedule().time(0))
+            .map_err(|error| Failure::new(CONFIG, error.to_string()))?;
+        let bench = Bench { board, pace, port: None, link: args.link.clone(), plug_in: Some(Instant::now()) };
+        bench.run().await
+    })
+}
+
+/// The board, its cable, and the schedule of its samples.
+struct Bench {
+    board: Emulator,
+    pace: Pace<SystemClock>,
+    port: Option<(Pty, Option<Link>)>,
+    link: Option<PathBuf>,
+    /// When the cable is plugged in, while it is not.
+    plug_in: Option<Instant>,
+}
+
+impl Bench {
+    async fn run(mut self) -> anyhow::Result<()> {
+        let mut ends = [signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?];
+        let mut orders = lines_of_stdin();
+        self.plug_in()?;
+        let mut sampled = 0;
+        loop {
+            tokio::select! {
+                due = self.pace.due() => {
+                    for _ in 0..due? {
+                        self.board.sample(self.pace.schedule().time(sampled));
+                        sampled += 1;
+                    }
+                }
+                carried = carry(&mut self.port, &mut self.board) => carried.context("the pseudo-terminal failed")?,
+                Some(line) = orders.recv() => self.obey(&line)?,
+                () = until(self.plug_in) => self.plug_in()?,
+                () = any(&mut ends) => return Ok(()),
+            }
+        }
+    }
+
+    /// Makes a port, says where, and links to it.
+    fn plug_in(&mut self) -> anyhow::Result<()> {
+        let pty = Pty::open().context("cannot make a pseudo-terminal")?;
+        let link = self.link.as_deref().map(|link| Link::new(link, pty.path())).transpose()?;
+        say(&pty.path().display().to_string())?;
+        self.port = Some((pty, link));
+        self.plug_in = None;
+        Ok(())
+    }
+
+    fn obey(&mut self, line: &str) -> anyhow::Result<()> {
+        match line.parse() {
+            Ok(Order::Status) => say(&serde_json::to_string(&self.board.state())?)?,
+            Ok(Order::Unplug { for_s }) => {
+                self.port = None;
+                self.board.unheard();
+                self.plug_in = Some(Instant::now() + Duration::from_secs_f64(for_s));
+            }
+            Ok(Order::Fault { kind, for_s }) => {
+                if let Err(error) = self.board.inject(kind, for_s) {
+                    refuse(&error.to_string());
+                }
+            }
+            Err(error) => refuse(&error),
+        }
+        Ok(())
+    }
+}
+
+/// Carries bytes while the cable is plugged in.
+async fn carry(port: &mut Option<(Pty, Option<Link>)>, board: &mut Emulator) -> io::Result<()> {
+    match port {
+        Some((pty, _)) => pty.exchange(board, &SystemClock).await,
+        None => std::future::pending().await,
+    }
+}
+
+async fn until(moment: Option<Instant>) {
+    match moment {
+        Some(moment) => sleep_until(moment).await,
+        None => std::future::pending().await,
+    }
+}
+
+async fn any([a, b]: &mut [Signal; 2]) {
+    tokio::select! { _ = a.recv() => {}, _ = b.recv() => {} }
+}
+
+/// Lines of standard input. They are read on a thread of their own, which nobody waits for at the
+/// end: it may sit in a read for ever.
+fn lines_of_stdin() -> mpsc::Receiver<String> {
+    let (sender, receiver) = mpsc::channel(16);
+    std::thread::spawn(move || {
+        for line in io::stdin().lock().lines().map_while(Result::ok) {
+            if sender.blocking_send(line).is_err() {
+                break;
+            }
+        }
+    });
+    receiver
+}
+
+fn say(line: &str) -> anyhow::Result<()> {
+    let mut out = io::stdout().lock();
+    written(writeln!(out, "{line}").and_then(|()| out.flush()))
+}
+
+fn refuse(reason: &str) {
+    let _ = writeln!(io::stderr(), "trifacet: {reason}"); // standard error may be closed
+}

@@ -1,0 +1,116 @@
+//! What a person may order the emulated board to do: one line each.
+
+use std::str::FromStr;
+
+use trifacet::config::FaultKind;
+
+/// What is allowed, for those who typed something else.
+const ALLOWED: &str = "allowed are: beam-blocked [S], psd-dark 0..2 [S], clipped 0..8 [S], dropped 0..1 [S], \
+    corrupted 0..1 [S], stalled [S], steering-stuck [S], laser-power FACTOR [S], unplug S, status \
+    (S: for so many seconds)";
+
+/// The longest duration, seconds: what is longer may as well stay.
+const LONGEST_S: f64 = 1e6;
+
+/// A line, understood.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Order {
+    /// Let something go wrong, for so many seconds or for good.
+    Fault { kind: FaultKind, for_s: Option<f64> },
+    /// Pull the cable for so many seconds.
+    Unplug { for_s: f64 },
+    /// Say what the board is doing.
+    Status,
+}
+
+impl FromStr for Order {
+    type Err = String;
+
+    fn from_str(line: &str) -> Result<Self, String> {
+        let mut words = line.split_whitespace();
+        parse(&mut words)
+            .filter(|_| words.next().is_none())
+            .ok_or_else(|| format!("cannot do `{}`; {ALLOWED}", line.trim()))
+    }
+}
+
+fn parse<'a>(words: &mut impl Iterator<Item = &'a str>) -> Option<Order> {
+    let name = words.next()?;
+    let kind = match name {
+        "status" => return Some(Order::Status),
+        "unplug" => return Some(Order::Unplug { for_s: seconds(words.next()?)? }),
+        "beam-blocked" => FaultKind::BeamBlocked,
+        "psd-dark" => FaultKind::PsdDark { psd: number(words.next()?)? },
+        "clipped" => FaultKind::Clipped { channel: number(words.next()?)? },
+        "dropped" => FaultKind::Dropped { fraction: number(words.next()?)? },
+        "corrupted" => FaultKind::Corrupted { fraction: number(words.next()?)? },
+        "stalled" => FaultKind::Stalled,
+        "steering-stuck" => FaultKind::SteeringStuck,
+        "laser-power" => FaultKind::LaserPower { factor: number(words.next()?)? },
+        _ => return None,
+    };
+    let for_s = match words.next() {
+        Some(word) => Some(seconds(word)?),
+        None => None,
+    };
+    possible(kind).then_some(Order::Fault { kind, for_s })
+}
+
+fn number<T: FromStr>(word: &str) -> Option<T> {
+    word.parse().ok()
+}
+
+fn seconds(word: &str) -> Option<f64> {
+    number(word).filter(|s| (0.0..=LONGEST_S).contains(s))
+}
+
+fn possible(kind: FaultKind) -> bool {
+    match kind {
+        FaultKind::PsdDark { psd } => psd <= 2,
+        FaultKind::Clipped { channel } => channel <= 8,
+        FaultKind::Dropped { fraction } | FaultKind::Corrupted { fraction } => {
+            (0.0..=1.0).contains(&fraction)
+        }
+        FaultKind::LaserPower { factor } => (0.0..=1e3).contains(&factor),
+        FaultKind::BeamBlocked | FaultKind::Stalled | FaultKind::SteeringStuck => true,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn orders_are_understood_with_and_without_a_duration() {
+        let fault = |kind, for_s| Ok(Order::Fault { kind, for_s });
+        assert_eq!("beam-blocked 0.5".parse(), fault(FaultKind::BeamBlocked, Some(0.5)));
+        assert_eq!(" psd-dark 1 ".parse(), fault(FaultKind::PsdDark { psd: 1 }, None));
+        assert_eq!("dropped 0.1 2".parse(), fault(FaultKind::Dropped { fraction: 0.1 }, Some(2.0)));
+        assert_eq!("laser-power 1.1 2".parse(), fault(FaultKind::LaserPower { factor: 1.1 }, Some(2.0)));
+        assert_eq!("unplug 1".parse(), Ok(Order::Unplug { for_s: 1.0 }));
+        assert_eq!("status".parse(), Ok(Order::Status));
+    }
+
+    #[test]
+    fn what_is_no_order_is_answered_with_what_is_allowed() {
+        for line in [
+            "",
+            "jump",
+            "unplug",
+            "unplug -1",
+            "unplug nan",
+            "unplug 1e300",
+            "psd-dark",
+            "psd-dark 3",
+            "clipped 9",
+            "dropped 1.5",
+            "corrupted nan",
+            "stalled 1 2",
+            "status now",
+            "laser-power -1",
+        ] {
+            let error = line.parse::<Order>().unwrap_err();
+            assert!(error.contains(&format!("`{line}`")) && error.contains("steering-stuck [S]"), "{error}");
+        }
+    }
+}

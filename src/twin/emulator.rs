@@ -1,0 +1,269 @@
+//! A serial board with the twin behind it: the board's side of `docs/board-protocol.md`, without the
+//! wire.
+
+use serde::Serialize;
+
+use super::{Fate, OUTPUT_BITS, Outputs, Twin, TwinError, TwinScan};
+use crate::{
+    acquisition::{
+        Expiry, OutputCommand,
+        board::{
+            Answer, BoardIdentity, Deframer, Request,
+            message::{BoardScan, ErrorReason, Reply, StartResult, SteerResult},
+        },
+    },
+    clock::Mono,
+    config::{Config, FaultKind},
+};
+
+/// The board's clock, ticks per second.
+const TICK_HZ: u32 = 10_000_000;
+
+/// Bytes that may wait for the wire. What comes on top is not sent, as on a board whose buffer is full.
+const QUEUE: usize = 8192;
+
+/// What moved the steering outputs last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Steering {
+    /// Nothing since power-up: they stand at zero.
+    Idle,
+    /// A command whose lease is running.
+    Commanded,
+    /// The lease ran out, and they stayed.
+    Held,
+    /// The lease ran out, and they went to their parking position.
+    Parked,
+}
+
+/// What the board is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct BoardState {
+    /// Seconds since power-up.
+    pub time_s: f64,
+    /// Whether a host has started the board.
+    pub started: bool,
+    /// Codes of the steering outputs.
+    pub output_codes: [i32; 2],
+    /// Position of the steering outputs in micrometres.
+    pub output_um: [f64; 2],
+    /// What moved them last.
+    pub steering: Steering,
+    /// Whether the lease of the last command has run out.
+    pub lease_expired: bool,
+    /// Scans given to the wire, also those that a fault damaged.
+    pub scans_sent: u64,
+    /// Scans that a fault or a full buffer kept back.
+    pub scans_unsent: u64,
+    /// Commands taken.
+    pub commands_taken: u64,
+    /// Commands refused.
+    pub commands_refused: u64,
+}
+
+/// A board, played. It samples from power-up on at the rate of its configuration.
+#[derive(Debug)]
+pub struct Emulator {
+    twin: Twin,
+    outputs: Outputs,
+    deframer: Deframer,
+    /// Number of the next scan, while started.
+    sequence: Option<u32>,
+    stalled: bool,
+    /// Frames that wait for the wire.
+    out: Vec<u8>,
+    start: Mono,
+    state: BoardState,
+}
+
+impl Emulator {
+    /// A board that gets its power at `start`.
+    pub fn new(config: &Config, start: Mono) -> Result<Self, TwinError> {
+        let twin = Twin::new(config)?;
+        let outputs = twin.outputs().clone();
+        let state = BoardState {
+            time_s: 0.0,
+            started: false,
+            output_codes: [0; 2],
+            output_um: [0.0; 2],
+            steering: Steering::Idle,
+            lease_expired: false,
+            scans_sent: 0,
+            scans_unsent: 0,
+            commands_taken: 0,
+            commands_refused: 0,
+        };
+        let (deframer, out) = (Deframer::default(), Vec::new());
+        Ok(Self { twin, outputs, deframer, sequence: None, stalled: false, out, start, state })
+    }
+
+    /// What the board is doing.
+    pub fn state(&self) -> BoardState {
+        self.state
+    }
+
+    /// Lets something go wrong for so many seconds, or for good.
+    pub fn inject(&mut self, kind: FaultKind, for_s: Option<f64>) -> Result<(), TwinError> {
+        self.twin.inject(kind, for_s)
+    }
+
+    /// What is to be written next.
+    pub fn output(&self) -> &[u8] {
+        &self.out
+    }
+
+    /// So many bytes of the output are written.
+    pub fn written(&mut self, bytes: usize) {
+        self.out.drain(..bytes);
+    }
+
+    /// Nobody listens: what waits for the wire is gone.
+    pub fn unheard(&mut self) {
+        self.out.clear();
+    }
+
+    /// Takes bytes that arrived at `now`. A stalled board does not listen.
+    pub fn received(&mut self, mut bytes: &[u8], now: Mono) {
+        if self.stalled {
+            return;
+        }
+        let mut deframer = std::mem::take(&mut self.deframer);
+        while let Some(frame) = deframer.next(&mut bytes) {
+            let answer = match frame.map(Request::decode) {
+                Ok(Ok(request)) => self.requested(request, now),
+                Ok(Err(error)) => error.to_answer(),
+                Err(_) => Answer::Error { reason: ErrorReason::Corrupted, kind: 0 },
+            };
+            self.send(&answer);
+        }
+        self.deframer = deframer;
+    }
+
+    /// Takes the next scan, which is due at `now`, and sends it if the board is started.
+    pub fn sample(&mut self, now: Mono) {
+        self.expire(now);
+        let scan = self.twin.next_scan();
+        self.state.time_s = scan.t_s;
+        self.stalled = scan.fate == Fate::Stalled;
+        let Some(sequence) = self.sequence else { return };
+        self.sequence = Some(sequence.wrapping_add(1));
+        if matches!(scan.fate, Fate::Dropped | Fate::Stalled) || !self.send_scan(sequence, &scan) {
+            self.state.scans_unsent += 1;
+        } else {
+            self.state.scans_sent += 1;
+        }
+    }
+
+    fn requested(&mut self, request: Request, now: Mono) -> Answer {
+        match request {
+            Request::Identify => Answer::Identity(self.identity()),
+            Request::Start { rate_mhz, park } => self.start(rate_mhz, park),
+            Request::Stop => {
+                self.set_started(None);
+                Answer::Reply(Reply { start: false, result: StartResult::Done, rate_mhz: 0 })
+            }
+            Request::Steer(command) => Answer::Ack { id: command.id, result: self.steer(&command, now) },
+        }
+    }
+
+    fn start(&mut self, rate_mhz: u32, park: [i32; 2]) -> Answer {
+        let own_mhz = self.rate_mhz();
+        let result = if rate_mhz != own_mhz {
+            StartResult::RateOutOfRange
+        } else if Outputs::in_range(park) {
+            self.outputs.set_park(park);
+            self.set_started(Some(0));
+            StartResult::Done
+        } else {
+            StartResult::ParkOutOfRange
+        };
+        let rate_mhz = if self.sequence.is_some() { own_mhz } else { 0 };
+        Answer::Reply(Reply { start: true, result, rate_mhz })
+    }
+
+    fn set_started(&mut self, sequence: Option<u32>) {
+        self.sequence = sequence;
+        self.state.started = sequence.is_some();
+    }
+
+    fn steer(&mut self, command: &OutputCommand, now: Mono) -> SteerResult {
+        self.expire(now);
+        let result = match self.sequence {
+            None => SteerResult::NotStarted,
+            Some(_) if command.lease_ms > 0 && self.outputs.take(command, now) => SteerResult::Accepted,
+            Some(_) => SteerResult::OutOfRange,
+        };
+        if result == SteerResult::Accepted {
+            self.move_outputs(command.codes, now, Steering::Commanded);
+            self.state.commands_taken += 1;
+        } else {
+            self.state.commands_refused += 1;
+        }
+        result
+    }
+
+    /// What the outputs do by themselves when a lease runs out.
+    fn expire(&mut self, now: Mono) {
+        match self.outputs.expire(now) {
+            Some(Expiry::Park) => self.move_outputs(self.outputs.park(), now, Steering::Parked),
+            Some(Expiry::Hold) => self.state.steering = Steering::Held,
+            None => {}
+        }
+        self.state.lease_expired = matches!(self.state.steering, Steering::Held | Steering::Parked);
+    }
+
+    fn move_outputs(&mut self, codes: [i32; 2], now: Mono, steering: Steering) {
+        self.twin.steer(codes, now.seconds_since(self.start));
+        self.state.output_codes = codes;
+        self.state.output_um = self.outputs.metres(codes).map(|metres| metres * 1e6);
+        self.state.steering = steering;
+        self.state.lease_expired = steering == Steering::Parked;
+    }
+
+    fn identity(&self) -> BoardIdentity {
+        let identity = self.twin.identity();
+        BoardIdentity {
+            tick_hz: TICK_HZ,
+            converter: identity.converter,
+            output_bits: OUTPUT_BITS,
+            simulated: true,
+            rate_mhz: [self.rate_mhz(); 2],
+            roles: identity.roles.clone(),
+            skew_ns: identity.skew_ns.clone(),
+            name: identity.name.clone(),
+        }
+    }
+
+    fn rate_mhz(&self) -> u32 {
+        (self.twin.identity().rate_hz * 1e3).round() as u32
+    }
+
+    /// Gives a scan to the wire, if there is room.
+    fn send_scan(&mut self, sequence: u32, scan: &TwinScan) -> bool {
+        let begin = self.out.len();
+        let sent = self.send(&Answer::Scan(BoardScan {
+            sequence,
+            tick: (scan.t_s * f64::from(TICK_HZ)).round() as u64 as u32,
+            output_railed: scan.output_railed,
+            lease_expired: self.state.lease_expired,
+            overrun: false,
+            channels: self.twin.identity().roles.len() as u8,
+            codes: scan.codes,
+        }));
+        if sent && scan.fate == Fate::Corrupted {
+            let middle = usize::midpoint(begin, self.out.len());
+            // Damaged, and still one frame: a zero would make two of it.
+            let byte = &mut self.out[middle];
+            *byte = if *byte == 0x55 { 0xAA } else { *byte ^ 0x55 };
+        }
+        sent
+    }
+
+    fn send(&mut self, answer: &Answer) -> bool {
+        let room = self.out.len() < QUEUE;
+        if room {
+            answer.encode(&mut self.out);
+        }
+        room
+    }
+}
