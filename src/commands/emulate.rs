@@ -26,22 +26,8 @@ use link::Link;
 use order::Order;
 
 /// Play an acquisition board on a pseudo-terminal, with the digital twin behind it.
-///
-/// Prints the path of the port and runs until SIGTERM or SIGINT. Faults are ordered on standard input,
-/// one a line, each with its duration in seconds (without one it stays):
-///
-///   beam-blocked [S]          no light at all
-///   psd-dark PSD [S]          PSD 0, 1 or 2 sees no light
-///   clipped CHANNEL [S]       channel 0 to 8 stands at its rail
-///   dropped FRACTION [S]      scans never leave the board
-///   corrupted FRACTION [S]    scans are damaged on the way
-///   stalled [S]               the board does nothing
-///   steering-stuck [S]        the stage does not move
-///   laser-power FACTOR [S]    the laser's power is multiplied
-///   unplug S                  the port is gone, and comes back
-///   status                    prints one line of JSON
 #[derive(Debug, clap::Args)]
-#[command(verbatim_doc_comment)]
+#[command(after_help = order::HELP)]
 pub(crate) struct EmulateArgs {
     /// Make PATH a symbolic link to the port, and remove it at the end
     #[arg(long, value_name = "PATH")]

@@ -46,7 +46,8 @@ impl BoardIdentity {
             .iter()
             .zip(&self.skew_ns)
             .fold(message, |message, (role, skew)| message.u8(role_number(*role)).u32(*skew));
-        message.u8(self.name.len() as u8).bytes(self.name.as_bytes())
+        let name = shortened(&self.name);
+        message.u8(name.len() as u8).bytes(name.as_bytes())
     }
 
     pub(super) fn read(body: &mut Reader) -> Result<Self, MessageError> {
@@ -64,10 +65,15 @@ impl BoardIdentity {
             skew_ns.push(body.u32()?);
         }
         let length = usize::from(body.u8()?);
-        let name = String::from_utf8_lossy(body.bytes(length)?).into_owned();
+        let name = shortened(&String::from_utf8_lossy(body.bytes(length)?)).to_owned();
         let converter = Converter { bits, range_v };
         Ok(Self { tick_hz, converter, output_bits, simulated, rate_mhz, roles, skew_ns, name })
     }
+}
+
+/// A name that fits.
+fn shortened(name: &str) -> &str {
+    &name[..name.floor_char_boundary(MAX_NAME)]
 }
 
 /// The number of a role on the wire.

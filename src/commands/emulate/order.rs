@@ -4,7 +4,22 @@ use std::str::FromStr;
 
 use trifacet::config::FaultKind;
 
-/// What is allowed, for those who typed something else.
+/// What may be ordered, as `--help` says it.
+pub(super) const HELP: &str = "\
+Prints the path of the port and runs until SIGTERM or SIGINT. Orders come on standard input, one a line;
+S is a duration in seconds, without it a fault stays:
+  beam-blocked [S]          no light at all
+  psd-dark 0..2 [S]         a PSD sees no light
+  clipped 0..8 [S]          a channel stands at its rail
+  dropped 0..1 [S]          this part of the scans never leaves the board
+  corrupted 0..1 [S]        this part of the scans is damaged on the way
+  stalled [S]               the board does nothing
+  steering-stuck [S]        the stage does not move
+  laser-power FACTOR [S]    the laser's power is multiplied
+  unplug S                  the port is gone, and comes back
+  status                    prints what the board is doing, one line of JSON";
+
+/// The same for those who typed something else.
 const ALLOWED: &str = "allowed are: beam-blocked [S], psd-dark 0..2 [S], clipped 0..8 [S], dropped 0..1 [S], \
     corrupted 0..1 [S], stalled [S], steering-stuck [S], laser-power FACTOR [S], unplug S, status \
     (S: for so many seconds)";

@@ -1,0 +1,80 @@
+//! Whatever bytes come over the serial line: both ends take every byte, what they understand comes back
+//! as the same message, and the host's session goes on.
+
+#![no_main]
+
+use std::{fmt::Debug, sync::Arc};
+
+use libfuzzer_sys::fuzz_target;
+use trifacet::{
+    acquisition::{
+        Event, MAX_CHANNELS,
+        board::{Answer, Deframer, MessageError, Request, Session, Settings, frame},
+    },
+    clock::Mono,
+    monitor::Counters,
+};
+
+fuzz_target!(|bytes: &[u8]| {
+    // The line as it is, and cut into messages whose check sums are right: those the fuzzer cannot guess.
+    let sealed: Vec<u8> = bytes.split(|byte| *byte == 0xa5).flat_map(seal).collect();
+    for line in [bytes, &sealed] {
+        understand(line, Request::decode, Request::encode);
+        understand(line, Answer::decode, encode_answer);
+        converse(line);
+    }
+});
+
+fn seal(message: &[u8]) -> Vec<u8> {
+    let mut frame = Vec::new();
+    frame::encode(&message[..message.len().min(frame::MAX_MESSAGE - 4)], &mut frame);
+    frame
+}
+
+/// A board with more channels than there can be is understood (and refused later), but has no message.
+fn encode_answer(answer: &Answer, out: &mut Vec<u8>) {
+    match answer {
+        Answer::Identity(board) if board.roles.len() > MAX_CHANNELS => {}
+        answer => answer.encode(out),
+    }
+}
+
+/// A message that is understood means the same after a round trip.
+fn understand<T: Debug + PartialEq>(
+    mut line: &[u8],
+    decode: impl Fn(&[u8]) -> Result<T, MessageError>,
+    encode: impl Fn(&T, &mut Vec<u8>),
+) {
+    let mut deframer = Deframer::default();
+    while let Some(found) = deframer.next(&mut line) {
+        let Ok(Ok(message)) = found.map(&decode) else { continue };
+        let mut frame = Vec::new();
+        encode(&message, &mut frame);
+        if let Some(again) = Deframer::default().next(&mut &frame[..]) {
+            assert_eq!(again.map(&decode), Ok(Ok(message)));
+        }
+    }
+    assert!(line.is_empty());
+}
+
+/// A host hears the line in pieces while time passes, and says what it has to say.
+fn converse(line: &[u8]) {
+    let settings = Settings { rate_hz: 1000.0, baud: 921_600, latency_ns: 0, park: [0.0; 2] };
+    let mut session = Session::new(settings, Arc::<Counters>::default());
+    let mut now = Mono(1_000_000_000_000);
+    session.connected(now);
+    let mut time = None;
+    for piece in line.chunks(64) {
+        session.received(piece, now);
+        while let Some(event) = session.event() {
+            if let Event::Scan(scan) = event {
+                assert!(time.is_none_or(|time| time < scan.time), "time goes back");
+                time = Some(scan.time);
+            }
+        }
+        let output = session.output().len();
+        session.written(output);
+        now = now + i64::from(piece[0]) * 1_000_000;
+        session.timed_out(now);
+    }
+}
