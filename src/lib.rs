@@ -20,11 +20,14 @@ pub mod acquisition;
 pub mod centering;
 pub mod clock;
 pub mod config;
+pub mod daemon;
 pub mod estimation;
 pub mod exit;
+pub mod logging;
 pub mod monitor;
 pub mod optics;
 pub mod publishing;
+pub mod realtime;
 pub mod twin;
 
 pub use publishing::client;

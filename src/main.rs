@@ -22,6 +22,8 @@ const EXIT_CODES: &str = "Exit codes: 0 fine, 64 wrong command line, 65 bad rows
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Run the daemon
+    Run(commands::RunArgs),
     /// Say what a configuration means, or what is wrong with it
     Check(commands::CheckArgs),
     /// Play an acquisition board on a pseudo-terminal
@@ -45,6 +47,7 @@ fn main() -> ExitCode {
         }
     };
     let result = match cli.command {
+        Command::Run(args) => commands::run(&args),
         Command::Check(args) => commands::check(&args),
         Command::Emulate(args) => commands::emulate(&args),
         Command::Trace(args) => commands::trace(&args),

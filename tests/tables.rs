@@ -106,6 +106,34 @@ fn the_gaussian_model_agrees_with_the_reference_both_ways() {
     );
 }
 
+/// The figures of docs/sensor-model.md, section "What a ray does not know".
+#[test]
+fn the_ray_model_is_off_by_what_the_documentation_says() {
+    let poses = "tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad,beam_dx_m,beam_dy_m\n\
+                 0,0,0,0,0,0,0,0\n\
+                 0,0,0,0,0,0,1e-6,0\n\
+                 0,0,0,0,0,0,1e-5,0\n\
+                 0,0,0,0,0.01,0,0,0\n";
+    let signals = trifacet(&["trace", "--model", "gaussian"], poses.as_bytes()).stdout;
+    let solved = columns(&trifacet(&["solve", "--model", "ray"], &signals).stdout);
+    let value = |row: usize, name: &str| solved[name][row].parse::<f64>().unwrap() * 1e6;
+    let near = |ours: f64, documented: f64, half_a_digit: f64| {
+        assert!((ours - documented).abs() <= half_a_digit, "{ours} is documented as {documented}");
+    };
+    near(value(0, "tz_m"), -119.2, 0.05);
+    near(value(1, "tx_m"), 0.42, 0.005);
+    near(value(1, "pitch_rad"), 0.68, 0.005);
+    near(value(2, "tx_m"), 4.1, 0.05);
+    near(value(2, "pitch_rad"), 6.8, 0.05);
+    near(value(3, "tx_m"), -1.4, 0.05);
+    near(value(3, "pitch_rad") - 10_000.0, -0.39, 0.005);
+
+    // The Gaussian model knows.
+    let known = columns(&trifacet(&["solve"], &signals).stdout);
+    assert!(known["tx_m"].iter().all(|x| x.parse::<f64>().unwrap().abs() < 1e-12), "{known:?}");
+    assert!((known["beam_dx_m"][2].parse::<f64>().unwrap() - 1e-5).abs() < 1e-12);
+}
+
 #[test]
 fn columns_count_by_name_whatever_their_order_and_dress() {
     let dressed = "\u{feff}comment,\"yaw_rad\", pitch_rad,roll_rad,tz_m,ty_m,tx_m,beam_dy_m\r\n\

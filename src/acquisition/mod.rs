@@ -4,12 +4,16 @@
 //! map turns each into a [`Sample`] in metres and watts. The steering command goes back the same way.
 
 pub mod board;
+pub mod channels;
+pub mod correction;
 pub mod port;
 pub mod scan;
 pub mod serial;
 pub mod source;
+pub mod task;
 pub mod timebase;
 
+pub use channels::{ChannelMap, Channels};
 pub use scan::{Converter, Identity, MAX_CHANNELS, PsdState, Role, Sample, Scan};
 pub use serial::SerialSource;
 pub use source::{Ack, Down, Event, Expiry, OutputCommand, Source};

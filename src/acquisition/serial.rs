@@ -86,18 +86,6 @@ impl<C: Clock> SerialSource<C> {
         })
     }
 
-    /// Ends the conversation: sends what is under way, asks the board to scan no more, and closes
-    /// the port. Takes at most a tenth of a second.
-    pub async fn close(mut self) {
-        let Port::Open(mut stream) = std::mem::replace(&mut self.port, Port::Closed) else { return };
-        let session = &mut self.session;
-        session.stop();
-        let written = timeout(LAST_WRITE, poll_fn(|cx| poll_write(&mut stream, session, cx))).await;
-        if !matches!(written, Ok(Ok(()))) {
-            tracing::warn!("{}: the board could not be asked to stop", self.path.display());
-        }
-    }
-
     /// Waits for the next thing to happen on the port, and tells the session of it. Everything that
     /// lasts is in `self`, so this future may be dropped at any time.
     async fn step(&mut self) {
@@ -185,6 +173,16 @@ impl<C: Clock> Source for SerialSource<C> {
 
     fn steer(&mut self, command: OutputCommand, _now: Mono) {
         self.session.steer(command);
+    }
+
+    async fn close(mut self) {
+        let Port::Open(mut stream) = std::mem::replace(&mut self.port, Port::Closed) else { return };
+        let session = &mut self.session;
+        session.stop();
+        let written = timeout(LAST_WRITE, poll_fn(|cx| poll_write(&mut stream, session, cx))).await;
+        if !matches!(written, Ok(Ok(()))) {
+            tracing::warn!("{}: the board could not be asked to stop", self.path.display());
+        }
     }
 }
 

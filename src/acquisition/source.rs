@@ -98,4 +98,8 @@ pub trait Source {
     /// Takes the newest steering command; an older one not yet sent is dropped.
     /// Never waits. `now` is the present moment.
     fn steer(&mut self, command: OutputCommand, now: Mono);
+
+    /// Ends the conversation: what was commanded last still goes out, and the board is asked to stop.
+    /// Takes a bounded time.
+    fn close(self) -> impl Future<Output = ()>;
 }

@@ -1,5 +1,14 @@
 //! Task 2: keeps the beam on the apex.
+//!
+//! - [`core`]: a sample and the last pose in, a steering command out; pure.
+//! - [`controller`]: the PI controller with its limits.
+//! - [`lock`]: what the loop may claim of itself.
+//! - [`task`]: the loop around it.
 
+pub mod controller;
+pub mod core;
 pub mod lock;
+pub mod task;
 
+pub use self::core::{Centering, LoopState};
 pub use lock::LockState;

@@ -8,6 +8,7 @@ use trifacet::config::{self, Config};
 
 mod check;
 mod emulate;
+mod run;
 mod simulate;
 mod table;
 mod trace;
@@ -15,6 +16,7 @@ mod watch;
 
 pub(crate) use check::{CheckArgs, check};
 pub(crate) use emulate::{EmulateArgs, emulate};
+pub(crate) use run::{RunArgs, run};
 pub(crate) use simulate::{SimulateArgs, simulate};
 pub(crate) use trace::{TableArgs, solve, trace};
 pub(crate) use watch::{WatchArgs, watch};

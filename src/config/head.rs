@@ -59,14 +59,15 @@ impl Default for HeadConfig {
 impl HeadConfig {
     /// The head in SI units: the nominal one, with what the file says of single parts put in its place.
     pub fn build(&self) -> Result<Head, HeadError> {
-        let size = self.psd_size_mm * 1e-3;
+        // Division by 1000 is exact where the result is a short decimal; multiplication by 0.001 is not.
+        let size = self.psd_size_mm / 1e3;
         let angle = self.facet_angle_deg.to_radians();
-        let mut head = Head::nominal(self.psd_distance_mm * 1e-3, size, angle, self.beam_diameter_mm * 1e-3)?;
+        let mut head = Head::nominal(self.psd_distance_mm / 1e3, size, angle, self.beam_diameter_mm / 1e3)?;
         for (i, part) in self.facets().into_iter().enumerate() {
             let nominal = head.psds[i];
             head.facets[i] = part.normal.map_or(head.facets[i], Vec3::from);
             head.psds[i] = Psd::facing(
-                part.psd_origin_mm.map_or(nominal.origin, |mm| Vec3::from(mm) * 1e-3),
+                part.psd_origin_mm.map_or(nominal.origin, |mm| Vec3::from(mm) / 1e3),
                 part.psd_normal.map_or(nominal.x, Vec3::from),
                 part.psd_up.map_or(nominal.z, Vec3::from),
                 size,

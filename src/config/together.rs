@@ -2,6 +2,8 @@
 
 use super::check::Checker;
 use super::{Config, SourceKind};
+use crate::acquisition::board::required_baud;
+use crate::acquisition::scan::SIGNALS;
 use crate::optics::{Optics, Pose, Vec2};
 
 /// All of them. Run once every value is in its own range.
@@ -73,10 +75,11 @@ fn twin_signals(config: &Config, at: &mut Checker<'_>) {
     );
 }
 
-/// The link carries more than the board sends.
+/// The link carries more than the board sends. How many channels it has only the board can say, and
+/// the daemon asks it; nine it must have.
 fn serial_speed(config: &Config, at: &mut Checker<'_>) {
     let acquisition = &config.acquisition;
-    let needed = required_baud(9, acquisition.rate_hz);
+    let needed = required_baud(SIGNALS.len(), acquisition.rate_hz);
     at.agree(
         acquisition.serial.baud >= needed,
         "acquisition.serial.baud",
@@ -95,10 +98,4 @@ fn edge_margin(config: &Config, at: &mut Checker<'_>) {
         config.estimation.edge_margin_mm,
         format_args!("less than half of head.psd_size_mm, {half}"),
     );
-}
-
-/// Bits per second that scans of so many 24-bit codes need: ten bits a byte, about 16 bytes of header,
-/// check sum and framing.
-fn required_baud(channels: u32, rate_hz: f64) -> u32 {
-    ((f64::from(channels) * 3.0 + 16.0) * 10.0 * rate_hz).ceil() as u32
 }

@@ -340,7 +340,7 @@ impl Target {
 }
 
 /// The sum of the powers, if each is light.
-fn total_power(powers: &[f64; 3]) -> Result<f64, SolveError> {
+pub(super) fn total_power(powers: &[f64; 3]) -> Result<f64, SolveError> {
     for (&power, psd) in powers.iter().zip(FACETS) {
         if !power.is_finite() {
             return Err(SolveError::NotFinite { signal: "power", psd });

@@ -12,6 +12,7 @@
 //! Its printed equations 5 to 16 contain misprints (`docs/sensor-model.md`); the model here is derived
 //! from the law of reflection.
 
+mod balance;
 pub mod beam;
 pub mod covariance;
 pub mod estimate;

@@ -129,6 +129,8 @@ impl<C: Waiting> Source for TwinSource<C> {
             self.events.push_back(Event::Ack(Ack { id: command.id, accepted }));
         }
     }
+
+    async fn close(self) {}
 }
 
 /// The shortest silence that counts as a stall, nanoseconds.

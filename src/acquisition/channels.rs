@@ -1,0 +1,164 @@
+//! The channel map: raw codes to spots and powers.
+
+use super::correction::{Correction, CorrectionError};
+use super::scan::{Converter, Identity, MAX_CHANNELS, PsdState, Role, Sample, Scan};
+use crate::config::{Amplifier, Config, PsdChannels};
+use crate::exit::{self, Failure};
+use crate::optics::FACETS;
+
+/// What is known of the channels before the source has said which is which.
+#[derive(Clone, Debug)]
+pub struct Channels {
+    psds: [PsdMap; 3],
+    sum_threshold_v: f64,
+    clip_limit: f64,
+    watts_per_volt: f64,
+    readback_per_volt: f64,
+}
+
+/// One PSD with its amplifier.
+#[derive(Clone, Debug)]
+struct PsdMap {
+    channels: PsdChannels,
+    half_size: f64,
+    correction: Option<Correction>,
+}
+
+/// The channel map of a source that has said which channel is which.
+#[derive(Clone, Debug)]
+pub struct ChannelMap {
+    channels: Channels,
+    converter: Converter,
+    /// Where u, v, sum of each PSD stand in a scan.
+    places: [[usize; 3]; 3],
+    steering: Option<[usize; 2]>,
+    /// Skew of each channel as a fraction of the period.
+    skew: [f64; MAX_CHANNELS],
+    skewed: bool,
+    last: Option<(u64, [f64; MAX_CHANNELS])>,
+}
+
+impl Channels {
+    /// Reads what the configuration says of the channels, the correction tables included. Blocks.
+    pub fn load(config: &Config) -> Result<Self, Failure> {
+        let mut psds = Vec::new();
+        let half_size = config.head.psd_size_mm * 0.5e-3;
+        for (name, channels) in FACETS.into_iter().zip(config.channels.psds()) {
+            let refuse = |path: &std::path::Path, error: CorrectionError| {
+                let what = format!("correction table of PSD {name}, {}: {error}", path.display());
+                Failure::new(exit::CONFIG, what)
+            };
+            let table = channels.correction.as_deref();
+            let correction = table
+                .map(|path| Correction::load(path, half_size).map_err(|e| refuse(path, e)))
+                .transpose()?;
+            psds.push(PsdMap { channels: channels.clone(), half_size, correction });
+        }
+        let Ok(psds) = <[PsdMap; 3]>::try_from(psds) else { unreachable!("there are three facets") };
+        Ok(Self {
+            psds,
+            sum_threshold_v: config.channels.sum_threshold_v,
+            clip_limit: config.channels.clip_limit,
+            watts_per_volt: config.channels.power_mw_per_v * 1e-3,
+            readback_per_volt: config.channels.readback_um_per_v * 1e-6,
+        })
+    }
+
+    /// Whether every PSD has a correction table.
+    pub fn calibrated(&self) -> bool {
+        self.psds.iter().all(|psd| psd.correction.is_some())
+    }
+
+    /// The map for a source; the error names the signal that it lacks.
+    pub fn map(&self, identity: &Identity) -> Result<ChannelMap, String> {
+        let find = |role| identity.roles.iter().position(|r| *r == role);
+        let need = |role: Role| find(role).ok_or_else(|| format!("no channel for {role:?}"));
+        let mut places = [[0; 3]; 3];
+        for (i, place) in (0..).zip(&mut places) {
+            *place = [need(Role::U(i))?, need(Role::V(i))?, need(Role::Sum(i))?];
+        }
+        let mut skew = [0.0; MAX_CHANNELS];
+        for (skew, ns) in skew.iter_mut().zip(&identity.skew_ns) {
+            *skew = f64::from(*ns) * 1e-9 * identity.rate_hz;
+        }
+        Ok(ChannelMap {
+            channels: self.clone(),
+            converter: identity.converter,
+            places,
+            steering: find(Role::Steering(0)).zip(find(Role::Steering(1))).map(|(x, y)| [x, y]),
+            skew,
+            skewed: skew.iter().any(|s| *s != 0.0),
+            last: None,
+        })
+    }
+}
+
+impl ChannelMap {
+    /// The sample of a scan.
+    pub fn sample(&mut self, scan: &Scan) -> Sample {
+        let volts = self.volts(scan);
+        let mut sample = Sample {
+            index: scan.index,
+            time: scan.time,
+            time_sigma_ns: scan.time_sigma_ns,
+            lost: scan.lost,
+            spots: [f64::NAN; 6],
+            powers: [0.0; 3],
+            psds: [PsdState::Good; 3],
+            steering: None,
+            output_railed: scan.output_railed,
+        };
+        for (i, (psd, place)) in self.channels.psds.iter().zip(self.places).enumerate() {
+            let dark = psd.channels.dark_v;
+            let [u, v, sum] = [0, 1, 2].map(|k| volts[place[k]] - dark[k]);
+            sample.powers[i] = sum * psd.channels.gain[2] * self.channels.watts_per_volt;
+            sample.psds[i] = if place.iter().any(|k| self.clipped(scan.codes[*k])) {
+                PsdState::Clipped
+            } else if sum < self.channels.sum_threshold_v {
+                PsdState::Low
+            } else {
+                [sample.spots[2 * i], sample.spots[2 * i + 1]] = psd.spot([u, v], sum);
+                PsdState::Good
+            };
+        }
+        let steering = self.steering.filter(|place| !place.iter().any(|k| self.clipped(scan.codes[*k])));
+        sample.steering = steering.map(|place| place.map(|k| volts[k] * self.channels.readback_per_volt));
+        sample
+    }
+
+    /// Volts of all channels at the time of the scan. A channel that is sampled later is interpolated
+    /// between this scan and the one before, if there is no gap in between.
+    fn volts(&mut self, scan: &Scan) -> [f64; MAX_CHANNELS] {
+        let measured = scan.codes.map(|code| f64::from(code) * self.converter.step_v());
+        let mut volts = measured;
+        if self.skewed {
+            if let Some((index, last)) = self.last
+                && index + 1 == scan.index
+            {
+                for ((volts, last), skew) in volts.iter_mut().zip(last).zip(self.skew) {
+                    *volts -= skew * (*volts - last);
+                }
+            }
+            self.last = Some((scan.index, measured));
+        }
+        volts
+    }
+
+    /// Whether a code is too near to a rail to be believed.
+    fn clipped(&self, code: i32) -> bool {
+        let largest = self.converter.full_scale() - 1;
+        f64::from(code.abs()) >= self.channels.clip_limit * f64::from(largest)
+    }
+}
+
+impl PsdMap {
+    /// The spot in metres, from the volts of u, v and sum.
+    fn spot(&self, position: [f64; 2], sum: f64) -> [f64; 2] {
+        let unit = match self.channels.amplifier {
+            Amplifier::Normalised => self.channels.full_scale_v,
+            Amplifier::Difference => sum,
+        };
+        let spot = [0, 1].map(|k| position[k] * self.channels.gain[k] / unit * self.half_size);
+        self.correction.as_ref().map_or(spot, |table| table.apply(spot))
+    }
+}

@@ -1,0 +1,153 @@
+//! Correction table of a PSD's non-linearity.
+//!
+//! A CSV file with the columns `u_m, v_m, du_m, dv_m`: at the reading (u, v) the true spot is
+//! (u + du, v + dv). The rows are the points of a rectangular grid, in any order, that covers the whole
+//! sensitive area; in between the corrections are interpolated bilinearly.
+
+use std::path::Path;
+
+/// A correction table.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Correction {
+    u: Vec<f64>,
+    v: Vec<f64>,
+    /// Corrections in metres; row by row, `u` runs faster.
+    d: Vec<[f64; 2]>,
+}
+
+/// Why a file is no correction table.
+#[derive(Debug, thiserror::Error)]
+pub enum CorrectionError {
+    /// The file cannot be read, or a row is not four numbers.
+    #[error("{0}")]
+    Csv(#[from] csv::Error),
+    /// A number is not finite.
+    #[error("row {row}: every value must be a finite number of metres")]
+    NotFinite {
+        /// Counted from 1, without the header.
+        row: usize,
+    },
+    /// The points are no grid.
+    #[error("the points must be a full grid: {columns} x {rows} places, but {points} points")]
+    NoGrid {
+        /// Different values of u.
+        columns: usize,
+        /// Different values of v.
+        rows: usize,
+        /// Rows in the file.
+        points: usize,
+    },
+    /// The grid leaves parts of the area out.
+    #[error("the grid must cover +-{:.3} mm in u and v", half_size * 1e3)]
+    TooSmall {
+        /// Half the side of the area, metres.
+        half_size: f64,
+    },
+}
+
+/// A row of the file; the names are its columns.
+#[derive(serde::Deserialize)]
+#[expect(clippy::struct_field_names, reason = "the columns carry their unit")]
+struct Row {
+    u_m: f64,
+    v_m: f64,
+    du_m: f64,
+    dv_m: f64,
+}
+
+impl Correction {
+    /// Reads a table for a PSD with this half side (metres).
+    pub fn load(path: &Path, half_size: f64) -> Result<Self, CorrectionError> {
+        let mut reader =
+            csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_path(path)?;
+        let rows: Vec<Row> = reader.deserialize().collect::<Result<_, _>>()?;
+        Self::new(&rows, half_size)
+    }
+
+    fn new(rows: &[Row], half_size: f64) -> Result<Self, CorrectionError> {
+        let finite = |r: &Row| [r.u_m, r.v_m, r.du_m, r.dv_m].iter().all(|x| x.is_finite());
+        if let Some(i) = rows.iter().position(|r| !finite(r)) {
+            return Err(CorrectionError::NotFinite { row: i + 1 });
+        }
+        let (u, v) = (places(rows.iter().map(|r| r.u_m)), places(rows.iter().map(|r| r.v_m)));
+        let no_grid = CorrectionError::NoGrid { columns: u.len(), rows: v.len(), points: rows.len() };
+        if u.len() < 2 || v.len() < 2 || rows.len() != u.len() * v.len() {
+            return Err(no_grid);
+        }
+        let mut d = vec![[f64::NAN; 2]; rows.len()];
+        for row in rows {
+            let at = |places: &[f64], x: f64| places.partition_point(|p| *p < x);
+            d[at(&v, row.v_m) * u.len() + at(&u, row.u_m)] = [row.du_m, row.dv_m];
+        }
+        if d.iter().any(|d| d[0].is_nan()) {
+            return Err(no_grid); // a point stands twice, so another one is missing
+        }
+        let covers = |p: &[f64]| p[0] <= -half_size && p[p.len() - 1] >= half_size;
+        if !(covers(&u) && covers(&v)) {
+            return Err(CorrectionError::TooSmall { half_size });
+        }
+        Ok(Self { u, v, d })
+    }
+
+    /// The true spot for a reading, metres. A reading outside the grid gets the correction of its rim.
+    pub fn apply(&self, spot: [f64; 2]) -> [f64; 2] {
+        let (i, a) = cell(&self.u, spot[0]);
+        let (k, b) = cell(&self.v, spot[1]);
+        let at = |i: usize, k: usize| self.d[k * self.u.len() + i];
+        [0, 1].map(|x| {
+            let low = at(i, k)[x] * (1.0 - a) + at(i + 1, k)[x] * a;
+            let high = at(i, k + 1)[x] * (1.0 - a) + at(i + 1, k + 1)[x] * a;
+            spot[x] + low * (1.0 - b) + high * b
+        })
+    }
+}
+
+/// The different values, in order.
+fn places(values: impl Iterator<Item = f64>) -> Vec<f64> {
+    let mut places: Vec<f64> = values.collect();
+    places.sort_by(f64::total_cmp);
+    places.dedup();
+    places
+}
+
+/// The interval of the grid in which `x` lies, and how far along it, 0 to 1.
+fn cell(places: &[f64], x: f64) -> (usize, f64) {
+    let i = places.partition_point(|p| *p <= x).clamp(1, places.len() - 1) - 1;
+    (i, ((x - places[i]) / (places[i + 1] - places[i])).clamp(0.0, 1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn grid(f: impl Fn(f64, f64) -> [f64; 2]) -> Vec<Row> {
+        let places = [-7e-3, -2e-3, 0.0, 3e-3, 7e-3];
+        let point = |u, v| Row { u_m: u, v_m: v, du_m: f(u, v)[0], dv_m: f(u, v)[1] };
+        places.into_iter().flat_map(|u| places.map(|v| point(u, v))).collect()
+    }
+
+    #[test]
+    fn a_bilinear_error_is_taken_out_exactly() {
+        let error = |u: f64, v: f64| [1e-3 * u + 2.0 * u * v, -3e-3 * v + 1e-5];
+        let table = Correction::new(&grid(error), 6.5e-3).unwrap();
+        for (u, v) in [(0.0, 0.0), (1.3e-3, -4.4e-3), (-6.5e-3, 6.5e-3), (3e-3, 3e-3), (7e-3, 7e-3)] {
+            let [du, dv] = error(u, v);
+            let [cu, cv] = table.apply([u, v]);
+            assert!((cu - u - du).abs() < 1e-15 && (cv - v - dv).abs() < 1e-15, "{u} {v}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_grid_over_the_area_is_refused() {
+        let say = |rows: &[Row], half| Correction::new(rows, half).unwrap_err().to_string();
+        let mut rows = grid(|_, _| [0.0; 2]);
+        assert!(say(&rows, 8e-3).contains("8.000 mm"));
+        rows[7].u_m = rows[8].u_m;
+        rows[7].v_m = rows[8].v_m;
+        assert!(say(&rows, 6e-3).contains("full grid: 5 x 5"));
+        rows.pop();
+        assert!(say(&rows, 6e-3).contains("24 points"));
+        rows[3].dv_m = f64::NAN;
+        assert!(say(&rows, 6e-3).contains("row 4"));
+    }
+}

@@ -1,0 +1,145 @@
+//! The task: asks the source, maps channels, hands samples on, takes steering commands.
+
+use std::sync::Arc;
+
+use tokio::sync::mpsc::{self, error::TrySendError};
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+
+use super::{Ack, ChannelMap, Channels, Down, Event, Identity, OutputCommand, Sample, Source};
+use crate::clock::Clock;
+use crate::monitor::Counters;
+
+/// What estimation gets, in order.
+#[derive(Clone, Debug)]
+pub enum Acquired {
+    /// The source is ready.
+    Up(Arc<Identity>),
+    /// A sample.
+    Sample(Sample),
+    /// No samples come, for this reason.
+    Down(Down),
+}
+
+/// What the controller gets: only the newest.
+#[derive(Clone, Debug, Default)]
+pub struct Newest {
+    /// The source, while it is up.
+    pub source: Option<Arc<Identity>>,
+    /// The last sample.
+    pub sample: Option<Sample>,
+    /// The last answer to a steering command.
+    pub ack: Option<Ack>,
+}
+
+/// The edges of the task.
+#[derive(Debug)]
+pub struct Edges {
+    /// Samples in order, to estimation.
+    pub samples: mpsc::Sender<Acquired>,
+    /// The newest, to centering.
+    pub newest: watch::Sender<Newest>,
+    /// Steering commands, from centering.
+    pub commands: watch::Receiver<Option<OutputCommand>>,
+}
+
+/// Runs until `stop`, then closes the source.
+pub async fn run<S: Source, C: Clock>(
+    mut source: S,
+    channels: Channels,
+    clock: C,
+    counters: Arc<Counters>,
+    edges: Edges,
+    stop: CancellationToken,
+) {
+    let mut commands = edges.commands.clone();
+    let mut intake = Intake { channels, counters, edges, map: None, dropped: 0 };
+    loop {
+        tokio::select! {
+            biased;
+            () = stop.cancelled() => break,
+            Ok(()) = commands.changed() => {
+                if let Some(command) = *commands.borrow_and_update() {
+                    intake.counters.commands_sent.one();
+                    source.steer(command, clock.now());
+                }
+            }
+            event = source.next() => intake.take(event),
+        }
+    }
+    source.close().await;
+}
+
+/// What happens to an event.
+struct Intake {
+    channels: Channels,
+    counters: Arc<Counters>,
+    edges: Edges,
+    map: Option<ChannelMap>,
+    /// Samples that estimation had no room for since the last one it took.
+    dropped: u32,
+}
+
+impl Intake {
+    fn take(&mut self, event: Event) {
+        match event {
+            Event::Up(identity) => self.up(identity),
+            Event::Scan(scan) => {
+                self.counters.scans.one();
+                if let Some(map) = &mut self.map {
+                    let sample = map.sample(&scan);
+                    self.edges.newest.send_modify(|newest| newest.sample = Some(sample));
+                    self.hand_on(sample);
+                }
+            }
+            Event::Ack(ack) => {
+                if !ack.accepted {
+                    self.counters.commands_refused.one();
+                }
+                self.edges.newest.send_modify(|newest| newest.ack = Some(ack));
+            }
+            Event::Down(down) => self.down(down),
+        }
+    }
+
+    fn up(&mut self, identity: Identity) {
+        match self.channels.map(&identity) {
+            Ok(map) => {
+                tracing::info!(name = identity.name, rate_hz = identity.rate_hz, "source is up");
+                self.map = Some(map);
+                let identity = Arc::new(identity);
+                self.edges.newest.send_modify(|newest| newest.source = Some(Arc::clone(&identity)));
+                self.tell(Acquired::Up(identity));
+            }
+            Err(reason) => self.down(Down::Unfit(reason)),
+        }
+    }
+
+    fn down(&mut self, down: Down) {
+        self.counters.source_downs.one();
+        tracing::warn!(reason = %down, "source is down");
+        self.edges.newest.send_modify(|newest| newest.source = None);
+        self.tell(Acquired::Down(down));
+    }
+
+    fn hand_on(&mut self, mut sample: Sample) {
+        sample.lost += self.dropped;
+        match self.edges.samples.try_send(Acquired::Sample(sample)) {
+            Ok(()) => self.dropped = 0,
+            Err(TrySendError::Full(_)) => {
+                self.counters.estimation_overflows.one();
+                self.dropped = sample.lost.saturating_add(1);
+            }
+            // Estimation has ended; the daemon sees that and ends too.
+            Err(TrySendError::Closed(_)) => {}
+        }
+    }
+
+    /// News about the source. With no room left estimation has older samples to work on, and finds out
+    /// by the silence after them.
+    fn tell(&self, news: Acquired) {
+        if self.edges.samples.try_send(news).is_err() {
+            self.counters.estimation_overflows.one();
+        }
+    }
+}

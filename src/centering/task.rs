@@ -1,0 +1,116 @@
+//! The task: newest sample in, command out; holds on silence; holds or parks at the end.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::watch;
+use tokio::time::{sleep, timeout};
+use tokio_util::sync::CancellationToken;
+
+use super::core::{Centering, LoopState};
+use super::lock::Transition;
+use crate::acquisition::{Identity, OutputCommand, Sample, task::Newest};
+use crate::clock::Clock;
+use crate::estimation::PoseReport;
+use crate::monitor::Counters;
+use crate::optics::Pose;
+
+/// A pose older than this says nothing of the wedges now. Seconds.
+const FRESH_S: f64 = 0.1;
+/// How long the last command may wait for its acknowledgement.
+const LAST_ACK: Duration = Duration::from_secs(1);
+/// How often silence is noticed.
+const PATIENCE: Duration = Duration::from_millis(20);
+
+/// The edges of the task.
+#[derive(Debug)]
+pub struct Edges {
+    /// The newest sample and answer, from acquisition.
+    pub newest: watch::Receiver<Newest>,
+    /// The newest report, from estimation.
+    pub poses: watch::Receiver<Option<PoseReport>>,
+    /// Commands, back to acquisition.
+    pub commands: watch::Sender<Option<OutputCommand>>,
+    /// What the loop does, to estimation.
+    pub state: watch::Sender<LoopState>,
+}
+
+/// Runs until `stop`; then sends the last command and waits for its acknowledgement.
+pub async fn run<C: Clock>(
+    mut centering: Centering,
+    clock: C,
+    counters: Arc<Counters>,
+    mut edges: Edges,
+    stop: CancellationToken,
+) {
+    let mut source: Option<Arc<Identity>> = None;
+    let mut heard = clock.now();
+    loop {
+        tokio::select! {
+            biased;
+            () = stop.cancelled() => break,
+            changed = edges.newest.changed() => {
+                if changed.is_err() {
+                    break; // acquisition has ended; the daemon sees that
+                }
+                let newest = edges.newest.borrow_and_update().clone();
+                if let Some(now) = newest.source
+                    && !source.as_ref().is_some_and(|before| Arc::ptr_eq(before, &now))
+                {
+                    source = Some(now);
+                    centering.source_changed();
+                }
+                if let (Some(identity), Some(sample)) = (&source, &newest.sample)
+                    && let Some(skipped) = centering.skipped(sample)
+                {
+                    counters.centering_skips.add(skipped);
+                    heard = clock.now();
+                    act(&mut centering, sample, identity.output_bits, &edges);
+                }
+            }
+            () = sleep(PATIENCE) => {
+                let now = clock.now();
+                say(centering.silence(now.seconds_since(heard)));
+                heard = now;
+            }
+        }
+        edges.state.send_if_modified(|state| std::mem::replace(state, centering.state()) != *state);
+    }
+    if let Some(identity) = source
+        && let Some(last) = centering.finish(identity.output_bits)
+    {
+        finish(last, &mut edges).await;
+    }
+}
+
+fn act(centering: &mut Centering, sample: &Sample, output_bits: u8, edges: &Edges) {
+    let pose = fresh_pose(&edges.poses, sample);
+    let outcome = centering.sample(sample, pose.as_ref(), output_bits);
+    if let Some(command) = outcome.command {
+        edges.commands.send_replace(Some(command));
+    }
+    say(outcome.transition);
+}
+
+fn fresh_pose(poses: &watch::Receiver<Option<PoseReport>>, sample: &Sample) -> Option<Pose> {
+    let report = (*poses.borrow())?;
+    let fresh = sample.time.seconds_since(report.time).abs() <= FRESH_S;
+    report.pose.filter(|_| fresh)
+}
+
+fn say(transition: Option<Transition>) {
+    if let Some(Transition { from, to, cause }) = transition {
+        tracing::info!(from = from.name(), to = to.name(), cause, "lock");
+    }
+}
+
+async fn finish(last: OutputCommand, edges: &mut Edges) {
+    edges.commands.send_replace(Some(last));
+    let answered = edges.newest.wait_for(|newest| newest.ack.is_some_and(|ack| ack.id == last.id));
+    if let Ok(Ok(_)) = timeout(LAST_ACK, answered).await {
+        tracing::info!(codes = ?last.codes, "steering acknowledged its last command");
+    } else {
+        let lease_ms = last.lease_ms;
+        tracing::warn!(lease_ms, "steering did not acknowledge its last command; its lease will end it");
+    }
+}

@@ -1,0 +1,248 @@
+//! The wiring: makes every channel, starts every task, owns start and shutdown.
+//!
+//! ```text
+//!  fast thread                                                     main thread
+//!  source ─> acquisition ─(samples, in order)─> estimation ─> UDP
+//!              ^   └─(newest)─> centering <─(pose)─┘   └─(frames)─> TCP clients
+//!              └──────(command)─────┘   └─(lock)──^
+//! ```
+//!
+//! The fast thread never waits for the main thread: frames that do not fit into the channel are counted.
+
+use std::io;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+
+use anyhow::Context;
+use tokio::runtime::{Builder, Runtime};
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::{mpsc, oneshot, watch};
+use tokio::task::LocalSet;
+use tokio_util::sync::CancellationToken;
+
+use crate::acquisition::{self, Channels, SerialSource, Source};
+use crate::centering::{self, Centering};
+use crate::clock::{SystemClock, utc::Utc};
+use crate::config::{Config, SourceKind};
+use crate::estimation::{self, Estimation};
+use crate::exit::{self, Failure};
+use crate::monitor::Counters;
+use crate::publishing::descriptor::StreamFacts;
+use crate::publishing::frame::FrameBytes;
+use crate::publishing::{Descriptor, Publisher, PublisherSettings, StreamId, tcp};
+use crate::realtime;
+use crate::twin::{Twin, TwinSource};
+
+/// Samples that may wait for estimation; frames that may wait for the TCP side.
+const QUEUE: usize = 1024;
+
+/// Runs until SIGTERM or SIGINT; then ends in order, the steering first.
+pub fn run(config: &Config) -> anyhow::Result<()> {
+    let counters = Arc::new(Counters::default());
+    let channels = Channels::load(config)?;
+    let id = StreamId::new(config.config_id().context("cannot read a correction table")?);
+    let facts = StreamFacts {
+        id,
+        sample_rate_hz: config.acquisition.rate_hz,
+        average: config.estimation.average,
+        model: config.estimation.model,
+        calibrated: channels.calibrated(),
+    };
+    let main = Builder::new_current_thread().enable_all().build().context("cannot start a runtime")?;
+    let (to_tcp, frames) = mpsc::channel(QUEUE);
+    let server = match config.publishing.tcp {
+        Some(address) => Some(main.block_on(tcp::bind(address))?),
+        None => None,
+    };
+    let udp = config.publishing.udp.clone();
+    let publisher = Publisher::new(
+        PublisherSettings { id, udp },
+        SystemClock,
+        Utc::system(),
+        Arc::clone(&counters),
+        server.is_some().then_some(to_tcp),
+    )?;
+    let parts = Parts {
+        estimation: Estimation::new(estimation::Settings::new(config, channels.calibrated())?),
+        centering: Centering::new(config)?,
+        channels,
+        publisher,
+        counters: Arc::clone(&counters),
+        stop: CancellationToken::new(),
+        config: config.clone(),
+    };
+    let stop = parts.stop.clone();
+    let fast = match config.acquisition.source {
+        SourceKind::Twin => {
+            let twin = Twin::new(config)?;
+            let counters = Arc::clone(&counters);
+            start_fast(parts, || TwinSource::new(twin, SystemClock, counters))?
+        }
+        SourceKind::Serial => {
+            let source = SerialSource::open(config, SystemClock, Arc::clone(&counters))?;
+            start_fast(parts, || Ok(source))?
+        }
+    };
+    let tcp = server.map(|listener| Server { listener, frames, descriptor: Descriptor::new(facts) });
+    let result = serve(&main, config, tcp, fast, &counters, &stop);
+    let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
+    tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
+    result
+}
+
+/// What the fast thread is made of.
+struct Parts {
+    config: Config,
+    channels: Channels,
+    estimation: Estimation,
+    centering: Centering,
+    publisher: Publisher<SystemClock>,
+    counters: Arc<Counters>,
+    stop: CancellationToken,
+}
+
+/// The TCP side.
+struct Server {
+    listener: tokio::net::TcpListener,
+    frames: mpsc::Receiver<FrameBytes>,
+    descriptor: Descriptor,
+}
+
+/// The fast thread, and the news of its end: the task that ended by itself, if one did.
+struct Fast {
+    thread: JoinHandle<()>,
+    ended: oneshot::Receiver<anyhow::Result<()>>,
+}
+
+fn start_fast<S: Source + 'static>(
+    parts: Parts,
+    source: impl FnOnce() -> io::Result<S> + Send + 'static,
+) -> anyhow::Result<Fast> {
+    let (end, ended) = oneshot::channel();
+    let thread = std::thread::Builder::new().name("fast".into()).spawn(move || {
+        realtime::apply(&parts.config.realtime);
+        let result = Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .context("cannot start the fast runtime")
+            .and_then(|runtime| LocalSet::new().block_on(&runtime, fast(parts, source)));
+        // The main thread may have given up waiting; then there is nobody to tell.
+        let _ = end.send(result);
+    });
+    Ok(Fast { thread: thread.context("cannot start the fast thread")?, ended })
+}
+
+/// The three tasks and their edges; ends when `stop` is cancelled, or with an error when a task ends.
+async fn fast<S: Source + 'static>(
+    parts: Parts,
+    source: impl FnOnce() -> io::Result<S>,
+) -> anyhow::Result<()> {
+    let Parts { config, channels, estimation, centering, mut publisher, counters, stop } = parts;
+    let source = source().context("cannot start the source")?;
+    let (samples_in, samples) = mpsc::channel(QUEUE);
+    let (newest_in, newest) = watch::channel(acquisition::task::Newest::default());
+    let (commands_in, commands) = watch::channel(None);
+    let (state_in, steering) = watch::channel(centering.state());
+    let (poses_in, poses) = watch::channel(None);
+    let stop_acquisition = CancellationToken::new();
+
+    let mut acquisition = tokio::task::spawn_local(acquisition::task::run(
+        source,
+        channels,
+        SystemClock,
+        Arc::clone(&counters),
+        acquisition::task::Edges { samples: samples_in, newest: newest_in, commands },
+        stop_acquisition.clone(),
+    ));
+    let mut centering = tokio::task::spawn_local(centering::task::run(
+        centering,
+        SystemClock,
+        counters,
+        centering::task::Edges { newest, poses, commands: commands_in, state: state_in },
+        stop.clone(),
+    ));
+    let publish = move |report: &_| publisher.publish(report);
+    let mut estimation = tokio::task::spawn_local(estimation::task::run(
+        estimation,
+        config.acquisition.rate_hz,
+        SystemClock,
+        estimation::task::Edges { samples, steering, newest: poses_in, publish },
+    ));
+
+    let ended = tokio::select! {
+        biased;
+        () = stop.cancelled() => None,
+        end = &mut centering => Some(("centering", end)),
+        end = &mut acquisition => Some(("acquisition", end)),
+        end = &mut estimation => Some(("estimation", end)),
+    };
+    if let Some((task, end)) = ended {
+        let why = end.err().map_or_else(|| "it returned".into(), |e| e.to_string());
+        return Err(Failure::new(exit::SOFTWARE, format!("task {task} ended by itself: {why}")).into());
+    }
+    // In order: the stage gets its last command while acquisition still carries it; then acquisition
+    // ends, and with it the channel that estimation lives on.
+    centering.await.context("task centering failed at the end")?;
+    stop_acquisition.cancel();
+    acquisition.await.context("task acquisition failed at the end")?;
+    estimation.await.context("task estimation failed at the end")
+}
+
+/// The main thread: TCP clients and signals, until the end.
+fn serve(
+    main: &Runtime,
+    config: &Config,
+    server: Option<Server>,
+    fast: Fast,
+    counters: &Arc<Counters>,
+    stop: &CancellationToken,
+) -> anyhow::Result<()> {
+    let stop_tcp = CancellationToken::new();
+    let limits = tcp::Limits { clients: config.publishing.tcp_clients, queue: config.publishing.tcp_queue };
+    let Fast { thread, mut ended } = fast;
+    let result = main.block_on(async {
+        let (mut terminate, mut interrupt) =
+            (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
+        let serving = async {
+            match server {
+                Some(Server { listener, frames, descriptor }) => {
+                    let counters = Arc::clone(counters);
+                    tcp::serve(listener, frames, &descriptor, limits, counters, stop_tcp.clone()).await
+                }
+                None => std::future::pending().await,
+            }
+        };
+        let mut serving = std::pin::pin!(serving);
+        tokio::select! {
+            biased;
+            end = &mut ended => return fast_end(end),
+            end = &mut serving => {
+                end?;
+                // The server ends by itself only when the fast side is gone.
+                return fast_end(ended.await);
+            }
+            _ = terminate.recv() => tracing::info!("SIGTERM: stopping"),
+            _ = interrupt.recv() => tracing::info!("SIGINT: stopping"),
+        }
+        stop.cancel();
+        // Clients are served while the fast side ends.
+        let end = tokio::select! {
+            end = &mut ended => fast_end(end),
+            end = &mut serving => { end?; fast_end(ended.await) }
+        };
+        stop_tcp.cancel();
+        if config.publishing.tcp.is_some() {
+            let _ = tokio::time::timeout(std::time::Duration::from_secs(2), serving).await;
+        }
+        end
+    });
+    // It has said that it ended; only a panic is news now.
+    if thread.join().is_err() {
+        return Err(Failure::new(exit::SOFTWARE, "the fast thread panicked").into());
+    }
+    result
+}
+
+fn fast_end(end: Result<anyhow::Result<()>, oneshot::error::RecvError>) -> anyhow::Result<()> {
+    end.unwrap_or_else(|_| Err(Failure::new(exit::SOFTWARE, "the fast thread ended without a word").into()))
+}

@@ -1,0 +1,110 @@
+//! The noise of the signals, as it is.
+//!
+//! Second differences `x[k+1] - 2 x[k] + x[k-1]` do not see a steady movement; of white noise their mean
+//! square is six times the variance. So they tell the noise of a moving mirror. What is left of a fast
+//! movement counts as noise, and the stated deviations err on the safe side.
+
+/// Signals that are watched.
+const SIGNALS: usize = 9;
+/// Samples over which a burst is noticed, and a slow growth.
+const WINDOWS: [f64; 2] = [64.0, 4096.0];
+/// A live deviation counts from so many of its own deviations above the configured one.
+const SIGNIFICANT: f64 = 3.0;
+
+/// Live deviations of the nine signals.
+#[derive(Clone, Debug, Default)]
+pub struct LiveNoise {
+    last: Option<[f64; SIGNALS]>,
+    last_step: Option<[f64; SIGNALS]>,
+    variance: [[f64; WINDOWS.len()]; SIGNALS],
+    count: f64,
+}
+
+impl LiveNoise {
+    /// Forgets the last samples (there was a gap), not the noise.
+    pub fn interrupt(&mut self) {
+        (self.last, self.last_step) = (None, None);
+    }
+
+    /// Takes the next sample.
+    pub fn push(&mut self, signals: [f64; SIGNALS]) {
+        let step = self.last.map(|last| std::array::from_fn(|i| signals[i] - last[i]));
+        if let Some((step, last_step)) = step.zip(self.last_step) {
+            self.count += 1.0;
+            for i in 0..SIGNALS {
+                let second: f64 = step[i] - last_step[i];
+                for (variance, window) in self.variance[i].iter_mut().zip(WINDOWS) {
+                    *variance += (second * second / 6.0 - *variance) / self.count.min(window);
+                }
+            }
+        }
+        (self.last, self.last_step) = (Some(signals), step);
+    }
+
+    /// The deviation of a signal: the configured one, or the live one where it is larger by more than
+    /// chance. A deviation measured over n second differences is itself good to about 1/sqrt(n).
+    pub fn deviation(&self, signal: usize, configured: f64) -> f64 {
+        let mut deviation = configured;
+        for (variance, window) in self.variance[signal].iter().zip(WINDOWS) {
+            let live = variance.sqrt();
+            let chance = 1.0 + SIGNIFICANT / self.count.min(window).max(1.0).sqrt();
+            if live > configured * chance {
+                deviation = deviation.max(live);
+            }
+        }
+        deviation
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_distr::StandardNormal;
+
+    fn fed(sigma: f64, n: usize, movement: impl Fn(f64) -> f64) -> LiveNoise {
+        let mut random = rand_pcg::Pcg64::seed_from_u64(3);
+        let mut noise = LiveNoise::default();
+        for k in 0..n {
+            let draw = |_| movement(k as f64) + sigma * random.sample::<f64, _>(StandardNormal);
+            noise.push([0; SIGNALS].map(draw));
+        }
+        noise
+    }
+
+    #[test]
+    fn the_configured_deviation_stands_while_the_noise_is_no_larger() {
+        let noise = fed(1.0, 20_000, |k| 5.0 * k);
+        for signal in 0..SIGNALS {
+            assert_eq!(noise.deviation(signal, 1.0), 1.0);
+        }
+    }
+
+    #[test]
+    fn more_noise_raises_it_to_what_it_is() {
+        let noise = fed(1.5, 20_000, |k| 5.0 * k);
+        for signal in 0..SIGNALS {
+            let live = noise.deviation(signal, 1.0);
+            assert!((1.45..2.2).contains(&live), "{live}"); // the short window scatters by an eighth
+        }
+    }
+
+    #[test]
+    fn a_burst_is_noticed_within_the_short_window() {
+        let mut noise = fed(1.0, 5000, |_| 0.0);
+        for k in 0..64 {
+            noise.push([f64::from(k % 2) * 20.0; SIGNALS]);
+        }
+        assert!(noise.deviation(0, 1.0) > 8.0);
+    }
+
+    #[test]
+    fn a_gap_is_no_noise() {
+        let mut noise = fed(0.1, 100, |_| 0.0);
+        noise.interrupt();
+        noise.push([1e6; SIGNALS]);
+        noise.push([1e6; SIGNALS]);
+        noise.push([1e6; SIGNALS]);
+        assert_eq!(noise.deviation(0, 0.2), 0.2);
+    }
+}
