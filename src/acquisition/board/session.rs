@@ -140,10 +140,12 @@ impl Session {
         }
     }
 
-    /// Asks the board to scan no more.
+    /// Asks the board to scan no more, after the last command.
     pub fn stop(&mut self) {
+        if let Some(command) = self.command.take() {
+            Request::Steer(command).encode(&mut self.out);
+        }
         Request::Stop.encode(&mut self.out);
-        self.command = None;
     }
 
     /// What is to be written next.
@@ -277,7 +279,7 @@ impl Session {
             heard: now,
             lease_expired: true, // of the daemon before this one: no news
         });
-        tracing::info!("board started: {}, {} channels at {rate_hz} Hz", board.name, board.roles.len());
+        tracing::debug!("board started: {}, {} channels at {rate_hz} Hz", board.name, board.roles.len());
         self.told = None;
         self.events.push_back(Event::Up(board.identity(rate_hz)));
     }
@@ -351,7 +353,6 @@ impl Session {
     fn down(&mut self, reason: Down) {
         self.command = None;
         if self.told.as_ref() != Some(&reason) {
-            tracing::warn!("{reason}");
             self.told = Some(reason.clone());
             self.events.push_back(Event::Down(reason));
         }
@@ -555,6 +556,9 @@ mod tests {
         assert_eq!(bench.requests(), [Request::Steer(command(3))]);
         bench.answer(&Answer::Ack { id: 3, result: SteerResult::OutOfRange });
         assert_eq!(bench.session.event(), Some(Event::Ack(Ack { id: 3, accepted: false })));
+        bench.session.steer(command(4));
+        bench.session.stop();
+        assert_eq!(bench.requests(), [Request::Steer(command(4)), Request::Stop]);
     }
 
     #[test]
