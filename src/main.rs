@@ -28,6 +28,8 @@ enum Command {
     Check(commands::CheckArgs),
     /// Play an acquisition board on a pseudo-terminal
     Emulate(commands::EmulateArgs),
+    /// Measure the dark offsets with the laser off, and write them into the configuration
+    Dark(commands::DarkArgs),
     /// Compute signals from poses: CSV in, CSV out
     Trace(commands::TableArgs),
     /// Compute poses from signals: CSV in, CSV out
@@ -50,6 +52,7 @@ fn main() -> ExitCode {
         Command::Run(args) => commands::run(&args),
         Command::Check(args) => commands::check(&args),
         Command::Emulate(args) => commands::emulate(&args),
+        Command::Dark(args) => commands::dark(&args),
         Command::Trace(args) => commands::trace(&args),
         Command::Solve(args) => commands::solve(&args),
         Command::Simulate(args) => commands::simulate(&args),

@@ -49,3 +49,25 @@ fn a_wrong_configuration_is_refused() {
     assert!(String::from_utf8_lossy(&output.stderr).contains("laser_w"), "{output:?}");
     assert!(output.stdout.is_empty());
 }
+
+#[test]
+fn solving_the_samples_gives_the_true_poses() {
+    let table = tempfile::NamedTempFile::new().unwrap();
+    let simulated = simulate().args(["--samples", "500"]).output().unwrap().stdout;
+    std::fs::write(table.path(), &simulated).unwrap();
+    let solved =
+        Command::new(env!("CARGO_BIN_EXE_trifacet")).arg("solve").arg(table.path()).output().unwrap();
+    assert!(solved.status.success(), "{solved:?}");
+    let (truth, poses) = (column(&simulated, "true_tz_m"), column(&solved.stdout, "tz_m"));
+    assert_eq!((truth.len(), poses.len()), (500, 500));
+    // One sample scatters by 0.62 um; the mirror wanders by 20 um.
+    assert!(truth.iter().zip(&poses).all(|(t, z)| (t - z).abs() < 4e-6));
+    let mean = truth.iter().zip(&poses).map(|(t, z)| z - t).sum::<f64>() / 500.0;
+    assert!(mean.abs() < 4.0 * 0.62e-6 / 500_f64.sqrt(), "{mean}");
+}
+
+fn column(table: &[u8], name: &str) -> Vec<f64> {
+    let text = std::str::from_utf8(table).unwrap();
+    let place = text.lines().next().unwrap().split(',').position(|c| c == name).unwrap();
+    text.lines().skip(1).map(|row| row.split(',').nth(place).unwrap().parse().unwrap()).collect()
+}

@@ -6,6 +6,7 @@
 pub mod board;
 pub mod channels;
 pub mod correction;
+pub mod dark;
 pub mod port;
 pub mod scan;
 pub mod serial;

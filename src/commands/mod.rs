@@ -1,12 +1,13 @@
 //! One file for each command of `trifacet`; `main.rs` only chooses.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use trifacet::config::{self, Config};
 
 mod check;
+mod dark;
 mod emulate;
 mod run;
 mod simulate;
@@ -15,6 +16,7 @@ mod trace;
 mod watch;
 
 pub(crate) use check::{CheckArgs, check};
+pub(crate) use dark::{DarkArgs, dark};
 pub(crate) use emulate::{EmulateArgs, emulate};
 pub(crate) use run::{RunArgs, run};
 pub(crate) use simulate::{SimulateArgs, simulate};
@@ -30,6 +32,11 @@ pub(crate) struct ConfigArg {
 }
 
 impl ConfigArg {
+    /// The file, if one was named.
+    pub(crate) fn path(&self) -> Option<&Path> {
+        self.config.as_deref()
+    }
+
     /// The checked configuration.
     pub(crate) fn load(&self) -> anyhow::Result<Config> {
         Ok(config::load(self.config.as_deref())?)

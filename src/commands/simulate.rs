@@ -1,15 +1,18 @@
 //! `trifacet simulate`: the twin as fast as it can, as a table for `trifacet solve` and for tests.
 //!
-//! The same configuration gives the same bytes.
+//! The same configuration gives the same bytes. A spot that the channel map does not accept is NaN.
 
 use std::io::{self, Write};
 
 use trifacet::{
+    acquisition::{ChannelMap, Channels, Sample},
+    clock::{Mono, NS_PER_S},
     exit::{self, Failure},
-    twin::{Fate, Twin, TwinScan},
+    twin::{Twin, TwinScan},
 };
 
 use super::table::digits;
+use super::trace::{POWERS, SPOTS};
 use super::{ConfigArg, written};
 
 /// Arguments of `simulate`.
@@ -25,8 +28,10 @@ pub(crate) struct SimulateArgs {
 /// Prints samples of the twin and the truth behind them to standard output.
 pub(crate) fn simulate(args: &SimulateArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
-    let mut twin = Twin::new(&config).map_err(|e| Failure::new(exit::CONFIG, e.to_string()))?;
-    written(table(&mut twin, args.samples, io::stdout().lock()))
+    let wrong = |message| Failure::new(exit::CONFIG, message);
+    let mut twin = Twin::new(&config).map_err(|e| wrong(e.to_string()))?;
+    let mut map = Channels::load(&config)?.map(twin.identity()).map_err(wrong)?;
+    written(table(&mut twin, &mut map, args.samples, io::stdout().lock()))
 }
 
 const TRUTH: [&str; 8] = [
@@ -40,22 +45,28 @@ const TRUTH: [&str; 8] = [
     "true_beam_dy_m",
 ];
 
-fn table(twin: &mut Twin, samples: u64, out: impl Write) -> io::Result<()> {
+fn table(twin: &mut Twin, map: &mut ChannelMap, samples: u64, out: impl Write) -> io::Result<()> {
     let mut out = io::BufWriter::new(out);
-    writeln!(out, "sample,time_s,{}", TRUTH.join(","))?;
+    writeln!(out, "sample,time_s,{},{},{}", TRUTH.join(","), SPOTS.join(","), POWERS.join(","))?;
+    let mut lost = 0;
     for _ in 0..samples {
         let scan = twin.next_scan();
-        if scan.fate == Fate::Sent {
-            row(&scan, &mut out)?;
+        let time = Mono((scan.t_s * NS_PER_S as f64).round() as i64);
+        if let Some(arrived) = scan.arrived(time, lost) {
+            row(&scan, &map.sample(&arrived), &mut out)?;
+            lost = 0;
+        } else {
+            lost += 1;
         }
     }
     out.flush()
 }
 
-fn row(scan: &TwinScan, out: &mut impl Write) -> io::Result<()> {
+fn row(scan: &TwinScan, sample: &Sample, out: &mut impl Write) -> io::Result<()> {
     write!(out, "{},{}", scan.index, scan.t_s)?;
-    let truth = &scan.truth;
-    for value in truth.pose.to_array().iter().chain(truth.offset.iter()) {
+    let truth = scan.truth.pose.to_array();
+    let offset = scan.truth.offset.iter();
+    for value in truth.iter().chain(offset).chain(&sample.spots).chain(&sample.powers) {
         write!(out, ",{}", digits(*value))?;
     }
     writeln!(out)
@@ -68,8 +79,9 @@ mod tests {
     use super::*;
 
     fn text(config: &Config, samples: u64) -> String {
-        let mut out = Vec::new();
-        table(&mut Twin::new(config).unwrap(), samples, &mut out).unwrap();
+        let (mut out, mut twin) = (Vec::new(), Twin::new(config).unwrap());
+        let mut map = Channels::load(config).unwrap().map(twin.identity()).unwrap();
+        table(&mut twin, &mut map, samples, &mut out).unwrap();
         String::from_utf8(out).unwrap()
     }
 
@@ -92,6 +104,9 @@ mod tests {
             assert_eq!((value("sample"), value("time_s")), (scan.index as f64, scan.t_s));
             assert_eq!(value("true_yaw_rad"), scan.truth.pose.yaw);
             assert_eq!(value("true_beam_dy_m"), scan.truth.offset.y);
+            let spots = scan.truth.spots.map(Option::unwrap);
+            assert!((value("v_b_m") - spots[1].at[1]).abs() < 6e-6);
+            assert!((value("power_c") / twin.laser_w() - spots[2].power).abs() < 2e-3);
         }
         assert_eq!(twin.next_index(), 50);
     }
