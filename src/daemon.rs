@@ -5,27 +5,31 @@
 //!  source ─> acquisition ─(samples, in order)─> estimation ─> UDP
 //!              ^   └─(newest)─> centering <─(pose)─┘   └─(frames)─> TCP clients
 //!              └──────(command)─────┘   └─(lock)──^
+//!       (changes, orders, questions) <── control ── socket, SIGHUP
 //! ```
 //!
 //! The fast thread never waits for the main thread: frames that do not fit into the channel are counted.
 
 use std::io;
+use std::path::Path;
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use anyhow::Context;
 use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::{Mutex, mpsc, oneshot, watch};
 use tokio::task::LocalSet;
 use tokio_util::sync::CancellationToken;
 
 use crate::acquisition::{self, Channels, SerialSource, Source};
 use crate::centering::{self, Centering};
-use crate::clock::{SystemClock, utc::Utc};
+use crate::clock::{Clock, SystemClock, utc::Utc};
 use crate::config::{Config, SourceKind};
+use crate::control::{self, AtFast, Command, Live, server::Socket};
 use crate::estimation::{self, Estimation};
 use crate::exit::{self, Failure};
+use crate::logging::Logging;
 use crate::monitor::Counters;
 use crate::publishing::descriptor::StreamFacts;
 use crate::publishing::frame::FrameBytes;
@@ -37,10 +41,14 @@ use crate::twin::{Twin, TwinSource};
 const QUEUE: usize = 1024;
 
 /// Runs until SIGTERM or SIGINT; then ends in order, the steering first.
-pub fn run(config: &Config) -> anyhow::Result<()> {
+///
+/// `file` is where the configuration comes from, to be read again on SIGHUP.
+pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::Result<()> {
+    let started = SystemClock.now();
     let counters = Arc::new(Counters::default());
     let channels = Channels::load(config)?;
-    let id = StreamId::new(config.config_id().context("cannot read a correction table")?);
+    let calibration = config.calibration_id().context("cannot read a correction table")?;
+    let id = StreamId::new(config.frames.id(calibration));
     let facts = StreamFacts {
         id,
         sample_rate_hz: config.acquisition.rate_hz,
@@ -49,6 +57,9 @@ pub fn run(config: &Config) -> anyhow::Result<()> {
         calibrated: channels.calibrated(),
     };
     let main = Builder::new_current_thread().enable_all().build().context("cannot start a runtime")?;
+    let socket = main.block_on(async { Socket::open(&config.control) })?;
+    let (to_fast, at_fast) = control::ways();
+    let (descriptor, descriptors) = watch::channel(Descriptor::new(facts));
     let (to_tcp, frames) = mpsc::channel(QUEUE);
     let server = match config.publishing.tcp {
         Some(address) => Some(main.block_on(tcp::bind(address))?),
@@ -63,12 +74,13 @@ pub fn run(config: &Config) -> anyhow::Result<()> {
         server.is_some().then_some(to_tcp),
     )?;
     let parts = Parts {
-        estimation: Estimation::new(estimation::Settings::new(config, channels.calibrated())?),
+        estimation: Estimation::new(estimation::Settings::new(config, channels.calibrated(), id.config)?),
         centering: Centering::new(config)?,
         channels,
         publisher,
         counters: Arc::clone(&counters),
         stop: CancellationToken::new(),
+        control: at_fast,
         config: config.clone(),
     };
     let stop = parts.stop.clone();
@@ -83,8 +95,21 @@ pub fn run(config: &Config) -> anyhow::Result<()> {
             start_fast(parts, || Ok(source))?
         }
     };
-    let tcp = server.map(|listener| Server { listener, frames, descriptor: Descriptor::new(facts) });
-    let result = serve(&main, config, tcp, fast, &counters, &stop);
+    let tcp = server.map(|listener| Server { listener, frames, descriptors });
+    let live = Live {
+        file: file.map(Path::to_owned),
+        running: config.clone(),
+        taken: config.clone(),
+        calibration,
+        facts,
+        descriptor,
+        fast: to_fast,
+        log: Arc::clone(log),
+        counters: Arc::clone(&counters),
+        started,
+    };
+    let control = control(Arc::new(Mutex::new(live)), socket);
+    let result = serve(&main, config, tcp, control, fast, &counters, &stop);
     let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
     tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
     result
@@ -98,6 +123,7 @@ struct Parts {
     centering: Centering,
     publisher: Publisher<SystemClock>,
     counters: Arc<Counters>,
+    control: AtFast,
     stop: CancellationToken,
 }
 
@@ -105,7 +131,7 @@ struct Parts {
 struct Server {
     listener: tokio::net::TcpListener,
     frames: mpsc::Receiver<FrameBytes>,
-    descriptor: Descriptor,
+    descriptors: watch::Receiver<Descriptor>,
 }
 
 /// The fast thread, and the news of its end: the task that ended by itself, if one did.
@@ -137,7 +163,8 @@ async fn fast<S: Source + 'static>(
     parts: Parts,
     source: impl FnOnce() -> io::Result<S>,
 ) -> anyhow::Result<()> {
-    let Parts { config, channels, estimation, centering, mut publisher, counters, stop } = parts;
+    let Parts { config, channels, estimation, centering, mut publisher, counters, control, stop } = parts;
+    let AtFast { changes, questions, orders } = control;
     let source = source().context("cannot start the source")?;
     let (samples_in, samples) = mpsc::channel(QUEUE);
     let (newest_in, newest) = watch::channel(acquisition::task::Newest::default());
@@ -151,14 +178,14 @@ async fn fast<S: Source + 'static>(
         channels,
         SystemClock,
         Arc::clone(&counters),
-        acquisition::task::Edges { samples: samples_in, newest: newest_in, commands },
+        acquisition::task::Edges { samples: samples_in, newest: newest_in, commands, changes },
         stop_acquisition.clone(),
     ));
     let mut centering = tokio::task::spawn_local(centering::task::run(
         centering,
         SystemClock,
         counters,
-        centering::task::Edges { newest, poses, commands: commands_in, state: state_in },
+        centering::task::Edges { newest, poses, commands: commands_in, state: state_in, orders },
         stop.clone(),
     ));
     let publish = move |report: &_| publisher.publish(report);
@@ -166,7 +193,7 @@ async fn fast<S: Source + 'static>(
         estimation,
         config.acquisition.rate_hz,
         SystemClock,
-        estimation::task::Edges { samples, steering, newest: poses_in, publish },
+        estimation::task::Edges { samples, questions, steering, newest: poses_in, publish },
     ));
 
     let ended = tokio::select! {
@@ -188,11 +215,31 @@ async fn fast<S: Source + 'static>(
     estimation.await.context("task estimation failed at the end")
 }
 
-/// The main thread: TCP clients and signals, until the end.
+/// Commands and SIGHUP, for ever.
+async fn control(live: Arc<Mutex<Live>>, socket: Option<Socket>) -> io::Result<()> {
+    let mut hangup = signal(SignalKind::hangup())?;
+    let commands = async {
+        match socket {
+            Some(socket) => socket.serve(Arc::clone(&live)).await,
+            None => std::future::pending().await,
+        }
+    };
+    let reloads = async {
+        while hangup.recv().await.is_some() {
+            let answer = live.lock().await.obey(Command::Reload).await;
+            control::server::note(&Command::Reload, None, &answer);
+        }
+    };
+    tokio::join!(commands, reloads);
+    Ok(())
+}
+
+/// The main thread: TCP clients, commands and signals, until the end.
 fn serve(
     main: &Runtime,
     config: &Config,
     server: Option<Server>,
+    control: impl Future<Output = io::Result<()>>,
     fast: Fast,
     counters: &Arc<Counters>,
     stop: &CancellationToken,
@@ -203,11 +250,12 @@ fn serve(
         let (mut terminate, mut interrupt) =
             (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
         let serving = async {
-            let Some(Server { listener, frames, descriptor }) = server else {
+            let Some(Server { listener, frames, descriptors }) = server else {
                 stop.cancelled().await;
                 return Ok(());
             };
             // Not told to stop: it serves what the fast side still sends, and ends when that has ended.
+            let descriptor = descriptors.borrow().clone();
             let never = CancellationToken::new();
             tcp::serve(listener, frames, &descriptor, limits, Arc::clone(counters), never).await
         };
@@ -219,6 +267,10 @@ fn serve(
                 end?;
                 // The server ends by itself only when the fast side is gone.
                 return fast_end(ended.await);
+            }
+            end = control => {
+                end.context("cannot listen for SIGHUP")?;
+                return Err(Failure::new(exit::SOFTWARE, "the control task ended by itself").into());
             }
             _ = terminate.recv() => tracing::info!("SIGTERM: stopping"),
             _ = interrupt.recv() => tracing::info!("SIGINT: stopping"),

@@ -4,7 +4,7 @@ use super::controller::{Controller, Memory, Xy};
 use super::lock::{Lock, LockLimits, LockState, Sight, Transition};
 use crate::acquisition::{Expiry, OutputCommand, PsdState, Sample};
 use crate::clock::Mono;
-use crate::config::{Config, OnExit, Target};
+use crate::config::{Config, LoopMode, OnExit, Target};
 use crate::optics::{HeadError, Optics, Pose};
 
 /// The time between samples counts as at most so many periods.
@@ -15,8 +15,23 @@ const MOST_PERIODS: f64 = 5.0;
 pub struct LoopState {
     /// The lock state.
     pub lock: LockState,
-    /// Where the stage was last commanded to, metres.
+    /// Where the stage was last commanded to, metres; none unless the loop is on.
     pub position: Option<Xy>,
+}
+
+/// What a person may want to know of the loop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LoopView {
+    /// What it does.
+    pub mode: LoopMode,
+    /// The lock state.
+    pub lock: LockState,
+    /// The offset of the beam in the last sample, metres; not looked at while the loop is off.
+    pub offset: Option<Xy>,
+    /// Where the stage was last commanded to, metres; none unless the loop is on.
+    pub commanded: Option<Xy>,
+    /// In the shadow: where the stage stands, and where the loop would send it next, metres.
+    pub shadow: Option<(Xy, Xy)>,
 }
 
 /// What follows from a sample.
@@ -28,61 +43,116 @@ pub struct Outcome {
     pub transition: Option<Transition>,
 }
 
-/// The loop.
-#[derive(Clone, Debug)]
-pub struct Centering {
-    optics: Optics,
+/// How the loop shall work. All of it can change while the loop runs.
+#[derive(Clone, Copy, Debug)]
+pub struct Tuning {
+    mode: LoopMode,
     target: Target,
+    /// The offset that the loop goes to, metres.
+    setpoint: Xy,
     controller: Controller,
-    enabled: bool,
-    period_s: f64,
-    steering: Steering,
-    lock: Lock,
-    memory: Option<Memory>,
-    last: Option<(u64, Mono)>,
-}
-
-/// The stage as the commands need to know it.
-#[derive(Clone, Debug)]
-struct Steering {
-    full_scale: f64,
+    limits: LockLimits,
     park: Xy,
     on_exit: OnExit,
     on_lease: Expiry,
     lease_ms: u16,
-    id: u32,
+}
+
+impl Tuning {
+    /// From a checked configuration.
+    pub fn new(config: &Config) -> Self {
+        let steering = &config.steering;
+        Self {
+            mode: config.centering.mode,
+            target: config.centering.target,
+            setpoint: config.centering.setpoint_um.map(|um| um * 1e-6),
+            controller: Controller::new(config),
+            limits: LockLimits::new(&config.centering),
+            park: steering.park_um.map(|um| um * 1e-6),
+            on_exit: steering.on_exit,
+            on_lease: match steering.on_lease {
+                OnExit::Hold => Expiry::Hold,
+                OnExit::Park => Expiry::Park,
+            },
+            lease_ms: steering.lease_ms,
+        }
+    }
+}
+
+/// The loop.
+#[derive(Clone, Debug)]
+pub struct Centering {
+    optics: Optics,
+    tuning: Tuning,
+    period_s: f64,
+    /// Position of the stage at the full-scale code, metres.
+    full_scale: f64,
+    lock: Lock,
+    /// Where the stage was sent last.
+    memory: Option<Memory>,
+    /// The stage is to be taken over, where it stands, before it is moved.
+    apart: bool,
+    last: Option<(u64, Mono)>,
+    offset: Option<Xy>,
+    shadow: Option<(Xy, Xy)>,
+    commands: u32,
 }
 
 impl Centering {
     /// From a checked configuration.
     pub fn new(config: &Config) -> Result<Self, HeadError> {
-        let steering = &config.steering;
+        let tuning = Tuning::new(config);
         Ok(Self {
             optics: Optics::new(&config.head.build()?),
-            target: config.centering.target,
-            controller: Controller::new(config),
-            enabled: config.centering.enabled,
+            tuning,
             period_s: 1.0 / config.acquisition.rate_hz,
-            lock: Lock::new(LockLimits::new(&config.centering), config.centering.enabled),
+            full_scale: config.steering.full_scale_um * 1e-6,
+            lock: Lock::new(tuning.limits, tuning.mode == LoopMode::On),
             memory: None,
+            apart: true,
             last: None,
-            steering: Steering {
-                full_scale: steering.full_scale_um * 1e-6,
-                park: steering.park_um.map(|um| um * 1e-6),
-                on_exit: steering.on_exit,
-                on_lease: match steering.on_lease {
-                    OnExit::Hold => Expiry::Hold,
-                    OnExit::Park => Expiry::Park,
-                },
-                lease_ms: steering.lease_ms,
-                id: 0,
-            },
+            offset: None,
+            shadow: None,
+            commands: 0,
         })
     }
 
     /// What the loop is doing.
     pub fn state(&self) -> LoopState {
-        LoopState { lock: self.lock.state(), position: self.memory.map(|memory| memory.position) }
+        LoopState { lock: self.lock.state(), position: self.commanded() }
+    }
+
+    /// The same, and more, for people.
+    pub fn view(&self) -> LoopView {
+        LoopView {
+            mode: self.tuning.mode,
+            lock: self.lock.state(),
+            offset: self.offset,
+            commanded: self.commanded(),
+            shadow: self.shadow,
+        }
+    }
+
+    fn commanded(&self) -> Option<Xy> {
+        self.memory.filter(|_| !self.apart).map(|memory| memory.position)
+    }
+
+    /// Goes on with another tuning, without a jump of the stage. When the loop lets go of the stage, its
+    /// last command is to stay there, whatever the lease would have done.
+    pub fn retune(&mut self, tuning: Tuning, output_bits: Option<u8>) -> Outcome {
+        let old = std::mem::replace(&mut self.tuning, tuning);
+        let step = [0, 1].map(|axis| tuning.setpoint[axis] - old.setpoint[axis]);
+        self.memory = self.memory.map(|memory| memory.shifted(step));
+        let transition = self.lock.retune(tuning.limits, tuning.mode == LoopMode::On);
+        let mut command = None;
+        if tuning.mode != old.mode {
+            (self.offset, self.shadow) = (None, None);
+            if let (Some(position), Some(bits)) = (self.commanded(), output_bits) {
+                command = Some(OutputCommand { on_expiry: Expiry::Hold, ..self.command(position, bits) });
+            }
+            self.apart = true;
+        }
+        Outcome { command, transition }
     }
 
     /// Samples that came and went between `sample` and the last one seen; `None` if it is not newer.
@@ -93,63 +163,102 @@ impl Centering {
 
     /// The source is another one, or came back: the stage may stand elsewhere.
     pub fn source_changed(&mut self) {
-        let parked = self.steering.on_lease == Expiry::Park;
-        let Some(memory) = self.memory else { return };
-        // Until a readback says better, where the lease has left it.
-        self.memory = Some(Memory::at(if parked { self.steering.park } else { memory.position }));
         self.last = None;
+        let parked = self.tuning.on_lease == Expiry::Park && !self.apart;
+        self.apart = true;
+        // Until a readback says better, where the lease has left it.
+        self.memory = self.memory.map(|m| Memory::at(if parked { self.tuning.park } else { m.position }));
     }
 
     /// Takes a sample, which must be newer than all before. `pose` is the last valid pose, if it is fresh;
     /// `output_bits` the resolution of the stage's outputs.
     pub fn sample(&mut self, sample: &Sample, pose: Option<&Pose>, output_bits: u8) -> Outcome {
         let dt = self.seconds_since_last(sample);
-        let lease_s = f64::from(self.steering.lease_ms) * 1e-3;
+        let lease_s = f64::from(self.tuning.lease_ms) * 1e-3;
         if self.last.is_some_and(|(_, time)| sample.time.seconds_since(time) >= lease_s) {
             self.source_changed(); // the board has acted by itself in the meantime
         }
         let first = self.last.is_none();
         self.last = Some((sample.index, sample.time));
-        if !self.enabled {
-            return Outcome::default();
-        }
-        if first {
-            self.take_over(sample);
-        }
-        let memory = self.memory.unwrap_or_default();
-        let (next, sight) = match self.offset(sample, pose) {
-            Ok(offset) => {
-                let next = self.controller.update(&memory, offset, dt);
-                let railed = sample.output_railed || self.controller.railed(next.position);
-                (next, Sight::Offset { size: offset[0].hypot(offset[1]), railed })
+        match self.tuning.mode {
+            LoopMode::Off => Outcome::default(),
+            LoopMode::Shadow => {
+                self.watch(sample, pose, dt);
+                Outcome::default()
             }
-            Err(cause) => (memory, Sight::Nothing(cause)),
+            LoopMode::On => {
+                if std::mem::take(&mut self.apart) {
+                    self.memory = Some(self.take_over(sample, dt, !first));
+                }
+                self.steer(sample, pose, dt, output_bits)
+            }
+        }
+    }
+
+    fn steer(&mut self, sample: &Sample, pose: Option<&Pose>, dt: f64, output_bits: u8) -> Outcome {
+        let memory = self.memory.unwrap_or_default();
+        let Tuning { controller, .. } = self.tuning;
+        let offset = self.offset(sample, pose);
+        self.offset = offset.ok();
+        let (next, sight) = match offset {
+            Ok(offset) => {
+                let error = self.error(offset);
+                let next = controller.update(&memory, error, dt);
+                let railed = sample.output_railed || controller.railed(next.position);
+                (next, Sight::Offset { size: error[0].hypot(error[1]), railed })
+            }
+            Err(cause) => (controller.hold(&memory, dt), Sight::Nothing(cause)),
         };
         self.memory = Some(next);
         let transition = self.lock.update(sight, dt);
-        Outcome { command: Some(self.steering.command(next.position, output_bits)), transition }
+        Outcome { command: Some(self.command(next.position, output_bits)), transition }
+    }
+
+    /// In the shadow: what the loop would do next if it took over now.
+    fn watch(&mut self, sample: &Sample, pose: Option<&Pose>, dt: f64) {
+        let stage = self.take_over(sample, dt, false);
+        self.offset = self.offset(sample, pose).ok();
+        self.shadow = self.offset.map(|offset| {
+            let next = self.tuning.controller.update(&stage, self.error(offset), dt);
+            (stage.position, next.position)
+        });
+    }
+
+    /// From where the beam is to where it shall be.
+    fn error(&self, offset: Xy) -> Xy {
+        [0, 1].map(|axis| self.tuning.setpoint[axis] - offset[axis])
     }
 
     /// `dt` seconds have passed without a sample. No command: the lease decides what the stage does.
     pub fn silence(&mut self, dt: f64) -> Option<Transition> {
+        (self.offset, self.shadow) = (None, None);
         self.lock.update(Sight::Nothing("no samples come"), dt)
     }
 
-    /// The last command: hold or park. `None` if the loop never moved the stage.
+    /// The last command: hold or park. `None` if the stage is not the loop's.
     pub fn finish(&mut self, output_bits: u8) -> Option<OutputCommand> {
-        let position = match self.steering.on_exit {
-            OnExit::Hold => self.memory?.position,
-            OnExit::Park => self.memory.map(|_| self.steering.park)?,
+        let commanded = self.commanded()?;
+        let position = match self.tuning.on_exit {
+            OnExit::Hold => commanded,
+            OnExit::Park => self.tuning.park,
         };
-        Some(self.steering.command(position, output_bits))
+        Some(self.command(position, output_bits))
     }
 
-    /// Starts where the stage says that it stands.
-    fn take_over(&mut self, sample: &Sample) {
-        let known = self.memory.unwrap_or_default().position;
-        let limit = self.controller.limit;
-        let position = sample.steering.unwrap_or(known).map(|p| p.clamp(-limit, limit));
-        self.memory = Some(Memory::at(position));
+    /// The stage as it stands: as it says itself, or where it was sent last. If nothing but this loop has
+    /// moved it (`ours`), and it stands there to within a step, the last command is the better number.
+    fn take_over(&self, sample: &Sample, dt: f64, ours: bool) -> Memory {
+        let limit = self.tuning.controller.limit;
+        let sent = self.memory.map(|memory| memory.position);
+        let read = sample.steering.filter(|at| at.iter().all(|p| p.is_finite()));
+        if let (Some(read), Some(sent), true) = (read, sent, ours) {
+            let reach = self.tuning.controller.slew * dt;
+            if (0..2).all(|axis| (read[axis] - sent[axis]).abs() <= reach) {
+                return Memory::at(sent);
+            }
+        }
+        let position = read.or(sent).unwrap_or_default();
+        Memory::at(position.map(|p| p.clamp(-limit, limit)))
     }
 
     fn seconds_since_last(&self, sample: &Sample) -> f64 {
@@ -166,7 +275,7 @@ impl Centering {
             return Err("a PSD sees too little light");
         }
         let nominal = Pose::default();
-        let pose = match self.target {
+        let pose = match self.tuning.target {
             Target::Apex => pose.unwrap_or(&nominal),
             // Nominal wedges: there equal powers are zero offset.
             Target::Balance => &nominal,
@@ -174,14 +283,13 @@ impl Centering {
         let offset = self.optics.offset_of_powers(&sample.powers, pose);
         offset.map(Into::into).map_err(|_| "the powers give no offset")
     }
-}
 
-impl Steering {
     fn command(&mut self, position: Xy, output_bits: u8) -> OutputCommand {
         let full = f64::from(1_i32 << (output_bits - 1));
         let code = |p: f64| (p / self.full_scale * full).round().clamp(-full, full - 1.0) as i32;
         let codes = position.map(code);
-        self.id = self.id.wrapping_add(1);
-        OutputCommand { id: self.id, codes, lease_ms: self.lease_ms, on_expiry: self.on_lease }
+        self.commands = self.commands.wrapping_add(1);
+        let Tuning { lease_ms, on_lease, .. } = self.tuning;
+        OutputCommand { id: self.commands, codes, lease_ms, on_expiry: on_lease }
     }
 }

@@ -10,5 +10,6 @@ pub mod core;
 pub mod lock;
 pub mod task;
 
-pub use self::core::{Centering, LoopState};
+pub use self::core::{Centering, LoopState, LoopView, Tuning};
+pub use controller::Xy;
 pub use lock::LockState;

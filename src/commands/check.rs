@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 
 use trifacet::acquisition::Channels;
-use trifacet::config::{Config, FacetConfig, LogFormat, OnExit, SourceKind, Target};
+use trifacet::config::{Config, FacetConfig, LogFormat, LoopMode, OnExit, SourceKind, Target};
 use trifacet::optics::covariance::deviations;
 use trifacet::optics::{Estimator, FACETS, Model, Noise, Optics, Pose, Signals, Vec2};
 
@@ -96,7 +96,7 @@ fn source(config: &Config, lines: &mut Lines) {
 
 fn centering(config: &Config, lines: &mut Lines) {
     let (centering, steering) = (&config.centering, &config.steering);
-    if centering.enabled {
+    if centering.mode != LoopMode::Off {
         let target = match centering.target {
             Target::Apex => "the beam on the apex",
             Target::Balance => "equal powers",
@@ -119,6 +119,9 @@ fn centering(config: &Config, lines: &mut Lines) {
         );
     } else {
         lines.say("centering", "off: the laser stays where it is");
+    }
+    if centering.mode == LoopMode::Shadow {
+        lines.say("", "in the shadow: all this is computed, and the laser stays where it is");
     }
     let does = |action: OnExit| match action {
         OnExit::Hold => "holds".to_owned(),
@@ -215,7 +218,7 @@ fn notes(config: &Config, lines: &mut Lines) {
         lines.say("note", format!("no correction table for PSD {psds}: the frames say UNCALIBRATED"));
     }
     let period_ms = 1e3 / config.acquisition.rate_hz;
-    if config.centering.enabled && f64::from(config.steering.lease_ms) < 3.0 * period_ms {
+    if config.centering.mode != LoopMode::Off && f64::from(config.steering.lease_ms) < 3.0 * period_ms {
         lines.say(
             "note",
             format!(
@@ -224,7 +227,7 @@ fn notes(config: &Config, lines: &mut Lines) {
             ),
         );
     }
-    if config.centering.enabled
+    if config.centering.mode != LoopMode::Off
         && config.centering.loop_delay_s(config.acquisition.rate_hz) > config.centering.loop_delay_ms * 1e-3
     {
         lines.say("note", "centering.loop_delay_ms is less than two sample periods: two periods count");

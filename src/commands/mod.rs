@@ -7,6 +7,7 @@ use anyhow::Context;
 use trifacet::config::{self, Config};
 
 mod check;
+mod ctl;
 mod dark;
 mod emulate;
 mod run;
@@ -16,6 +17,7 @@ mod trace;
 mod watch;
 
 pub(crate) use check::{CheckArgs, check};
+pub(crate) use ctl::{CtlArgs, ctl};
 pub(crate) use dark::{DarkArgs, dark};
 pub(crate) use emulate::{EmulateArgs, emulate};
 pub(crate) use run::{RunArgs, run};

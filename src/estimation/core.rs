@@ -4,7 +4,7 @@ use nalgebra::Matrix6;
 
 use super::block::{Block, Mean};
 use super::noise::LiveNoise;
-use super::{PoseReport, Status};
+use super::{Frames, PoseReport, Status};
 use crate::acquisition::{PsdState, Sample};
 use crate::centering::{LockState, LoopState};
 use crate::clock::Mono;
@@ -29,11 +29,14 @@ pub struct Settings {
     balance_limit: f64,
     /// Bits that are always set.
     fixed: Status,
+    frames: Frames,
+    config: u32,
 }
 
 impl Settings {
-    /// From a checked configuration; `calibrated` if every PSD has a correction table.
-    pub fn new(config: &Config, calibrated: bool) -> Result<Self, HeadError> {
+    /// From a checked configuration; `calibrated` if every PSD has a correction table; `id` is the
+    /// configuration's fingerprint.
+    pub fn new(config: &Config, calibrated: bool, id: u32) -> Result<Self, HeadError> {
         let estimation = &config.estimation;
         let mut fixed = Status::default();
         fixed.set(Status::UNCALIBRATED, !calibrated);
@@ -45,6 +48,8 @@ impl Settings {
             edge_margin: estimation.edge_margin_mm * 1e-3,
             balance_limit: estimation.balance_limit,
             fixed,
+            frames: Frames::new(&config.frames),
+            config: id,
         })
     }
 }
@@ -72,6 +77,29 @@ impl Estimation {
             simulated: false,
             index: 0,
         }
+    }
+
+    /// From the next sample on, all is to be done with other settings: the samples before and after make
+    /// no common mean.
+    pub fn retune(&mut self, settings: Settings) {
+        self.settings = settings;
+        self.block.clear();
+        self.noise.interrupt();
+        self.warm = None;
+    }
+
+    /// A report as it is published: in the user's frame.
+    pub fn in_user_frame(&self, report: &PoseReport) -> PoseReport {
+        let Some(sensor) = report.pose else { return *report };
+        let frames = &self.settings.frames;
+        let user = frames.pose(&sensor);
+        let covariance = user.zip(report.covariance).map(|(user, c)| frames.covariance(&sensor, &user, &c));
+        let mut status = report.status;
+        if user.is_none() {
+            status.0 &= !Status::POSE_VALID.0;
+            status |= Status::OUT_OF_RANGE;
+        }
+        PoseReport { pose: user, covariance, status, ..*report }
     }
 
     /// A source is up.
@@ -152,6 +180,7 @@ impl Estimation {
             time_sigma_ns: sample.time_sigma_ns,
             solved: sample.time,
             status,
+            config: self.settings.config,
             lock: steering.lock,
             pose: None,
             covariance: None,
