@@ -32,8 +32,7 @@ use crate::exit::{self, Failure};
 use crate::logging::Logging;
 use crate::monitor::Counters;
 use crate::publishing::descriptor::StreamFacts;
-use crate::publishing::frame::FrameBytes;
-use crate::publishing::{Descriptor, Publisher, PublisherSettings, StreamId, tcp};
+use crate::publishing::{Descriptor, PoseFrame, Publisher, PublisherSettings, StreamId, tcp};
 use crate::realtime;
 use crate::twin::{Twin, TwinSource};
 
@@ -59,7 +58,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let main = Builder::new_current_thread().enable_all().build().context("cannot start a runtime")?;
     let socket = main.block_on(async { Socket::open(&config.control) })?;
     let (to_fast, at_fast) = control::ways();
-    let (descriptor, descriptors) = watch::channel(Descriptor::new(facts));
+    let (descriptor, descriptor_now) = watch::channel(Descriptor::new(facts));
     let (to_tcp, frames) = mpsc::channel(QUEUE);
     let server = match config.publishing.tcp {
         Some(address) => Some(main.block_on(tcp::bind(address))?),
@@ -95,7 +94,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
             start_fast(parts, || Ok(source))?
         }
     };
-    let tcp = server.map(|listener| Server { listener, frames, descriptors });
+    let tcp = server.map(|listener| Server { listener, frames, descriptor: descriptor_now });
     let live = Live {
         file: file.map(Path::to_owned),
         running: config.clone(),
@@ -130,8 +129,8 @@ struct Parts {
 /// The TCP side.
 struct Server {
     listener: tokio::net::TcpListener,
-    frames: mpsc::Receiver<FrameBytes>,
-    descriptors: watch::Receiver<Descriptor>,
+    frames: mpsc::Receiver<PoseFrame>,
+    descriptor: watch::Receiver<Descriptor>,
 }
 
 /// The fast thread, and the news of its end: the task that ended by itself, if one did.
@@ -244,27 +243,30 @@ fn serve(
     counters: &Arc<Counters>,
     stop: &CancellationToken,
 ) -> anyhow::Result<()> {
-    let limits = tcp::Limits { clients: config.publishing.tcp_clients, queue: config.publishing.tcp_queue };
+    let limits = tcp::Limits {
+        clients: config.publishing.tcp_clients,
+        queue: config.publishing.tcp_queue,
+        allow: config.publishing.allow.clone(),
+        ..tcp::Limits::default()
+    };
     let Fast { thread, mut ended } = fast;
     let result = main.block_on(async {
         let (mut terminate, mut interrupt) =
             (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
         let serving = async {
-            let Some(Server { listener, frames, descriptors }) = server else {
+            let Some(Server { listener, frames, descriptor }) = server else {
                 stop.cancelled().await;
-                return Ok(());
+                return;
             };
             // Not told to stop: it serves what the fast side still sends, and ends when that has ended.
-            let descriptor = descriptors.borrow().clone();
             let never = CancellationToken::new();
-            tcp::serve(listener, frames, &descriptor, limits, Arc::clone(counters), never).await
+            tcp::serve(listener, frames, descriptor, limits, Arc::clone(counters), never).await;
         };
         let mut serving = std::pin::pin!(serving);
         tokio::select! {
             biased;
             end = &mut ended => return fast_end(end),
-            end = &mut serving => {
-                end?;
+            () = &mut serving => {
                 // The server ends by itself only when the fast side is gone.
                 return fast_end(ended.await);
             }
@@ -276,8 +278,7 @@ fn serve(
             _ = interrupt.recv() => tracing::info!("SIGINT: stopping"),
         }
         stop.cancel();
-        let (end, served) = tokio::join!(ended, serving);
-        served?;
+        let (end, ()) = tokio::join!(ended, serving);
         fast_end(end)
     });
     // It has said that it ended; only a panic is news now.

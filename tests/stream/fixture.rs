@@ -9,12 +9,10 @@ use trifacet::{
     client::PoseFrame,
     config::Model,
     estimation::Status,
-    exit::Failure,
     monitor::Counters,
     publishing::{
         Descriptor, StreamId,
         descriptor::StreamFacts,
-        frame::FrameBytes,
         tcp::{self, Limits},
     },
 };
@@ -26,10 +24,10 @@ const ID: StreamId = StreamId { session: 11, config: 22 };
 /// A running server, fed by hand.
 pub(crate) struct Server {
     pub(crate) address: SocketAddr,
-    pub(crate) frames: mpsc::Sender<FrameBytes>,
+    pub(crate) frames: mpsc::Sender<PoseFrame>,
     pub(crate) counters: Arc<Counters>,
     pub(crate) shutdown: CancellationToken,
-    pub(crate) task: JoinHandle<Result<(), Failure>>,
+    pub(crate) task: JoinHandle<()>,
 }
 
 pub(crate) async fn start(limits: Limits) -> Server {
@@ -40,7 +38,10 @@ pub(crate) async fn start(limits: Limits) -> Server {
     let shutdown = CancellationToken::new();
     let task = tokio::spawn({
         let (counters, shutdown) = (counters.clone(), shutdown.clone());
-        async move { tcp::serve(listener, rx, &descriptor(), limits, counters, shutdown).await }
+        async move {
+            tcp::serve(listener, rx, tokio::sync::watch::channel(descriptor()).1, limits, counters, shutdown)
+                .await
+        }
     });
     Server { address, frames, counters, shutdown, task }
 }
