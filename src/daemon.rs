@@ -17,7 +17,7 @@ use std::thread::JoinHandle;
 
 use anyhow::Context;
 use tokio::runtime::{Builder, Runtime};
-use tokio::signal::unix::{SignalKind, signal};
+use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{Mutex, mpsc, oneshot, watch};
 use tokio::task::LocalSet;
 use tokio_util::sync::CancellationToken;
@@ -56,6 +56,8 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         calibrated: channels.calibrated(),
     };
     let main = Builder::new_current_thread().enable_all().build().context("cannot start a runtime")?;
+    // Before anything else: without a handler SIGHUP would end the process.
+    let hangup = main.block_on(async { signal(SignalKind::hangup()) }).context("cannot listen for SIGHUP")?;
     let socket = main.block_on(async { Socket::open(&config.control) })?;
     let (to_fast, at_fast) = control::ways();
     let (descriptor, descriptor_now) = watch::channel(Descriptor::new(facts));
@@ -107,7 +109,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         counters: Arc::clone(&counters),
         started,
     };
-    let control = control(Arc::new(Mutex::new(live)), socket);
+    let control = control(Arc::new(Mutex::new(live)), socket, hangup);
     let result = serve(&main, config, tcp, control, fast, &counters, &stop);
     let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
     tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
@@ -215,8 +217,7 @@ async fn fast<S: Source + 'static>(
 }
 
 /// Commands and SIGHUP, for ever.
-async fn control(live: Arc<Mutex<Live>>, socket: Option<Socket>) -> io::Result<()> {
-    let mut hangup = signal(SignalKind::hangup())?;
+async fn control(live: Arc<Mutex<Live>>, socket: Option<Socket>, mut hangup: Signal) {
     let commands = async {
         match socket {
             Some(socket) => socket.serve(Arc::clone(&live)).await,
@@ -230,7 +231,6 @@ async fn control(live: Arc<Mutex<Live>>, socket: Option<Socket>) -> io::Result<(
         }
     };
     tokio::join!(commands, reloads);
-    Ok(())
 }
 
 /// The main thread: TCP clients, commands and signals, until the end.
@@ -238,7 +238,7 @@ fn serve(
     main: &Runtime,
     config: &Config,
     server: Option<Server>,
-    control: impl Future<Output = io::Result<()>>,
+    control: impl Future<Output = ()>,
     fast: Fast,
     counters: &Arc<Counters>,
     stop: &CancellationToken,
@@ -270,8 +270,7 @@ fn serve(
                 // The server ends by itself only when the fast side is gone.
                 return fast_end(ended.await);
             }
-            end = control => {
-                end.context("cannot listen for SIGHUP")?;
+            () = control => {
                 return Err(Failure::new(exit::SOFTWARE, "the control task ended by itself").into());
             }
             _ = terminate.recv() => tracing::info!("SIGTERM: stopping"),

@@ -164,6 +164,16 @@ fn with_value(key: &str, value: f64, default: &str) -> String {
 }
 
 #[test]
+fn the_table_of_what_can_be_reloaded_is_complete() {
+    let page = read("docs/operation.md");
+    let section = page.split("\n## Reload\n").nth(1).unwrap().split("\n## ").next().unwrap();
+    let documented: Vec<_> =
+        section.lines().filter_map(|l| l.strip_prefix("| `")?.split_once('`').map(|(key, _)| key)).collect();
+    let live: Vec<_> = trifacet::config::reload::LIVE.iter().map(|key| key.join(".")).collect();
+    assert_eq!(documented, live);
+}
+
+#[test]
 fn the_service_unit_passes_systemds_own_check() {
     let analyze = Command::new("systemd-analyze").arg("--version").output();
     if analyze.is_err() {

@@ -6,7 +6,7 @@ use super::check::Checker;
 use crate::optics::{Pose, Rigid, Vec3};
 
 /// `[frames]`: pose = tare^-1 * base * (pose of the mirror in the sensor's world) * tool.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FramesConfig {
     /// The sensor's world in the user's base frame.

@@ -11,7 +11,7 @@ use super::Command;
 use crate::exit::{self, Failure};
 
 /// Longer than any command takes.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_mins(1);
 
 /// Tells a daemon, and returns what it answers.
 ///

@@ -19,6 +19,7 @@ use crate::estimation::{self, Frames, task::Question};
 use crate::exit::{self, Failure};
 use crate::logging::Logging;
 use crate::monitor::Counters;
+use crate::optics::Pose;
 use crate::publishing::{Descriptor, descriptor::StreamFacts};
 
 /// How long the fast side may take to answer.
@@ -124,7 +125,7 @@ impl Live {
         let mean = mean.map_err(|status| {
             no_tare(format!("no valid pose: {}", status.names().collect::<Vec<_>>().join(", ")))
         })?;
-        let untared = FramesConfig { tare: TransformConfig::default(), ..self.running.frames.clone() };
+        let untared = FramesConfig { tare: TransformConfig::default(), ..self.running.frames };
         let pose = Frames::new(&untared).pose(&mean).ok_or_else(|| {
             no_tare("the pitch is within a degree of 90 degrees: turn [frames.base] or [frames.tool]".into())
         })?;
@@ -212,7 +213,7 @@ impl Live {
         let last = ask(&self.fast.questions, PATIENCE, Question::Last).await?;
         let now = SystemClock.now();
         let pose = last.map(|report| {
-            let numbers = report.pose.map(|pose| pose.to_array());
+            let numbers = report.pose.map(Pose::to_array);
             json!({
                 "valid": report.pose.is_some(),
                 "age_s": now.seconds_since(report.time),

@@ -26,7 +26,7 @@ const LINE: u64 = 256;
 /// Most clients at a time.
 const CLIENTS: usize = 16;
 /// A client that says nothing, or takes no answer, for so long is dropped.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_mins(1);
 
 /// The socket; its file goes with it.
 #[derive(Debug)]

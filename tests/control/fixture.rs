@@ -75,7 +75,8 @@ impl Daemon {
         });
         self.lines = lines;
         self.says("control socket is open");
-        self.tcp = self.says("listening")["address"].as_str().unwrap().to_owned();
+        let listening = self.says("listening");
+        listening["address"].as_str().unwrap().clone_into(&mut self.tcp);
     }
 
     /// The next line of the log with this message.

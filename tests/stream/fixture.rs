@@ -39,8 +39,8 @@ pub(crate) async fn start(limits: Limits) -> Server {
     let task = tokio::spawn({
         let (counters, shutdown) = (counters.clone(), shutdown.clone());
         async move {
-            tcp::serve(listener, rx, tokio::sync::watch::channel(descriptor()).1, limits, counters, shutdown)
-                .await
+            let descriptor = tokio::sync::watch::channel(descriptor()).1;
+            tcp::serve(listener, rx, descriptor, limits, counters, shutdown).await;
         }
     });
     Server { address, frames, counters, shutdown, task }
