@@ -197,20 +197,19 @@ fn serve(
     counters: &Arc<Counters>,
     stop: &CancellationToken,
 ) -> anyhow::Result<()> {
-    let stop_tcp = CancellationToken::new();
     let limits = tcp::Limits { clients: config.publishing.tcp_clients, queue: config.publishing.tcp_queue };
     let Fast { thread, mut ended } = fast;
     let result = main.block_on(async {
         let (mut terminate, mut interrupt) =
             (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
         let serving = async {
-            match server {
-                Some(Server { listener, frames, descriptor }) => {
-                    let counters = Arc::clone(counters);
-                    tcp::serve(listener, frames, &descriptor, limits, counters, stop_tcp.clone()).await
-                }
-                None => std::future::pending().await,
-            }
+            let Some(Server { listener, frames, descriptor }) = server else {
+                stop.cancelled().await;
+                return Ok(());
+            };
+            // Not told to stop: it serves what the fast side still sends, and ends when that has ended.
+            let never = CancellationToken::new();
+            tcp::serve(listener, frames, &descriptor, limits, Arc::clone(counters), never).await
         };
         let mut serving = std::pin::pin!(serving);
         tokio::select! {
@@ -225,16 +224,9 @@ fn serve(
             _ = interrupt.recv() => tracing::info!("SIGINT: stopping"),
         }
         stop.cancel();
-        // Clients are served while the fast side ends.
-        let end = tokio::select! {
-            end = &mut ended => fast_end(end),
-            end = &mut serving => { end?; fast_end(ended.await) }
-        };
-        stop_tcp.cancel();
-        if config.publishing.tcp.is_some() {
-            let _ = tokio::time::timeout(std::time::Duration::from_secs(2), serving).await;
-        }
-        end
+        let (end, served) = tokio::join!(ended, serving);
+        served?;
+        fast_end(end)
     });
     // It has said that it ended; only a panic is news now.
     if thread.join().is_err() {

@@ -34,8 +34,15 @@ pub struct ChannelMap {
     steering: Option<[usize; 2]>,
     /// Skew of each channel as a fraction of the period.
     skew: [f64; MAX_CHANNELS],
-    skewed: bool,
-    last: Option<(u64, [f64; MAX_CHANNELS])>,
+    last: Option<Last>,
+}
+
+/// The scan before.
+#[derive(Clone, Copy, Debug)]
+struct Last {
+    index: u64,
+    volts: [f64; MAX_CHANNELS],
+    psds: [PsdState; 3],
 }
 
 impl Channels {
@@ -87,7 +94,6 @@ impl Channels {
             places,
             steering: find(Role::Steering(0)).zip(find(Role::Steering(1))).map(|(x, y)| [x, y]),
             skew,
-            skewed: skew.iter().any(|s| *s != 0.0),
             last: None,
         })
     }
@@ -96,7 +102,10 @@ impl Channels {
 impl ChannelMap {
     /// The sample of a scan.
     pub fn sample(&mut self, scan: &Scan) -> Sample {
-        let volts = self.volts(scan);
+        let volts = scan.codes.map(|code| f64::from(code) * self.converter.step_v());
+        let psds = [0, 1, 2].map(|i| self.state(i, scan, &volts));
+        let last = self.last.filter(|last| last.index + 1 == scan.index);
+        self.last = Some(Last { index: scan.index, volts, psds });
         let mut sample = Sample {
             index: scan.index,
             time: scan.time,
@@ -104,44 +113,45 @@ impl ChannelMap {
             lost: scan.lost,
             spots: [f64::NAN; 6],
             powers: [0.0; 3],
-            psds: [PsdState::Good; 3],
+            psds,
             steering: None,
             output_railed: scan.output_railed,
         };
-        for (i, (psd, place)) in self.channels.psds.iter().zip(self.places).enumerate() {
+        for (i, psd) in self.channels.psds.iter().enumerate() {
+            // What was dark or clipped a moment ago says nothing of the light now.
+            let last = last.filter(|last| last.psds[i] == PsdState::Good && psds[i] == PsdState::Good);
             let dark = psd.channels.dark_v;
-            let [u, v, sum] = [0, 1, 2].map(|k| volts[place[k]] - dark[k]);
+            let [u, v, sum] =
+                [0, 1, 2].map(|k| self.at_scan(self.places[i][k], &volts, last.as_ref()) - dark[k]);
             sample.powers[i] = sum * psd.channels.gain[2] * self.channels.watts_per_volt;
-            sample.psds[i] = if place.iter().any(|k| self.clipped(scan.codes[*k])) {
-                PsdState::Clipped
-            } else if sum < self.channels.sum_threshold_v {
-                PsdState::Low
-            } else {
+            if psds[i] == PsdState::Good {
                 [sample.spots[2 * i], sample.spots[2 * i + 1]] = psd.spot([u, v], sum);
-                PsdState::Good
-            };
+            }
         }
         let steering = self.steering.filter(|place| !place.iter().any(|k| self.clipped(scan.codes[*k])));
-        sample.steering = steering.map(|place| place.map(|k| volts[k] * self.channels.readback_per_volt));
+        sample.steering = steering.map(|place| {
+            place.map(|k| self.at_scan(k, &volts, last.as_ref()) * self.channels.readback_per_volt)
+        });
         sample
     }
 
-    /// Volts of all channels at the time of the scan. A channel that is sampled later is interpolated
-    /// between this scan and the one before, if there is no gap in between.
-    fn volts(&mut self, scan: &Scan) -> [f64; MAX_CHANNELS] {
-        let measured = scan.codes.map(|code| f64::from(code) * self.converter.step_v());
-        let mut volts = measured;
-        if self.skewed {
-            if let Some((index, last)) = self.last
-                && index + 1 == scan.index
-            {
-                for ((volts, last), skew) in volts.iter_mut().zip(last).zip(self.skew) {
-                    *volts -= skew * (*volts - last);
-                }
-            }
-            self.last = Some((scan.index, measured));
+    fn state(&self, psd: usize, scan: &Scan, volts: &[f64; MAX_CHANNELS]) -> PsdState {
+        let places = self.places[psd];
+        let sum = volts[places[2]] - self.channels.psds[psd].channels.dark_v[2];
+        if places.iter().any(|k| self.clipped(scan.codes[*k])) {
+            PsdState::Clipped
+        } else if sum < self.channels.sum_threshold_v {
+            PsdState::Low
+        } else {
+            PsdState::Good
         }
-        volts
+    }
+
+    /// Volts of a channel at the time of the scan: one that is sampled later is interpolated between
+    /// this scan and the last, if there is no gap in between.
+    fn at_scan(&self, channel: usize, volts: &[f64; MAX_CHANNELS], last: Option<&Last>) -> f64 {
+        let now = volts[channel];
+        last.map_or(now, |last| now - self.skew[channel] * (now - last.volts[channel]))
     }
 
     /// Whether a code is too near to a rail to be believed.

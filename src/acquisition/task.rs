@@ -53,7 +53,7 @@ pub async fn run<S: Source, C: Clock>(
     stop: CancellationToken,
 ) {
     let mut commands = edges.commands.clone();
-    let mut intake = Intake { channels, counters, edges, map: None, dropped: 0 };
+    let mut intake = Intake { channels, counters, edges, source: None, up: false, dropped: 0 };
     loop {
         tokio::select! {
             biased;
@@ -75,7 +75,10 @@ struct Intake {
     channels: Channels,
     counters: Arc<Counters>,
     edges: Edges,
-    map: Option<ChannelMap>,
+    /// The source as it last came up, with its channel map.
+    source: Option<(Arc<Identity>, ChannelMap)>,
+    /// Scans are coming.
+    up: bool,
     /// Samples that estimation had no room for since the last one it took.
     dropped: u32,
 }
@@ -86,8 +89,13 @@ impl Intake {
             Event::Up(identity) => self.up(identity),
             Event::Scan(scan) => {
                 self.counters.scans.one();
-                if let Some(map) = &mut self.map {
+                if let Some((identity, map)) = &mut self.source {
                     let sample = map.sample(&scan);
+                    if !std::mem::replace(&mut self.up, true) {
+                        tracing::info!("scans come");
+                        let identity = Arc::clone(identity);
+                        self.edges.newest.send_modify(|newest| newest.source = Some(identity));
+                    }
                     self.edges.newest.send_modify(|newest| newest.sample = Some(sample));
                     self.hand_on(sample);
                 }
@@ -106,9 +114,8 @@ impl Intake {
         match self.channels.map(&identity) {
             Ok(map) => {
                 tracing::info!(name = identity.name, rate_hz = identity.rate_hz, "source is up");
-                self.map = Some(map);
                 let identity = Arc::new(identity);
-                self.edges.newest.send_modify(|newest| newest.source = Some(Arc::clone(&identity)));
+                self.source = Some((Arc::clone(&identity), map));
                 self.tell(Acquired::Up(identity));
             }
             Err(reason) => self.down(Down::Unfit(reason)),
@@ -116,7 +123,10 @@ impl Intake {
     }
 
     fn down(&mut self, down: Down) {
-        self.counters.source_downs.one();
+        // One fault may have several reasons in turn: pulled, then not to be opened.
+        if std::mem::replace(&mut self.up, false) {
+            self.counters.source_downs.one();
+        }
         tracing::warn!(reason = %down, "source is down");
         self.edges.newest.send_modify(|newest| newest.source = None);
         self.tell(Acquired::Down(down));

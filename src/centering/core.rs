@@ -104,6 +104,10 @@ impl Centering {
     /// `output_bits` the resolution of the stage's outputs.
     pub fn sample(&mut self, sample: &Sample, pose: Option<&Pose>, output_bits: u8) -> Outcome {
         let dt = self.seconds_since_last(sample);
+        let lease_s = f64::from(self.steering.lease_ms) * 1e-3;
+        if self.last.is_some_and(|(_, time)| sample.time.seconds_since(time) >= lease_s) {
+            self.source_changed(); // the board has acted by itself in the meantime
+        }
         let first = self.last.is_none();
         self.last = Some((sample.index, sample.time));
         if !self.enabled {

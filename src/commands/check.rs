@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 use std::io::Write as _;
 
+use trifacet::acquisition::Channels;
 use trifacet::config::{Config, FacetConfig, LogFormat, OnExit, SourceKind, Target};
 use trifacet::optics::covariance::deviations;
 use trifacet::optics::{Estimator, FACETS, Model, Noise, Optics, Pose, Signals, Vec2};
@@ -19,6 +20,7 @@ pub(crate) struct CheckArgs {
 /// Says what a configuration means, or fails with what is wrong with it.
 pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
+    Channels::load(&config)?; // the correction tables are part of it
     let mut lines = Lines::default();
     let name = args.config.config.as_ref().map_or("defaults".into(), |file| file.display().to_string());
     lines.say("configuration", format!("{name}: fine, id {:08x}", config.config_id()?));

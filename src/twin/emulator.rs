@@ -20,7 +20,7 @@ use crate::{
 const TICK_HZ: u32 = 10_000_000;
 
 /// Bytes that may wait for the wire. What comes on top is not sent, as on a board whose buffer is full.
-const QUEUE: usize = 8192;
+const QUEUE: usize = 65_536;
 
 /// What moved the steering outputs last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -267,3 +267,6 @@ impl Emulator {
         room
     }
 }
+
+#[cfg(test)]
+mod tests;

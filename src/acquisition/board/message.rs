@@ -325,3 +325,34 @@ impl BoardScan {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::acquisition::board::frame;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn any_bytes_are_a_message_or_an_error(mut bytes in prop::collection::vec(any::<u8>(), 0..260)) {
+            if let [kind, version, ..] = &mut bytes[..] {
+                // Half of them get a type and a version that exist.
+                (*kind, *version) = if *kind & 8 == 0 { (*kind & 0x87, VERSION) } else { (*kind, *version) };
+            }
+            let _ = Request::decode(&bytes);
+            if let Ok(Answer::Scan(scan)) = Answer::decode(&bytes) {
+                prop_assert_eq!(11 + 3 * usize::from(scan.channels), bytes.len());
+                prop_assert!(scan.codes.iter().all(|code| (-(1 << 23)..1 << 23).contains(code)));
+            }
+        }
+
+        #[test]
+        fn codes_of_24_bits_keep_their_sign(codes in prop::array::uniform16(-(1_i32 << 23)..1 << 23)) {
+            let scan = BoardScan { channels: 16, codes, ..BoardScan::default() };
+            let (mut frame, mut deframer) = (Vec::new(), frame::Deframer::default());
+            Answer::Scan(scan).encode(&mut frame);
+            let message = deframer.next(&mut &frame[..]).unwrap().unwrap();
+            prop_assert_eq!(Answer::decode(message), Ok(Answer::Scan(scan)));
+        }
+    }
+}

@@ -140,10 +140,12 @@ impl Session {
         }
     }
 
-    /// Asks the board to scan no more.
+    /// Asks the board to scan no more, after the last command.
     pub fn stop(&mut self) {
+        if let Some(command) = self.command.take() {
+            Request::Steer(command).encode(&mut self.out);
+        }
         Request::Stop.encode(&mut self.out);
-        self.command = None;
     }
 
     /// What is to be written next.
@@ -277,7 +279,7 @@ impl Session {
             heard: now,
             lease_expired: true, // of the daemon before this one: no news
         });
-        tracing::info!("board started: {}, {} channels at {rate_hz} Hz", board.name, board.roles.len());
+        tracing::debug!("board started: {}, {} channels at {rate_hz} Hz", board.name, board.roles.len());
         self.told = None;
         self.events.push_back(Event::Up(board.identity(rate_hz)));
     }
@@ -351,7 +353,6 @@ impl Session {
     fn down(&mut self, reason: Down) {
         self.command = None;
         if self.told.as_ref() != Some(&reason) {
-            tracing::warn!("{reason}");
             self.told = Some(reason.clone());
             self.events.push_back(Event::Down(reason));
         }
@@ -359,253 +360,4 @@ impl Session {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::acquisition::{Ack, Converter, Expiry, Role, board::message::SteerResult, scan::SIGNALS};
-
-    const START: Mono = Mono(50 * NS_PER_S);
-
-    fn board() -> BoardIdentity {
-        BoardIdentity {
-            tick_hz: 1_000_000,
-            converter: Converter { bits: 18, range_v: 10.0 },
-            output_bits: 16,
-            simulated: false,
-            rate_mhz: [1_000, 20_000_000],
-            roles: SIGNALS.to_vec(),
-            skew_ns: vec![0; 9],
-            name: "bench board".into(),
-        }
-    }
-
-    /// A session and the clock of its host, played from the board's side.
-    struct Bench {
-        session: Session,
-        counters: Arc<Counters>,
-        now: Mono,
-    }
-
-    impl Bench {
-        fn new() -> Self {
-            let counters = Arc::new(Counters::default());
-            let settings = Settings { rate_hz: 1000.0, baud: 921_600, latency_ns: 0, park: [0.2, -0.2] };
-            let session = Session::new(settings, Arc::clone(&counters));
-            Self { session, counters, now: START }
-        }
-
-        fn running() -> Self {
-            let mut bench = Self::new();
-            bench.session.connected(bench.now);
-            bench.start(&board());
-            assert!(matches!(bench.session.event(), Some(Event::Up(_))));
-            bench
-        }
-
-        fn start(&mut self, board: &BoardIdentity) {
-            assert_eq!(self.requests(), [Request::Identify]);
-            self.answer(&Answer::Identity(board.clone()));
-            self.requests();
-            self.answer(&Answer::Reply(Reply {
-                start: true,
-                result: StartResult::Done,
-                rate_mhz: 1_000_000,
-            }));
-        }
-
-        /// What the session wrote.
-        fn requests(&mut self) -> Vec<Request> {
-            let (mut requests, mut deframer) = (Vec::new(), Deframer::default());
-            loop {
-                let bytes = self.session.output().to_vec();
-                if bytes.is_empty() {
-                    return requests;
-                }
-                let mut rest = &bytes[..];
-                while let Some(frame) = deframer.next(&mut rest) {
-                    requests.push(Request::decode(frame.unwrap()).unwrap());
-                }
-                self.session.written(bytes.len());
-            }
-        }
-
-        fn answer(&mut self, answer: &Answer) {
-            let mut bytes = Vec::new();
-            answer.encode(&mut bytes);
-            self.session.received(&bytes, self.now);
-        }
-
-        /// The board's scan number `sequence` arrives, one period after the last thing.
-        fn scan(&mut self, sequence: u32) -> Option<Event> {
-            self.now = self.now + MS;
-            let tick = ((self.now - START) / 1000) as u32;
-            self.answer(&Answer::Scan(BoardScan { sequence, tick, channels: 9, ..BoardScan::default() }));
-            self.session.event()
-        }
-
-        fn index(&mut self, sequence: u32) -> (u64, u32) {
-            match self.scan(sequence) {
-                Some(Event::Scan(scan)) => (scan.index, scan.lost),
-                other => panic!("no scan but {other:?}"),
-            }
-        }
-
-        fn wait(&mut self, ns: i64) {
-            self.now = self.now + ns;
-            self.session.timed_out(self.now);
-        }
-    }
-
-    #[test]
-    fn a_board_is_identified_started_and_heard() {
-        let mut bench = Bench::new();
-        bench.session.connected(bench.now);
-        assert_eq!(bench.requests(), [Request::Identify]);
-        bench.answer(&Answer::Scan(BoardScan { sequence: 77, channels: 9, ..BoardScan::default() }));
-        bench.answer(&Answer::Identity(board()));
-        let park = [6554, -6554];
-        assert_eq!(bench.requests(), [Request::Start { rate_mhz: 1_000_000, park }]);
-        bench.answer(&Answer::Reply(Reply { start: true, result: StartResult::Done, rate_mhz: 999_000 }));
-        let Some(Event::Up(identity)) = bench.session.event() else { panic!("not up") };
-        assert_eq!((identity.rate_hz, identity.roles.len(), identity.simulated), (999.0, 9, false));
-        assert_eq!(bench.index(0), (0, 0));
-        assert_eq!(bench.index(1), (1, 0));
-    }
-
-    #[test]
-    fn every_mishap_is_counted_in_its_place() {
-        let mut bench = Bench::running();
-        bench.index(0);
-        assert_eq!(bench.index(3), (3, 2));
-        assert_eq!(bench.scan(3), None);
-        assert_eq!(bench.scan(1), None);
-        bench.session.received(&[5, 5, 5, 0], bench.now);
-        bench.answer(&Answer::Scan(BoardScan { sequence: 4, channels: 12, ..BoardScan::default() }));
-        let mut frame = Vec::new();
-        super::super::frame::encode(&[0x99, 1], &mut frame);
-        bench.session.received(&frame, bench.now);
-        bench.answer(&Answer::Error { reason: ErrorReason::Corrupted, kind: 0 });
-        let counters = &bench.counters;
-        assert_eq!(counters.scans_lost.get(), 2);
-        assert_eq!(counters.scans_repeated.get(), 1);
-        assert_eq!(counters.scans_late.get(), 1);
-        assert_eq!(counters.frames_corrupted.get(), 1);
-        assert_eq!(counters.frames_unknown.get(), 2);
-        assert_eq!(counters.board_errors.get(), 1);
-        assert_eq!(bench.index(4), (4, 0));
-    }
-
-    #[test]
-    fn a_stall_is_told_and_scans_may_come_back_by_themselves() {
-        let mut bench = Bench::running();
-        bench.index(0);
-        bench.wait(19 * MS);
-        assert_eq!(bench.session.event(), None);
-        bench.wait(MS);
-        assert_eq!(bench.session.event(), Some(Event::Down(Down::Stalled { silence_ms: 20 })));
-        bench.session.steer(OutputCommand { id: 1, codes: [1, 1], lease_ms: 200, on_expiry: Expiry::Hold });
-        assert_eq!(bench.requests(), []);
-        assert_eq!(bench.index(22), (22, 21));
-        assert_eq!(bench.index(23), (23, 0));
-        bench.wait(20 * MS);
-        assert!(matches!(bench.session.event(), Some(Event::Down(Down::Stalled { .. }))));
-    }
-
-    #[test]
-    fn a_board_that_lost_its_power_is_started_again_and_the_index_goes_on() {
-        let mut bench = Bench::running();
-        (0..100).for_each(|k| drop(bench.scan(k)));
-        bench.wait(20 * MS);
-        assert!(matches!(bench.session.event(), Some(Event::Down(Down::Stalled { .. }))));
-        bench.wait(NS_PER_S);
-        bench.wait(500 * MS);
-        let timeout = Down::Timeout { step: "identify", timeout_ms: 500 };
-        assert_eq!(bench.session.event(), Some(Event::Down(timeout)));
-        bench.wait(NS_PER_S);
-        bench.wait(500 * MS);
-        assert_eq!(bench.session.event(), None, "the same reason is told once");
-        bench.wait(NS_PER_S);
-        bench.requests();
-        bench.session.connected(bench.now);
-        bench.start(&board());
-        assert!(matches!(bench.session.event(), Some(Event::Up(_))));
-        assert_eq!(bench.index(0), (99 + 4020 + 1, 4020));
-        assert_eq!(bench.counters.scans_lost.get(), 4020);
-    }
-
-    #[test]
-    fn a_scan_after_a_reconnect_is_younger_than_those_before() {
-        let mut bench = Bench::running();
-        let Some(Event::Scan(before)) = bench.scan(0) else { panic!("no scan") };
-        let gone = Down::Unplugged { port: "/dev/null".into(), reason: "pulled".into() };
-        bench.session.disconnected(gone.clone());
-        assert_eq!(bench.session.event(), Some(Event::Down(gone)));
-        assert_eq!(bench.session.deadline(), None);
-        bench.session.connected(bench.now);
-        bench.start(&board());
-        bench.session.event();
-        let Some(Event::Scan(after)) = bench.scan(0) else { panic!("no scan") };
-        assert!(after.index > before.index && after.time > before.time);
-    }
-
-    #[test]
-    fn only_the_newest_command_is_sent_and_its_answer_is_told() {
-        let mut bench = Bench::running();
-        let command = |id| OutputCommand { id, codes: [-5, 5], lease_ms: 200, on_expiry: Expiry::Park };
-        (1..=3).for_each(|id| bench.session.steer(command(id)));
-        assert_eq!(bench.requests(), [Request::Steer(command(3))]);
-        bench.answer(&Answer::Ack { id: 3, result: SteerResult::OutOfRange });
-        assert_eq!(bench.session.event(), Some(Event::Ack(Ack { id: 3, accepted: false })));
-    }
-
-    #[test]
-    fn a_board_that_cannot_be_used_is_told_why() {
-        let twice = |roles: &mut Vec<Role>| roles[3] = Role::U(0);
-        let mut boards = [board(), board(), board(), board(), board(), board()];
-        twice(&mut boards[0].roles);
-        boards[1].roles.truncate(8);
-        boards[2].rate_mhz = [1_000, 500_000];
-        boards[3].converter.bits = 32;
-        boards[4].tick_hz = 1000;
-        boards[5].roles.resize(17, Role::Auxiliary);
-        for board in &mut boards {
-            board.skew_ns.resize(board.roles.len(), 0);
-        }
-        let reasons = ["u of PSD A", "8 channels", "1 to 500 Hz", "32 bits", "1000 Hz", "17 channels"];
-        for (board, reason) in boards.iter().zip(reasons) {
-            let mut bench = Bench::new();
-            bench.session.connected(bench.now);
-            bench.start(board);
-            match bench.session.event() {
-                Some(Event::Down(Down::Unfit(told))) => assert!(told.contains(reason), "{told}"),
-                other => panic!("{reason}: {other:?}"),
-            }
-            bench.wait(NS_PER_S);
-            assert_eq!(bench.requests(), [Request::Identify], "asks again after a while");
-        }
-    }
-
-    #[test]
-    fn a_board_of_another_version_is_told_as_such() {
-        let mut bench = Bench::new();
-        bench.session.connected(bench.now);
-        let mut frame = Vec::new();
-        super::super::frame::encode(&[0x81, 2, 9, 9, 9], &mut frame);
-        bench.session.received(&frame, bench.now);
-        let Some(Event::Down(Down::Unfit(reason))) = bench.session.event() else { panic!("no reason") };
-        assert!(reason.contains("version 2"), "{reason}");
-        bench.session.connected(bench.now);
-        bench.answer(&Answer::Error { reason: ErrorReason::Version, kind: 1 });
-        let Some(Event::Down(Down::Unfit(reason))) = bench.session.event() else { panic!("no reason") };
-        assert!(reason.contains("version 1"), "{reason}");
-    }
-
-    #[test]
-    fn a_wire_too_slow_for_the_rate_is_refused() {
-        let mut bench = Bench::new();
-        bench.session.settings.baud = 115_200;
-        bench.session.connected(bench.now);
-        bench.start(&board());
-        let Some(Event::Down(Down::Unfit(reason))) = bench.session.event() else { panic!("no reason") };
-        assert!(reason.contains("115200") && reason.contains("600000"), "{reason}");
-    }
-}
+mod tests;

@@ -81,7 +81,7 @@ impl Tally {
             return;
         }
         let what: Vec<_> =
-            self.recent.iter().filter(|(_, n)| *n > 0).map(|(name, n)| format!("{n} {name}")).collect();
+            self.recent.iter().filter(|(_, n)| *n > 0).map(|(name, n)| format!("{name} {n}")).collect();
         tracing::warn!("board link: {}", what.join(", "));
         self.recent.iter_mut().for_each(|(_, n)| *n = 0);
         self.told = Some(now);

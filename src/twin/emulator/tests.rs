@@ -1,0 +1,137 @@
+use super::*;
+
+const MS: i64 = 1_000_000;
+const PARK: [i32; 2] = [300, -300];
+
+struct Bench {
+    board: Emulator,
+    now: Mono,
+}
+
+impl Bench {
+    fn new() -> Self {
+        Self { board: Emulator::new(&Config::default(), Mono(0)).unwrap(), now: Mono(0) }
+    }
+
+    fn started() -> Self {
+        let mut bench = Self::new();
+        let result = StartResult::Done;
+        let done = Answer::Reply(Reply { start: true, result, rate_mhz: 1_000_000 });
+        assert_eq!(bench.ask(Request::Start { rate_mhz: 1_000_000, park: PARK }), [done]);
+        bench
+    }
+
+    fn ask(&mut self, request: Request) -> Vec<Answer> {
+        let mut frame = Vec::new();
+        request.encode(&mut frame);
+        self.board.received(&frame, self.now);
+        self.answers()
+    }
+
+    fn answers(&mut self) -> Vec<Answer> {
+        let bytes = self.board.output().to_vec();
+        self.board.written(bytes.len());
+        let (mut rest, mut deframer, mut answers) = (&bytes[..], Deframer::default(), Vec::new());
+        while let Some(frame) = deframer.next(&mut rest) {
+            answers.extend(frame.ok().map(|message| Answer::decode(message).unwrap()));
+        }
+        answers
+    }
+
+    /// Lets time pass and returns the scans of it.
+    fn run(&mut self, ms: i64) -> Vec<BoardScan> {
+        let mut scans = Vec::new();
+        for _ in 0..ms {
+            self.board.sample(self.now);
+            self.now = self.now + MS;
+            for answer in self.answers() {
+                if let Answer::Scan(scan) = answer {
+                    scans.push(scan);
+                }
+            }
+        }
+        scans
+    }
+
+    fn steer(&mut self, codes: [i32; 2], lease_ms: u16, on_expiry: Expiry) -> SteerResult {
+        match self.ask(Request::Steer(OutputCommand { id: 5, codes, lease_ms, on_expiry }))[..] {
+            [Answer::Ack { id: 5, result }] => result,
+            ref other => panic!("{other:?}"),
+        }
+    }
+}
+
+#[test]
+fn it_says_nothing_unasked_and_numbers_its_scans_from_the_start() {
+    let mut bench = Bench::new();
+    assert!(bench.run(50).is_empty());
+    bench.ask(Request::Start { rate_mhz: 1_000_000, park: PARK });
+    let scans = bench.run(20);
+    assert_eq!(scans.iter().map(|scan| scan.sequence).collect::<Vec<_>>(), (0..20).collect::<Vec<_>>());
+    assert_eq!(scans[1].tick - scans[0].tick, TICK_HZ / 1000);
+    assert_eq!(scans[0].tick, TICK_HZ / 1000 * 50, "the clock runs from power-up");
+    bench.ask(Request::Stop);
+    assert!(bench.run(20).is_empty());
+}
+
+#[test]
+fn what_is_out_of_range_is_refused_and_changes_nothing() {
+    let mut bench = Bench::new();
+    assert_eq!(bench.steer([0, 0], 200, Expiry::Hold), SteerResult::NotStarted);
+    for (rate_mhz, park, result) in
+        [(999_000, PARK, StartResult::RateOutOfRange), (1_000_000, [0, 32_768], StartResult::ParkOutOfRange)]
+    {
+        let refused = Answer::Reply(Reply { start: true, result, rate_mhz: 0 });
+        assert_eq!(bench.ask(Request::Start { rate_mhz, park }), [refused]);
+    }
+    let mut bench = Bench::started();
+    assert_eq!(bench.steer([100, 0], 50, Expiry::Park), SteerResult::Accepted);
+    bench.run(40);
+    assert_eq!(bench.steer([0, 40_000], 50, Expiry::Park), SteerResult::OutOfRange);
+    assert_eq!(bench.steer([0, 0], 0, Expiry::Park), SteerResult::OutOfRange);
+    bench.run(20);
+    assert_eq!(bench.board.state().steering, Steering::Parked, "the old lease ran on");
+}
+
+#[test]
+fn a_lease_that_ends_holds_or_parks_and_shows_in_the_scans() {
+    for (on_expiry, steering, codes) in
+        [(Expiry::Hold, Steering::Held, [100, 200]), (Expiry::Park, Steering::Parked, PARK)]
+    {
+        let mut bench = Bench::started();
+        bench.steer([100, 200], 50, on_expiry);
+        let scans = bench.run(100);
+        assert!(scans.iter().all(|scan| scan.lease_expired == (scan.sequence >= 50)));
+        let state = bench.board.state();
+        assert_eq!((state.steering, state.output_codes, state.lease_expired), (steering, codes, true));
+        bench.steer([1, 2], 50, on_expiry);
+        assert!(bench.run(10).iter().all(|scan| !scan.lease_expired));
+    }
+}
+
+#[test]
+fn faults_of_the_link_use_up_numbers() {
+    let mut bench = Bench::started();
+    bench.board.inject(FaultKind::Corrupted { fraction: 1.0 }, Some(0.01)).unwrap();
+    bench.run(10);
+    bench.board.inject(FaultKind::Stalled, Some(0.01)).unwrap();
+    bench.run(5);
+    assert_eq!(bench.ask(Request::Identify), [], "a stalled board does not listen");
+    bench.run(5);
+    assert_eq!(bench.run(1)[0].sequence, 20);
+    let state = bench.board.state();
+    assert_eq!((state.scans_sent, state.scans_unsent), (11, 10));
+}
+
+#[test]
+fn what_it_does_not_understand_it_says_and_what_nobody_takes_it_drops() {
+    let mut bench = Bench::started();
+    bench.board.received(&[0, 3, 9, 9, 0], bench.now);
+    let corrupted = Answer::Error { reason: ErrorReason::Corrupted, kind: 0 };
+    assert_eq!(bench.answers(), [corrupted]);
+    for _ in 0..10_000 {
+        bench.board.sample(bench.now);
+    }
+    assert!(bench.board.output().len() < QUEUE + 250);
+    assert!(bench.board.state().scans_unsent > 8_000);
+}
