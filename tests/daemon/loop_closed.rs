@@ -77,9 +77,8 @@ fn through_a_board_it_closes_and_in_10_s_no_sample_is_lost() {
 
 #[test]
 fn a_step_of_the_mirror_is_followed_and_not_called_locked_meanwhile() {
-    let mut daemon = Daemon::start(
-        "twin.motion = [{ axis = \"tx\", kind = \"step\", amount_um = 60.0, from_s = 1.0 }]",
-    );
+    let mut daemon =
+        Daemon::start("twin.motion = [{ axis = \"tx\", kind = \"step\", amount_um = 60.0, from_s = 1.0 }]");
     let mut stream = daemon.client();
     stream.locked();
     let moving = stream.through("unlocked", |f| !f.locked());
@@ -140,8 +139,9 @@ fn a_stage_at_a_limit_of_its_own_is_railed_too() {
 
 #[test]
 fn a_blocked_beam_is_held_then_lost_then_acquired_again() {
-    let mut daemon =
-        Daemon::start(&format!("twin.fault = [{{ at_s = 1.0, for_s = 0.3, kind = \"beam-blocked\" }}]\n{OFF}"));
+    let mut daemon = Daemon::start(&format!(
+        "twin.fault = [{{ at_s = 1.0, for_s = 0.3, kind = \"beam-blocked\" }}]\n{OFF}"
+    ));
     let mut stream = daemon.client();
     stream.locked();
     stream.until("dark", |f| f.has(Status::PSD_A_LOW));

@@ -20,7 +20,11 @@ fn every_sample_becomes_a_frame_on_both_ways_with_a_true_pose() {
     let always = Status::POSE_VALID | Status::SIMULATED | Status::UNCALIBRATED | Status::STEERING_MEASURED;
     for frame in frames.iter().filter(|f| f.of_samples()) {
         assert_eq!(frame.status.0 & always.0, always.0, "{frame:?}");
-        assert_eq!(frame.status.0 & !(always | Status::NOT_LOCKED | Status::CLOCK_UNSYNCED).0, 0, "{frame:?}");
+        assert_eq!(
+            frame.status.0 & !(always | Status::NOT_LOCKED | Status::CLOCK_UNSYNCED).0,
+            0,
+            "{frame:?}"
+        );
     }
     let descriptor = stream.descriptor.clone().unwrap();
     assert_eq!((descriptor.session, descriptor.config), (locked.session, locked.config));
