@@ -113,11 +113,13 @@ async fn finish(last: OutputCommand, edges: &mut Edges) {
     let answered = timeout(LAST_ACK, edges.newest.wait_for(mine)).await;
     let accepted = answered.ok().and_then(Result::ok).and_then(|newest| newest.ack).map(|ack| ack.accepted);
     let lease_ms = last.lease_ms;
-    match accepted {
-        Some(true) => tracing::info!(codes = ?last.codes, "steering acknowledged its last command"),
-        Some(false) => tracing::warn!(lease_ms, "steering refused its last command; the lease will end it"),
-        None => {
-            tracing::warn!(lease_ms, "steering did not acknowledge its last command; its lease will end it")
+    let complaint = match accepted {
+        Some(true) => {
+            tracing::info!(codes = ?last.codes, "steering acknowledged its last command");
+            return;
         }
-    }
+        Some(false) => "steering refused its last command; the lease of the one before will end it",
+        None => "steering did not acknowledge its last command; its lease will end it",
+    };
+    tracing::warn!(lease_ms, "{complaint}");
 }

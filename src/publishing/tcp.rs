@@ -180,7 +180,10 @@ impl Client {
                 io::ErrorKind::BrokenPipe | io::ErrorKind::ConnectionReset => {
                     "closed by the client".to_owned()
                 }
-                io::ErrorKind::TimedOut => format!("took nothing for {} s", STALL.as_secs()),
+                io::ErrorKind::TimedOut => {
+                    self.lost(self.frames.len() as u64); // it was cut off from these
+                    format!("took nothing for {} s", STALL.as_secs())
+                }
                 _ => e.to_string(),
             },
         };

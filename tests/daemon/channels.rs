@@ -24,8 +24,12 @@ fn compare(config: &str, samples: usize) -> ([f64; 6], [f64; 6]) {
 
 /// The poses are right, as well as their deviations say.
 fn is_right(config: &str) {
+    is_right_within(config, 0.85);
+}
+
+fn is_right_within(config: &str, least: f64) {
     let (_, scatter) = compare(config, 600);
-    assert!(scatter.iter().all(|s| (0.85..1.15).contains(s)), "{config}: {scatter:?}");
+    assert!(scatter.iter().all(|s| (least..1.15).contains(s)), "{config}: {scatter:?}");
 }
 
 #[test]
@@ -51,10 +55,12 @@ fn dark_readings_are_subtracted_and_matter() {
 #[test]
 fn channels_that_are_sampled_one_after_the_other_are_brought_together() {
     // 15 mm/s on the PSDs, and 0.8 ms from the first signal to the last: 13 um apart.
-    is_right(
+    // Interpolation between two samples is a mean of them: it takes out some of the noise.
+    is_right_within(
         "twin.channel_skew_us = 90.0\n\
          twin.motion = [{ axis = \"yaw\", kind = \"sine\", amount_urad = 1000.0, frequency_hz = 5.0 }, \
                         { axis = \"pitch\", kind = \"sine\", amount_urad = 1000.0, frequency_hz = 5.0 }]",
+        0.6,
     );
 }
 

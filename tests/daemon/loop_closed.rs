@@ -39,7 +39,7 @@ fn on_the_twin_it_closes_from_100_um_off_and_stays() {
     let mut stream = Stream::udp();
     let udp = stream.local();
     let _daemon = Daemon::start(&format!("publishing.udp = [\"{udp}\"]\n{OFF}"));
-    let closing = stream.through("locked", |f| f.locked());
+    let closing = stream.through("locked", Frame::locked);
     let first = closing.iter().find(|f| f.valid()).unwrap();
     let [x, y] = first.beam_offset.map(|x| f64::from(x) * 1e6);
     assert!((x - 70.0).hypot(y + 70.0) < 5.0, "the first estimate is that of the laser: {x} {y}");
@@ -83,11 +83,11 @@ fn a_step_of_the_mirror_is_followed_and_not_called_locked_meanwhile() {
     stream.locked();
     let moving = stream.through("unlocked", |f| !f.locked());
     assert!((990..1010).contains(&moving.last().unwrap().sample_index), "{:?}", moving.last());
-    let again = stream.through("locked", |f| f.locked());
+    let again = stream.through("locked", Frame::locked);
     assert_eq!(states(&again), [LockState::Acquiring, LockState::Locked]);
     stream.samples(100);
     let frames = stream.samples(100);
-    assert!(offset_um(&frames) < 1.0 && frames.iter().all(|f| f.locked()));
+    assert!(offset_um(&frames) < 1.0 && frames.iter().all(Frame::locked));
     let [pose, stage] = [mean(&frames, |f| f.pose[0]), mean(&frames, |f| f64::from(f.steering[0]))];
     assert!((pose - 60e-6).abs() < 1e-6 && (stage - 60e-6).abs() < 1e-6, "{pose} {stage}");
 }
@@ -119,11 +119,11 @@ fn an_apex_beyond_the_limits_is_railed_and_never_locked() {
     let status = board.status();
     assert_eq!(status["output_um"][1].as_f64().unwrap().round(), 50.0, "{status}");
     // The mirror comes within reach: the rail is left at once.
-    let coming = stream.through("locked", |f| f.locked());
+    let coming = stream.through("locked", Frame::locked);
     assert_eq!(states(&coming), [LockState::Railed, LockState::Acquiring, LockState::Locked]);
     stream.samples(100);
     let frames = stream.samples(100);
-    assert!(offset_um(&frames) < 1.0 && frames.iter().all(|f| f.locked()));
+    assert!(offset_um(&frames) < 1.0 && frames.iter().all(Frame::locked));
 }
 
 #[test]
@@ -154,7 +154,7 @@ fn a_blocked_beam_is_held_then_lost_then_acquired_again() {
     assert_eq!(states(dark).last(), Some(&LockState::Lost));
     let stage = |f: &Frame| f64::from(f.steering[0]);
     assert!(dark.iter().all(|f| (stage(f) + 70e-6).abs() < 5e-6), "the stage stays where it is");
-    let again = stream.through("locked", |f| f.locked());
+    let again = stream.through("locked", Frame::locked);
     assert!(states(&again).ends_with(&[LockState::Acquiring, LockState::Locked]), "{:?}", states(&again));
     stream.samples(100);
     stays_on_the_apex(&mut stream, 2);

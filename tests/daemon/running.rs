@@ -3,7 +3,7 @@
 use rustix::process::Signal;
 use trifacet::estimation::Status;
 
-use crate::fixture::{Daemon, Stream, errors, mean, now_ns, truth};
+use crate::fixture::{Daemon, Frame, Stream, errors, mean, now_ns, truth};
 
 #[test]
 fn every_sample_becomes_a_frame_on_both_ways_with_a_true_pose() {
@@ -62,7 +62,7 @@ fn averages_are_means_with_their_time() {
     stream.locked();
     let frames = stream.take(100);
     assert_eq!(stream.descriptor.clone().unwrap().rate_hz, 100.0);
-    for pair in frames.windows(2).filter(|pair| pair.iter().all(super::fixture::Frame::of_samples)) {
+    for pair in frames.windows(2).filter(|pair| pair.iter().all(Frame::of_samples)) {
         assert_eq!(pair[1].averaged, 10);
         assert_eq!(pair[1].sample_index, pair[0].sample_index + 10);
         assert!((pair[1].time_ns - pair[0].time_ns - 10_000_000).abs() < 20_000);
