@@ -113,7 +113,8 @@ impl Estimation {
             steering: None,
             output_railed: false,
         };
-        let mut report = self.blank(&Mean { sample: nothing, count: 0, gap: false }, steering);
+        let steering = LoopState { lock: steering.lock.without_samples(), ..*steering };
+        let mut report = self.blank(&Mean { sample: nothing, count: 0, gap: false }, &steering);
         report.status |= Status::SOURCE_DOWN;
         report
     }
