@@ -6,6 +6,9 @@
 
 use std::path::Path;
 
+/// By so much a table may end before the edge, metres: that is rounding.
+const SLACK: f64 = 1e-9;
+
 /// A correction table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Correction {
@@ -82,7 +85,8 @@ impl Correction {
         if d.iter().any(|d| d[0].is_nan()) {
             return Err(no_grid); // a point stands twice, so another one is missing
         }
-        let covers = |p: &[f64]| p[0] <= -half_size && p[p.len() - 1] >= half_size;
+        let edge = half_size - SLACK; // 6.5e-3 is not what 13 mm make when they are halved
+        let covers = |p: &[f64]| p[0] <= -edge && p[p.len() - 1] >= edge;
         if !(covers(&u) && covers(&v)) {
             return Err(CorrectionError::TooSmall { half_size });
         }

@@ -10,6 +10,8 @@ use crate::optics::{HeadError, Optics, Pose};
 /// The time between samples counts as at most so many periods.
 const MOST_PERIODS: f64 = 5.0;
 
+pub(super) const TOO_LATE: &str = "samples come later than centering.loop_delay_ms";
+
 /// What the rest of the house is told of the loop.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LoopState {
@@ -37,8 +39,10 @@ pub struct LoopView {
 /// What follows from a sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// The command for the stage, unless the loop is off.
+    /// The command for the stage, unless the loop is off or the sample came too late.
     pub command: Option<OutputCommand>,
+    /// The sample came too late to act on it.
+    pub late: bool,
     /// The lock state has changed.
     pub transition: Option<Transition>,
 }
@@ -52,6 +56,11 @@ pub struct Tuning {
     setpoint: Xy,
     controller: Controller,
     limits: LockLimits,
+    /// A sample older than this comes too late: the gains are made for this delay, and with a longer
+    /// one the loop would push again and again before it sees what it has done.
+    fresh_s: f64,
+    /// For how long they may come too late until it is no hiccup.
+    patience_s: f64,
     park: Xy,
     on_exit: OnExit,
     on_lease: Expiry,
@@ -68,6 +77,8 @@ impl Tuning {
             setpoint: config.centering.setpoint_um.map(|um| um * 1e-6),
             controller: Controller::new(config),
             limits: LockLimits::new(&config.centering),
+            fresh_s: config.centering.loop_delay_s(config.acquisition.rate_hz),
+            patience_s: config.centering.lost_time_ms * 1e-3,
             park: steering.park_um.map(|um| um * 1e-6),
             on_exit: steering.on_exit,
             on_lease: match steering.on_lease {
@@ -92,6 +103,10 @@ pub struct Centering {
     memory: Option<Memory>,
     /// The stage is to be taken over, where it stands, before it is moved.
     apart: bool,
+    /// Nothing but this loop has moved the stage since then.
+    ours: bool,
+    /// For how long samples have come too late.
+    late_s: f64,
     last: Option<(u64, Mono)>,
     offset: Option<Xy>,
     shadow: Option<(Xy, Xy)>,
@@ -110,6 +125,8 @@ impl Centering {
             lock: Lock::new(tuning.limits, tuning.mode == LoopMode::On),
             memory: None,
             apart: true,
+            ours: false,
+            late_s: 0.0,
             last: None,
             offset: None,
             shadow: None,
@@ -152,7 +169,7 @@ impl Centering {
             }
             self.apart = true;
         }
-        Outcome { command, transition }
+        Outcome { command, late: false, transition }
     }
 
     /// Samples that came and went between `sample` and the last one seen; `None` if it is not newer.
@@ -165,20 +182,19 @@ impl Centering {
     pub fn source_changed(&mut self) {
         self.last = None;
         let parked = self.tuning.on_lease == Expiry::Park && !self.apart;
-        self.apart = true;
+        (self.apart, self.ours) = (true, false);
         // Until a readback says better, where the lease has left it.
         self.memory = self.memory.map(|m| Memory::at(if parked { self.tuning.park } else { m.position }));
     }
 
-    /// Takes a sample, which must be newer than all before. `pose` is the last valid pose, if it is fresh;
-    /// `output_bits` the resolution of the stage's outputs.
-    pub fn sample(&mut self, sample: &Sample, pose: Option<&Pose>, output_bits: u8) -> Outcome {
+    /// Takes a sample, which must be newer than all before, at the moment `now`. `pose` is the last valid
+    /// pose, if it is fresh; `output_bits` the resolution of the stage's outputs.
+    pub fn sample(&mut self, sample: &Sample, pose: Option<&Pose>, now: Mono, output_bits: u8) -> Outcome {
         let dt = self.seconds_since_last(sample);
         let lease_s = f64::from(self.tuning.lease_ms) * 1e-3;
         if self.last.is_some_and(|(_, time)| sample.time.seconds_since(time) >= lease_s) {
             self.source_changed(); // the board has acted by itself in the meantime
         }
-        let first = self.last.is_none();
         self.last = Some((sample.index, sample.time));
         match self.tuning.mode {
             LoopMode::Off => Outcome::default(),
@@ -187,36 +203,55 @@ impl Centering {
                 Outcome::default()
             }
             LoopMode::On => {
-                if std::mem::take(&mut self.apart) {
-                    self.memory = Some(self.take_over(sample, dt, !first));
-                }
-                self.steer(sample, pose, dt, output_bits)
+                let late = now.seconds_since(sample.time) > self.tuning.fresh_s;
+                self.late_s = if late { self.late_s + dt } else { 0.0 };
+                let offset = self.offset(sample, pose);
+                if late { self.wait(sample, offset, dt) } else { self.steer(sample, offset, dt, output_bits) }
             }
         }
     }
 
-    fn steer(&mut self, sample: &Sample, pose: Option<&Pose>, dt: f64, output_bits: u8) -> Outcome {
-        let memory = self.memory.unwrap_or_default();
-        let Tuning { controller, .. } = self.tuning;
-        let offset = self.offset(sample, pose);
-        self.offset = offset.ok();
-        let (next, sight) = match offset {
-            Ok(offset) => {
-                let error = self.error(offset);
-                let next = controller.update(&memory, error, dt);
-                let railed = sample.output_railed || controller.railed(next.position);
-                (next, Sight::Offset { size: error[0].hypot(error[1]), railed })
-            }
-            Err(cause) => (controller.hold(&memory, dt), Sight::Nothing(cause)),
+    fn steer(&mut self, sample: &Sample, offset: Result<Xy, &'static str>, dt: f64, bits: u8) -> Outcome {
+        let memory = match self.memory {
+            Some(memory) if !self.apart => memory,
+            _ => self.take_over(sample, dt),
+        };
+        (self.apart, self.ours) = (false, true);
+        let controller = self.tuning.controller;
+        let next = match offset {
+            Ok(offset) => controller.update(&memory, self.error(offset), dt),
+            Err(_) => controller.hold(&memory, dt),
         };
         self.memory = Some(next);
-        let transition = self.lock.update(sight, dt);
-        Outcome { command: Some(self.command(next.position, output_bits)), transition }
+        let transition = self.judge(sample, offset, dt);
+        Outcome { command: Some(self.command(next.position, bits)), late: false, transition }
+    }
+
+    /// A sample that came too late is looked at, and not acted upon.
+    fn wait(&mut self, sample: &Sample, offset: Result<Xy, &'static str>, dt: f64) -> Outcome {
+        let hiccup = self.late_s <= self.tuning.patience_s;
+        let transition = self.judge(sample, if hiccup { offset } else { Err(TOO_LATE) }, dt);
+        Outcome { command: None, late: true, transition }
+    }
+
+    /// What the lock makes of an offset.
+    fn judge(&mut self, sample: &Sample, offset: Result<Xy, &'static str>, dt: f64) -> Option<Transition> {
+        self.offset = offset.ok();
+        let sight = match offset {
+            Ok(offset) => {
+                let error = self.error(offset);
+                let at_limit = |position| self.tuning.controller.railed(position);
+                let railed = sample.output_railed || self.commanded().is_some_and(at_limit);
+                Sight::Offset { size: error[0].hypot(error[1]), railed }
+            }
+            Err(cause) => Sight::Nothing(cause),
+        };
+        self.lock.update(sight, dt)
     }
 
     /// In the shadow: what the loop would do next if it took over now.
     fn watch(&mut self, sample: &Sample, pose: Option<&Pose>, dt: f64) {
-        let stage = self.take_over(sample, dt, false);
+        let stage = self.take_over(sample, dt);
         self.offset = self.offset(sample, pose).ok();
         self.shadow = self.offset.map(|offset| {
             let next = self.tuning.controller.update(&stage, self.error(offset), dt);
@@ -247,11 +282,11 @@ impl Centering {
 
     /// The stage as it stands: as it says itself, or where it was sent last. If nothing but this loop has
     /// moved it (`ours`), and it stands there to within a step, the last command is the better number.
-    fn take_over(&self, sample: &Sample, dt: f64, ours: bool) -> Memory {
+    fn take_over(&self, sample: &Sample, dt: f64) -> Memory {
         let limit = self.tuning.controller.limit;
         let sent = self.memory.map(|memory| memory.position);
         let read = sample.steering.filter(|at| at.iter().all(|p| p.is_finite()));
-        if let (Some(read), Some(sent), true) = (read, sent, ours) {
+        if let (Some(read), Some(sent), true) = (read, sent, self.ours) {
             let reach = self.tuning.controller.slew * dt;
             if (0..2).all(|axis| (read[axis] - sent[axis]).abs() <= reach) {
                 return Memory::at(sent);

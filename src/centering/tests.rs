@@ -1,6 +1,6 @@
 //! The loop with a stage that does at once what it is told, and a mirror at rest.
 
-use super::core::{Centering, Outcome, Tuning};
+use super::core::{Centering, Outcome, TOO_LATE, Tuning};
 use super::lock::LockState;
 use crate::acquisition::{Expiry, PsdState, Sample};
 use crate::clock::Mono;
@@ -57,6 +57,12 @@ impl Bench {
         }
     }
 
+    /// Of a stage that stands still with the beam 20 um off.
+    fn beside_the_point(&mut self) -> Sample {
+        (self.laser_um, self.stage_um) = ([20.0, 0.0], [0.0; 2]);
+        self.sample()
+    }
+
     /// Moves the stage as told; it never goes faster than its limit, nor beyond it.
     fn obey(&mut self, outcome: Outcome) -> bool {
         let Some(command) = outcome.command else { return false };
@@ -76,7 +82,7 @@ impl Bench {
         let mut commands = 0;
         for _ in 0..samples {
             let sample = self.sample();
-            let outcome = self.centering.sample(&sample, None, BITS);
+            let outcome = self.centering.sample(&sample, None, sample.time, BITS);
             commands += usize::from(self.obey(outcome));
         }
         commands
@@ -180,7 +186,9 @@ fn gains_change_without_a_step() {
     bench.laser_um = [30.0, 0.0];
     bench.run(3);
     let sample = bench.sample();
-    let next = |centering: &mut Centering| centering.sample(&sample, None, BITS).command.unwrap().codes[0];
+    let next = |centering: &mut Centering| {
+        centering.sample(&sample, None, sample.time, BITS).command.unwrap().codes[0]
+    };
     let unchanged = next(&mut bench.centering.clone());
     // Ten times the proportional gain acts on what the error has changed since the last sample, about 6 um,
     // and not on the 18 um that are left.
@@ -204,7 +212,7 @@ fn nearer_limits_are_gone_to_in_steps_seeing_and_blind() {
         if sees > 200.0 {
             sample.psds = [PsdState::Low; 3];
         }
-        let outcome = bench.centering.sample(&sample, None, BITS);
+        let outcome = bench.centering.sample(&sample, None, sample.time, BITS);
         bench.obey(outcome);
     }
     assert!((bench.stage_um[0] - 100.0).abs() < 0.1, "{:?}", bench.stage_um);
@@ -220,7 +228,7 @@ fn no_nonsense_reaches_the_stage() {
         sample.powers = [nonsense, 1e-4, 1e-4];
         sample.steering = Some([nonsense; 2]);
         let pose = Pose::from_array([f64::NAN; 6]);
-        let outcome = bench.centering.sample(&sample, Some(&pose), BITS);
+        let outcome = bench.centering.sample(&sample, Some(&pose), sample.time, BITS);
         bench.obey(outcome);
         assert!(near(bench.stage_um, at), "{nonsense}: {:?}", bench.stage_um);
     }
@@ -229,7 +237,40 @@ fn no_nonsense_reaches_the_stage() {
     bench.retune(|config| config.centering.mode = LoopMode::On);
     let mut sample = bench.sample();
     sample.steering = Some([f64::NAN, f64::INFINITY]);
-    let outcome = bench.centering.sample(&sample, None, BITS);
+    let outcome = bench.centering.sample(&sample, None, sample.time, BITS);
     bench.obey(outcome);
     assert!(near(bench.stage_um, at), "{:?}", bench.stage_um);
+}
+
+#[test]
+fn what_was_late_is_not_acted_upon_again_and_again() {
+    let mut bench = Bench::new(|_| {});
+    let now = Mono(51 * DT_NS);
+    let outcomes: Vec<_> = (0..=50)
+        .map(|_| {
+            let sample = bench.beside_the_point();
+            bench.centering.sample(&sample, None, now, BITS)
+        })
+        .collect();
+    // After a pause of 50 ms only what is younger than the loop delay of 2.5 ms counts.
+    let acted: Vec<_> = outcomes.iter().map(|outcome| outcome.command.is_some()).collect();
+    assert_eq!(acted, (0..=50).map(|k| k >= 48).collect::<Vec<_>>());
+    let [x, _] = bench.centering.state().position.unwrap();
+    assert!((-20e-6..-5e-6).contains(&x), "{x}");
+}
+
+#[test]
+fn a_source_that_is_always_late_is_said_to_be() {
+    let mut bench = Bench::new(|_| {});
+    let mut transitions = Vec::new();
+    for _ in 0..200 {
+        let sample = bench.beside_the_point();
+        let outcome = bench.centering.sample(&sample, None, sample.time + 10 * DT_NS, BITS);
+        assert!(outcome.late && outcome.command.is_none());
+        transitions.extend(outcome.transition.map(|t| (t.to, t.cause)));
+    }
+    assert_eq!(transitions, [(LockState::Held, TOO_LATE), (LockState::Lost, TOO_LATE)]);
+    let sample = bench.beside_the_point();
+    bench.centering.sample(&sample, None, sample.time, BITS);
+    assert_eq!(bench.centering.state().lock, LockState::Acquiring);
 }

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use tokio::sync::{mpsc, oneshot, watch};
+use tokio::task::yield_now;
 use tokio::time::{Instant, sleep_until};
 
 use super::{Estimation, PoseReport, Status};
@@ -88,6 +89,11 @@ pub async fn run<C: Clock>(
                 }
             },
             () = sleep_until(rhythm.next) => {
+                // The whole thread may have slept: what has come in the meantime has its turn first.
+                yield_now().await;
+                if !samples.is_empty() {
+                    continue;
+                }
                 rhythm.silent();
                 let steering = *steering.borrow();
                 Some(estimation.silence(clock.now(), &steering))

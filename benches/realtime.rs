@@ -1,0 +1,145 @@
+//! The release daemon on its real-time twin at 10 kHz for 30 s, seen from outside: `cargo bench --bench realtime`.
+//!
+//! Prints what arrived, how late it was, and what it cost. Ends with 1 if a sample is lost. A frame may be lost
+//! in two places: before the daemon made it (then its sample is missing: `lost`, or a gap in the sample
+//! index), or on its way here (then only the sequence has a gap, and the network or this program was too slow).
+
+use std::{
+    fs, io,
+    io::Write,
+    net::UdpSocket,
+    process::{Child, Command, ExitCode, Stdio},
+    time::Duration,
+};
+
+use trifacet::client::PoseFrame;
+
+const RATE_HZ: f64 = 10_000.0;
+const SECONDS: f64 = 30.0;
+/// Clock ticks a second in `/proc/*/stat`; Linux shows no other to programs.
+const USER_HZ: f64 = 100.0;
+
+/// A daemon that does not outlive the benchmark.
+struct Daemon(Child);
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn main() -> ExitCode {
+    // cargo passes --bench; with `cargo test --benches` it does not, and 30 s would be a surprise.
+    if !std::env::args().any(|arg| arg == "--bench") {
+        return ExitCode::SUCCESS;
+    }
+    match measure() {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("realtime: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Runs it all; whether no sample was lost.
+fn measure() -> io::Result<bool> {
+    let socket = UdpSocket::bind("127.0.0.1:0")?;
+    rustix::net::sockopt::set_socket_recv_buffer_size(&socket, 1 << 20)?;
+    socket.set_read_timeout(Some(Duration::from_secs(5)))?;
+    let mut config = tempfile::NamedTempFile::new()?;
+    writeln!(config, "acquisition.rate_hz = {RATE_HZ}")?;
+    writeln!(config, "publishing = {{ tcp = \"off\", udp = [\"{}\"] }}", socket.local_addr()?)?;
+    let daemon = Daemon(
+        Command::new(env!("CARGO_BIN_EXE_trifacet"))
+            .args(["run", "--config"])
+            .arg(config.path())
+            .stderr(Stdio::null())
+            .spawn()?,
+    );
+    let expected = (RATE_HZ * SECONDS) as u64;
+    let mut seen = Seen::default();
+    while seen.last_index() + 1 < expected {
+        let mut bytes = [0; 256];
+        let n = socket.recv(&mut bytes)?;
+        let frame = PoseFrame::decode(&bytes[..n]).map_err(io::Error::other)?;
+        seen.frame(frame);
+    }
+    let cpu_s = cpu_seconds(daemon.0.id())?;
+    seen.report(expected, cpu_s);
+    Ok(seen.samples_lost == 0 && seen.index_gaps == 0)
+}
+
+/// What the frames say.
+#[derive(Default)]
+struct Seen {
+    first: Option<PoseFrame>,
+    last: Option<PoseFrame>,
+    received: u64,
+    /// By `lost` in the frames.
+    samples_lost: u64,
+    /// Sample indices missing that the sequence does not explain.
+    index_gaps: u64,
+    /// Frames that were sent and did not arrive here.
+    frames_missed: u64,
+    invalid: u64,
+    solved_ns: Vec<u32>,
+    sent_ns: Vec<u32>,
+}
+
+impl Seen {
+    fn last_index(&self) -> u64 {
+        self.last.map_or(0, |frame| frame.sample_index)
+    }
+
+    fn frame(&mut self, frame: PoseFrame) {
+        self.first.get_or_insert(frame);
+        if let Some(last) = self.last {
+            let missed = frame.sequence.saturating_sub(last.sequence + 1);
+            self.frames_missed += missed;
+            let samples = frame.sample_index.saturating_sub(last.sample_index);
+            self.index_gaps += samples.saturating_sub(missed + 1);
+        }
+        self.received += 1;
+        self.samples_lost += u64::from(frame.lost);
+        self.invalid += u64::from(frame.pose[0].is_nan());
+        self.solved_ns.push(frame.solve_delay_ns);
+        self.sent_ns.push(frame.send_delay_ns);
+        self.last = Some(frame);
+    }
+
+    fn report(&mut self, expected: u64, cpu_s: f64) {
+        let (Some(first), Some(last)) = (self.first, self.last) else { return };
+        let seconds = (last.time_ns - first.time_ns) as f64 * 1e-9;
+        println!("{RATE_HZ} Hz for {seconds:.3} s by the time stamps");
+        println!("samples: {expected} expected, {} received in frames", self.received);
+        println!(
+            "         {} lost by the frames, {} missing by their index",
+            self.samples_lost, self.index_gaps
+        );
+        println!("frames:  {} missed by this receiver, {} without a pose", self.frames_missed, self.invalid);
+        for (what, delays) in [("solved", &mut self.solved_ns), ("sent", &mut self.sent_ns)] {
+            delays.sort_unstable();
+            let at = |part: f64| f64::from(delays[((delays.len() - 1) as f64 * part) as usize]) * 1e-3;
+            println!(
+                "{what:<7}  after acquisition: p50 {:.1} us, p99 {:.1} us, p99.9 {:.1} us, max {:.1} us",
+                at(0.5),
+                at(0.99),
+                at(0.999),
+                at(1.0)
+            );
+        }
+        println!("CPU:     {cpu_s:.2} s, {:.1} % of one", 100.0 * cpu_s / seconds);
+    }
+}
+
+/// User and system time of a process so far.
+fn cpu_seconds(pid: u32) -> io::Result<f64> {
+    let stat = fs::read_to_string(format!("/proc/{pid}/stat"))?;
+    // The name in brackets may hold anything; the numbers after it are fixed: 12th and 13th.
+    let after = stat.rsplit_once(')').map_or("", |(_, after)| after);
+    let ticks = after.split_whitespace().skip(11).take(2).filter_map(|field| field.parse::<f64>().ok());
+    Ok(ticks.sum::<f64>() / USER_HZ)
+}
