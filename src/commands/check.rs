@@ -162,7 +162,8 @@ fn estimation(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
         spots: [estimation.spot_noise_um * 1e-6; 6],
         powers: rest.powers.map(|power| power * estimation.power_noise),
     };
-    let covariance = estimator.sensitivity(&solution).pose_covariance(&noise) / f64::from(estimation.average);
+    let covariance =
+        estimator.sensitivity(&solution)?.pose_covariance(&noise) / f64::from(estimation.average);
     let sigma = deviations(&covariance) * 1e6;
     lines.say(
         "deviations",

@@ -44,7 +44,8 @@ counters! {
     commands_refused,
     /// Samples dropped because estimation was behind.
     estimation_overflows,
-    /// Samples the controller skipped because a newer one was there.
+    /// Samples the controller did not act on: a newer one was there, or they came later than the loop
+    /// delay that its gains are made for.
     centering_skips,
     /// Pose frames made.
     frames,
