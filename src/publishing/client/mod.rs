@@ -112,7 +112,7 @@ impl Client {
     pub async fn connect_with(endpoint: &Endpoint, options: Options) -> Result<Self, ClientError> {
         let link = Link::open(endpoint, &options).await?;
         let step = match (endpoint, options.pace) {
-            (Endpoint::Subscribe(_), Pace::Divider(divider)) => Some(divider.into()),
+            (Endpoint::Tcp(_) | Endpoint::Subscribe(_), Pace::Divider(divider)) => Some(divider.into()),
             _ => None,
         };
         Ok(Self {
