@@ -4,7 +4,7 @@
 //!  fast thread                                                     main thread
 //!  source ─> acquisition ─(samples, in order)─> estimation ─> UDP
 //!              ^   └─(newest)─> centering <─(pose)─┘   └─(frames)─> TCP clients
-//!              └──────(command)─────┘   └─(lock)──^
+//!              └──────(command)─────┘   └─(lock)──^           ^ subscriptions
 //!       (changes, orders, questions) <── control ── socket, SIGHUP
 //! ```
 //!
@@ -32,7 +32,9 @@ use crate::exit::{self, Failure};
 use crate::logging::Logging;
 use crate::monitor::Counters;
 use crate::publishing::descriptor::StreamFacts;
-use crate::publishing::{Descriptor, PoseFrame, Publisher, PublisherSettings, StreamId, tcp};
+use crate::publishing::{
+    Descriptor, PoseFrame, Publisher, PublisherSettings, StreamId, subscribe, subscription, tcp,
+};
 use crate::realtime;
 use crate::twin::{Twin, TwinSource};
 
@@ -67,11 +69,13 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         None => None,
     };
     let udp = config.publishing.udp.clone();
+    let (desk, subscribers) = config.publishing.subscribe.map(subscribe::open).transpose()?.unzip();
     let publisher = Publisher::new(
         PublisherSettings { id, udp },
         SystemClock,
         Utc::system(),
         Arc::clone(&counters),
+        subscribers,
         server.is_some().then_some(to_tcp),
     )?;
     let parts = Parts {
@@ -96,7 +100,11 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
             start_fast(parts, || Ok(source))?
         }
     };
-    let tcp = server.map(|listener| Server { listener, frames, descriptor: descriptor_now });
+    let slow = Slow {
+        server: server.map(|listener| Server { listener, frames, descriptor: descriptor_now }),
+        desk,
+        session: id.session,
+    };
     let live = Live {
         file: file.map(Path::to_owned),
         running: config.clone(),
@@ -110,7 +118,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         started,
     };
     let control = control(Arc::new(Mutex::new(live)), socket, hangup);
-    let result = serve(&main, config, tcp, control, fast, &counters, &stop);
+    let result = serve(&main, config, slow, control, fast, &counters, &stop);
     let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
     tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
     result
@@ -126,6 +134,13 @@ struct Parts {
     counters: Arc<Counters>,
     control: AtFast,
     stop: CancellationToken,
+}
+
+/// What the main thread serves.
+struct Slow {
+    server: Option<Server>,
+    desk: Option<subscribe::Desk>,
+    session: u32,
 }
 
 /// The TCP side.
@@ -233,11 +248,11 @@ async fn control(live: Arc<Mutex<Live>>, socket: Option<Socket>, mut hangup: Sig
     tokio::join!(commands, reloads);
 }
 
-/// The main thread: TCP clients, commands and signals, until the end.
+/// The main thread: TCP clients, UDP subscriptions, commands and signals, until the end.
 fn serve(
     main: &Runtime,
     config: &Config,
-    server: Option<Server>,
+    slow: Slow,
     control: impl Future<Output = ()>,
     fast: Fast,
     counters: &Arc<Counters>,
@@ -249,6 +264,10 @@ fn serve(
         allow: config.publishing.allow.clone(),
         ..tcp::Limits::default()
     };
+    let publishing = &config.publishing;
+    let subscriptions =
+        subscription::Subscriptions::new(slow.session, publishing.subscribers, publishing.allow.clone());
+    let Slow { server, desk, .. } = slow;
     let Fast { thread, mut ended } = fast;
     let result = main.block_on(async {
         let (mut terminate, mut interrupt) =
@@ -262,23 +281,32 @@ fn serve(
             let never = CancellationToken::new();
             tcp::serve(listener, frames, descriptor, limits, Arc::clone(counters), never).await;
         };
+        let subscribing = async {
+            match desk {
+                Some(desk) => desk.run(subscriptions, SystemClock, counters, stop.clone()).await,
+                None => std::future::pending().await,
+            }
+        };
         let mut serving = std::pin::pin!(serving);
-        tokio::select! {
+        let asked = tokio::select! {
             biased;
             end = &mut ended => return fast_end(end),
             () = &mut serving => {
                 // The server ends by itself only when the fast side is gone.
                 return fast_end(ended.await);
             }
-            () = control => {
-                return Err(Failure::new(exit::SOFTWARE, "the control task ended by itself").into());
-            }
-            _ = terminate.recv() => tracing::info!("SIGTERM: stopping"),
-            _ = interrupt.recv() => tracing::info!("SIGINT: stopping"),
+            end = subscribing => end.context("cannot take UDP subscriptions").map(|()| "subscriptions ended"),
+            () = control => Err(Failure::new(exit::SOFTWARE, "the control task ended by itself").into()),
+            _ = terminate.recv() => Ok("SIGTERM"),
+            _ = interrupt.recv() => Ok("SIGINT"),
+        };
+        if let Ok(signal) = asked {
+            tracing::info!("{signal}: stopping");
         }
         stop.cancel();
         let (end, ()) = tokio::join!(ended, serving);
-        fast_end(end)
+        fast_end(end)?;
+        asked.map(|_| ())
     });
     // It has said that it ended; only a panic is news now.
     if thread.join().is_err() {

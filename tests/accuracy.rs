@@ -109,7 +109,7 @@ impl Bench {
         std::fs::write(file.path(), config).unwrap();
         let config = trifacet::config::load(Some(file.path())).unwrap();
         let channels = Channels::load(&config).unwrap();
-        let estimation = Estimation::new(Settings::new(&config, channels.calibrated()).unwrap());
+        let estimation = Estimation::new(Settings::new(&config, channels.calibrated(), 0).unwrap());
         Self { estimation, channels, config, index: 0 }
     }
 
