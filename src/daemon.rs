@@ -38,8 +38,11 @@ use crate::publishing::{
 use crate::realtime;
 use crate::twin::{Twin, TwinSource};
 
-/// Samples that may wait for estimation; frames that may wait for the TCP side.
+/// Samples that may wait for estimation.
 const QUEUE: usize = 1024;
+/// Frames that may wait for the TCP side, which is an ordinary thread: the system may stop it for long
+/// (1.6 s of frames at 10 kHz). Takes memory only while they wait.
+const TO_TCP: usize = 16 * 1024;
 
 /// Runs until SIGTERM or SIGINT; then ends in order, the steering first.
 ///
@@ -63,7 +66,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let socket = main.block_on(async { Socket::open(&config.control) })?;
     let (to_fast, at_fast) = control::ways();
     let (descriptor, descriptor_now) = watch::channel(Descriptor::new(facts));
-    let (to_tcp, frames) = mpsc::channel(QUEUE);
+    let (to_tcp, frames) = mpsc::channel(TO_TCP);
     let server = match config.publishing.tcp {
         Some(address) => Some(main.block_on(tcp::bind(address))?),
         None => None,

@@ -118,7 +118,7 @@ async fn garbage_is_answered_and_then_sent_away_and_costs_the_others_nothing() {
     assert!(lines[99].contains("100 lines that are no commands"), "{}", lines[99]);
 
     let mut endless = TcpStream::connect(server.address).await.unwrap();
-    endless.write_all(&[b'x'; 100_000]).await.unwrap();
+    endless.write_all(&vec![b'x'; 100_000]).await.unwrap();
     let mut all = String::new();
     timeout(PATIENCE, endless.read_to_string(&mut all)).await.unwrap().unwrap();
     assert_eq!(all, "error: a line of more than 256 bytes\n");
@@ -209,6 +209,8 @@ async fn a_client_finds_its_way_back_in_a_damaged_stream() {
         [&frame(0).encode()[..], &damaged, b"TFP1?", &frame(2).encode()[7..], &frame(3).encode()].concat();
     let sending = tokio::spawn(async move {
         let (mut socket, _) = server.accept().await.unwrap();
+        let mut line = [0; 100];
+        assert!(socket.read(&mut line).await.unwrap() > 0, "it says what it wants");
         socket.write_all(&stream).await.unwrap();
     });
     let mut client = Client::connect(&endpoint).await.unwrap();

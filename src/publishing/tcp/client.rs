@@ -86,6 +86,7 @@ impl Client {
     pub(super) async fn run(mut self, address: SocketAddr) {
         let stall = self.house.limits.stall;
         let result = self.talk().await;
+        self.settle();
         let end = match &result {
             Ok(End::Daemon) => "the daemon ends".to_owned(),
             Ok(End::Client) => "closed by the client".to_owned(),
@@ -259,6 +260,21 @@ impl Client {
         }
         form.frame(issue, to)?;
         Ok(1)
+    }
+
+    /// Counts what the ring lost for this client while it took nothing, at the end.
+    fn settle(&mut self) {
+        loop {
+            match self.ring.try_recv() {
+                Err(TryRecvError::Lagged(n)) => self.lagged += n,
+                Ok(issue) => {
+                    // A mistake would be one in writing it, which nobody reads any more.
+                    let _ = self.append(&issue, &mut Vec::new());
+                    return;
+                }
+                Err(TryRecvError::Empty | TryRecvError::Closed) => return,
+            }
+        }
     }
 
     async fn beat(&mut self) -> io::Result<()> {
