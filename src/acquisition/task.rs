@@ -203,3 +203,64 @@ impl Intake {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::acquisition::PsdState;
+    use crate::clock::Mono;
+    use crate::config::Config;
+
+    fn sample(index: u64) -> Sample {
+        Sample {
+            index,
+            time: Mono(index as i64),
+            time_sigma_ns: None,
+            lost: 0,
+            spots: [0.0; 6],
+            powers: [0.0; 3],
+            psds: [PsdState::Good; 3],
+            steering: None,
+            output_railed: false,
+        }
+    }
+
+    #[test]
+    fn no_sample_overtakes_a_change_and_none_is_lost_uncounted() {
+        let config = Config::default();
+        let channels = Channels::load(&config).unwrap();
+        let (samples, mut estimation) = mpsc::channel(3);
+        let mut intake = Intake {
+            channels,
+            counters: Arc::default(),
+            samples,
+            newest: watch::Sender::default(),
+            source: None,
+            up: false,
+            dropped: 0,
+            change: None,
+        };
+        let change = || {
+            let settings = estimation::Settings::new(&config, false, 7).unwrap();
+            Change { channels: None, settings, done: oneshot::channel().0 }
+        };
+        for index in 1..=3 {
+            intake.hand_on(sample(index));
+        }
+        intake.change(change()); // no room
+        let mut took = Vec::new();
+        let mut take = |estimation: &mut mpsc::Receiver<Acquired>| match estimation.try_recv() {
+            Ok(Acquired::Sample(sample)) => took.push((sample.index, sample.lost)),
+            Ok(Acquired::Changed(_)) => took.push((0, 0)),
+            other => panic!("{other:?}"),
+        };
+        intake.hand_on(sample(4)); // no room
+        take(&mut estimation);
+        intake.hand_on(sample(5)); // room for the change alone
+        (0..3).for_each(|_| take(&mut estimation));
+        intake.hand_on(sample(6));
+        take(&mut estimation);
+        assert_eq!(took, [(1, 0), (2, 0), (3, 0), (0, 0), (6, 2)]);
+        assert_eq!(intake.counters.estimation_overflows.get(), 2);
+    }
+}
