@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """A LinuxCNC HAL component that turns the datagrams of a trifacet daemon into pins.
 
-    loadusr -W trifacet_hal.py [--name NAME] [--port PORT] [--divider N]
+    loadusr -Wn trifacet trifacet_hal.py [--name trifacet] [--port PORT] [--divider N]
 
 trifacet.py must lie beside this file or on PYTHONPATH. docs/clients.md describes the pins.
 """
@@ -20,6 +20,9 @@ AXES = ("tx", "ty", "tz", "roll", "pitch", "yaw")
 LOCKED = trifacet.LOCK_STATES.index("locked")
 NOT_REAL = trifacet.SIMULATED | trifacet.REPLAYED
 POLL = 0.002  # seconds; a frame's age may be overestimated by so much
+# Seconds from the fall of `valid` to NaN: every realtime thread must have seen that before, or a NaN would slip through
+# a gate that is just about to close, and a ramp or filter behind it would keep it for ever.
+NAN_DELAY = 0.02
 
 
 class Source:
@@ -44,7 +47,7 @@ class Source:
             try:
                 frame = trifacet.Frame.decode(data)
             except trifacet.FrameError:
-                self.losses.damaged += 1
+                self.losses.damaged += len(data)
                 continue
             if self.losses.in_order(frame):
                 self.frame = frame
@@ -57,53 +60,60 @@ class Source:
         return time.monotonic() - self._newest_came_after + self.frame.send_delay_ns * 1e-9
 
 
-def new_component(name):
-    """Makes all pins. Until the first frame, numbers are NaN and nothing is valid."""
-    h = hal.component(name)
-    for axis in AXES:
-        h.newpin(axis, hal.HAL_FLOAT, hal.HAL_OUT)
-        h.newpin("sd-" + axis, hal.HAL_FLOAT, hal.HAL_OUT)
-        h[axis] = h["sd-" + axis] = math.nan
-    for pin in ("valid", "locked", "simulated", "heartbeat"):
-        h.newpin(pin, hal.HAL_BIT, hal.HAL_OUT)
-    for pin in ("status", "lock", "missed", "late", "damaged"):
-        h.newpin(pin, hal.HAL_U32, hal.HAL_OUT)
-    h.newpin("age", hal.HAL_FLOAT, hal.HAL_OUT)
-    h["age"] = math.inf
-    h.newparam("max-age", hal.HAL_FLOAT, hal.HAL_RW)
-    h["max-age"] = 0.02
-    h.newparam("linear-units-per-m", hal.HAL_FLOAT, hal.HAL_RW)
-    h["linear-units-per-m"] = 1000.0
-    h.newparam("angular-units-per-rad", hal.HAL_FLOAT, hal.HAL_RW)
-    h["angular-units-per-rad"] = 180.0 / math.pi
-    h.newparam("allow-simulated", hal.HAL_BIT, hal.HAL_RW)
-    return h
+class Pins:
+    """The pins of the component. Until the first frame, numbers are NaN and nothing is valid."""
 
+    def __init__(self, name):
+        self.hal = h = hal.component(name)
+        self.valid_until = -math.inf
+        for pin in ("valid", "locked", "simulated", "heartbeat"):
+            h.newpin(pin, hal.HAL_BIT, hal.HAL_OUT)
+        for pin in ("status", "lock", "missed", "late", "damaged"):
+            h.newpin(pin, hal.HAL_U32, hal.HAL_OUT)
+        for pin in AXES + tuple("sd-" + axis for axis in AXES) + ("age",):
+            h.newpin(pin, hal.HAL_FLOAT, hal.HAL_OUT)
+        for name, kind, default in (
+            ("max-age", hal.HAL_FLOAT, 0.02),
+            ("linear-units-per-m", hal.HAL_FLOAT, 1000.0),
+            ("angular-units-per-rad", hal.HAL_FLOAT, 180.0 / math.pi),
+            ("allow-simulated", hal.HAL_BIT, False),
+        ):
+            h.newparam(name, kind, hal.HAL_RW)
+            h[name] = default
+        h["age"] = math.inf
+        self.set_pose((math.nan,) * 6, (math.nan,) * 6)
 
-def set_pins(h, source):
-    """`valid` falls before a number becomes unusable, and rises after all numbers are there."""
-    frame, age = source.frame, source.age()
-    usable = (frame is not None and frame.valid and age <= h["max-age"]
-              and (h["allow-simulated"] or not frame.status & NOT_REAL))
-    h["age"] = age
-    if not usable:
-        h["valid"] = False
-    linear, angular = h["linear-units-per-m"], h["angular-units-per-rad"]
-    pose = frame.position + frame.rotation if usable else (math.nan,) * 6
-    deviations = frame.sd_position + frame.sd_rotation if usable else (math.nan,) * 6
-    for axis, scale, value, deviation in zip(AXES, (linear,) * 3 + (angular,) * 3, pose, deviations):
-        h[axis] = value * scale
-        h["sd-" + axis] = deviation * scale
-    if frame is not None:
-        h["status"] = frame.status
-        h["lock"] = frame.lock
-        h["locked"] = usable and frame.lock == LOCKED
-        h["simulated"] = bool(frame.status & NOT_REAL)
-    h["missed"] = source.losses.missed & 0xffffffff
-    h["late"] = source.losses.late & 0xffffffff
-    h["damaged"] = source.losses.damaged & 0xffffffff
-    h["heartbeat"] = not h["heartbeat"]
-    h["valid"] = usable
+    def usable(self, frame, age):
+        h = self.hal
+        return (frame is not None and frame.valid and age <= h["max-age"]
+                and (h["allow-simulated"] or not frame.status & NOT_REAL))
+
+    def update(self, frame, age, losses):
+        """Sets all pins."""
+        h, now = self.hal, time.monotonic()
+        usable = self.usable(frame, age)
+        if usable:
+            self.valid_until = now
+            self.set_pose(frame.position + frame.rotation, frame.sd_position + frame.sd_rotation)
+        elif now - self.valid_until > NAN_DELAY:
+            self.set_pose((math.nan,) * 6, (math.nan,) * 6)
+        if frame is not None:
+            h["status"] = frame.status
+            h["lock"] = frame.lock
+            h["locked"] = usable and frame.lock == LOCKED
+            h["simulated"] = bool(frame.status & NOT_REAL)
+        for name in ("missed", "late", "damaged"):
+            h[name] = getattr(losses, name) & 0xFFFFFFFF
+        h["age"] = age
+        h["heartbeat"] = not h["heartbeat"]
+        h["valid"] = usable  # last: when it rises, the numbers are there
+
+    def set_pose(self, pose, deviations):
+        h = self.hal
+        scales = (h["linear-units-per-m"],) * 3 + (h["angular-units-per-rad"],) * 3
+        for axis, scale, value, deviation in zip(AXES, scales, pose, deviations):
+            h[axis] = value * scale
+            h["sd-" + axis] = deviation * scale
 
 
 def main():
@@ -113,16 +123,16 @@ def main():
     parser.add_argument("--divider", type=int, default=1, help="of this target in the daemon's configuration")
     arguments = parser.parse_args()
     source = Source(arguments.port, arguments.divider)
-    component = new_component(arguments.name)
-    component.ready()
+    pins = Pins(arguments.name)
+    pins.hal.ready()
     try:
         while True:
             source.poll()
-            set_pins(component, source)
+            pins.update(source.frame, source.age(), source.losses)
     except KeyboardInterrupt:
         pass
     finally:
-        component.exit()
+        pins.hal.exit()
 
 
 if __name__ == "__main__":
