@@ -5,7 +5,7 @@
  *     ./udp_receiver [PORT [FRAMES]]
  *
  * Port 0 takes any free one. With -DTRIFACET_NOT_REAL=0 the digital twin's poses count as usable.
- * Ends after so many frames (never, without a number), with 1 if none comes for a second.
+ * Ends after so many frames; without a number, never.
  */
 #define _POSIX_C_SOURCE 200809L
 
@@ -64,7 +64,7 @@ int main(int argc, char **argv)
         struct trifacet_frame frame;
         if (length < 0) {
             fprintf(stderr, "udp_receiver: no frame for a second: does the daemon run?\n");
-            return 1;
+            continue;
         }
         if (trifacet_decode(&frame, bytes, (size_t)length) != TRIFACET_OK) {
             refused++;

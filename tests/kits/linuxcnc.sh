@@ -32,7 +32,11 @@ hal=
 finish() {
     if [ -n "$hal" ]; then
         exec 9>&- # the end of its commands: halrun unloads everything
-        timeout 10 tail --pid="$hal" -f /dev/null || halrun -U || true
+        for _ in $(seq 100); do
+            kill -0 "$hal" 2>/dev/null || break
+            sleep 0.1
+        done
+        ! kill -0 "$hal" 2>/dev/null || halrun -U || true
     fi
     [ -z "$daemon" ] || kill "$daemon" 2>/dev/null || true
     rm -rf "$work"
@@ -40,9 +44,10 @@ finish() {
 trap finish EXIT
 
 # There is one HAL on a machine, and it may be moving something.
-if pgrep -x 'rtapi_app|linuxcncsvr|milltask' --runstates D,I,R,S,T >/dev/null; then
-    fail "LinuxCNC or a HAL runs on this machine: the test would disturb it"
-fi
+for program in rtapi_app linuxcncsvr milltask; do
+    ! pgrep -x "$program" --runstates D,I,R,S,T >/dev/null ||
+        fail "$program runs on this machine: the test would disturb it"
+done
 
 # HAL's realtime side refuses to be root altogether, and wants a place for its socket.
 chmod 777 "$work"
@@ -62,7 +67,7 @@ start_daemon() {
             printf '[[twin.fault]]\nkind = "beam-blocked"\nat_s = %s.0\nfor_s = 2.0\n' "$at"
         done
     } >"$work/trifacet.toml"
-    "$trifacet" run --config "$work/trifacet.toml" 2>"$work/daemon.log" &
+    "$trifacet" run --config "$work/trifacet.toml" 2>"$work/daemon.log" 9>&- &
     daemon=$!
 }
 
