@@ -28,8 +28,7 @@ use crate::estimation::{self, Estimation};
 use crate::exit::{self, Failure};
 use crate::monitor::Counters;
 use crate::publishing::descriptor::StreamFacts;
-use crate::publishing::frame::FrameBytes;
-use crate::publishing::{Descriptor, Publisher, PublisherSettings, StreamId, tcp};
+use crate::publishing::{Descriptor, PoseFrame, Publisher, PublisherSettings, StreamId, tcp};
 use crate::realtime;
 use crate::twin::{Twin, TwinSource};
 
@@ -104,7 +103,7 @@ struct Parts {
 /// The TCP side.
 struct Server {
     listener: tokio::net::TcpListener,
-    frames: mpsc::Receiver<FrameBytes>,
+    frames: mpsc::Receiver<PoseFrame>,
     descriptor: Descriptor,
 }
 
@@ -197,7 +196,12 @@ fn serve(
     counters: &Arc<Counters>,
     stop: &CancellationToken,
 ) -> anyhow::Result<()> {
-    let limits = tcp::Limits { clients: config.publishing.tcp_clients, queue: config.publishing.tcp_queue };
+    let limits = tcp::Limits {
+        clients: config.publishing.tcp_clients,
+        queue: config.publishing.tcp_queue,
+        allow: config.publishing.allow.clone(),
+        ..tcp::Limits::default()
+    };
     let Fast { thread, mut ended } = fast;
     let result = main.block_on(async {
         let (mut terminate, mut interrupt) =
@@ -205,18 +209,17 @@ fn serve(
         let serving = async {
             let Some(Server { listener, frames, descriptor }) = server else {
                 stop.cancelled().await;
-                return Ok(());
+                return;
             };
             // Not told to stop: it serves what the fast side still sends, and ends when that has ended.
             let never = CancellationToken::new();
-            tcp::serve(listener, frames, &descriptor, limits, Arc::clone(counters), never).await
+            tcp::serve(listener, frames, &descriptor, limits, Arc::clone(counters), never).await;
         };
         let mut serving = std::pin::pin!(serving);
         tokio::select! {
             biased;
             end = &mut ended => return fast_end(end),
-            end = &mut serving => {
-                end?;
+            () = &mut serving => {
                 // The server ends by itself only when the fast side is gone.
                 return fast_end(ended.await);
             }
@@ -224,8 +227,7 @@ fn serve(
             _ = interrupt.recv() => tracing::info!("SIGINT: stopping"),
         }
         stop.cancel();
-        let (end, served) = tokio::join!(ended, serving);
-        served?;
+        let (end, ()) = tokio::join!(ended, serving);
         fast_end(end)
     });
     // It has said that it ended; only a panic is news now.

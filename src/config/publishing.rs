@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 
 use serde::{Deserialize, Deserializer, de::Error};
 
-use super::check::Checker;
+use super::{check::Checker, network::Network};
 
 /// `[publishing]`.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -17,6 +17,8 @@ pub struct PublishingConfig {
     pub tcp_clients: usize,
     /// Frames that a TCP client may be behind before the oldest are dropped.
     pub tcp_queue: usize,
+    /// Who may connect, and subscribe.
+    pub allow: Vec<Network>,
     /// Where datagrams go.
     #[serde(deserialize_with = "addresses")]
     pub udp: Vec<SocketAddr>,
@@ -28,6 +30,7 @@ impl Default for PublishingConfig {
             tcp: Some(([127, 0, 0, 1], 7361).into()),
             tcp_clients: 64,
             tcp_queue: 1024,
+            allow: Network::loopback(),
             udp: vec![([127, 0, 0, 1], 7362).into()],
         }
     }
@@ -37,6 +40,7 @@ impl PublishingConfig {
     pub(super) fn check(&self, mut at: Checker<'_>) {
         at.number("tcp_clients", self.tcp_clients as f64, 1.0..=1024.0);
         at.number("tcp_queue", self.tcp_queue as f64, 1.0..=65_536.0);
+        at.demand(self.allow.len() <= 64, "allow", self.allow.len(), "at most 64 networks");
         at.demand(self.udp.len() <= 32, "udp", self.udp.len(), "at most 32 addresses");
         for (i, address) in self.udp.iter().enumerate() {
             let key = format!("udp[{i}]");

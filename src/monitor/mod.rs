@@ -56,6 +56,8 @@ counters! {
     tcp_overflows,
     /// Frames dropped for TCP clients that did not keep up, summed over clients.
     tcp_dropped,
+    /// TCP clients that were not let in: too many, or not of an allowed network.
+    tcp_refused,
 }
 
 /// A number that only grows.

@@ -16,7 +16,7 @@
 use std::{fmt, io, net::SocketAddr, str::FromStr};
 
 use tokio::{
-    io::AsyncReadExt,
+    io::{AsyncReadExt, AsyncWriteExt},
     net::{TcpStream, UdpSocket, lookup_host},
 };
 
@@ -25,7 +25,7 @@ pub use super::{
     frame::{FrameError, PoseFrame},
     message::{Message, MessageError},
 };
-use super::{layout::FRAME_SIZE, message::Decoder};
+use super::{layout::FRAME_SIZE, message::Decoder, request::Request};
 
 /// The default of Linux holds 256 frames, which 10 kHz fill in 26 ms.
 const RECEIVE_BUFFER: usize = 1024 * 1024;
@@ -125,8 +125,9 @@ impl Client {
         let open = async {
             Ok(match endpoint {
                 Endpoint::Tcp(place) => {
-                    let stream = TcpStream::connect(place).await?;
+                    let mut stream = TcpStream::connect(place).await?;
                     stream.set_nodelay(true)?;
+                    stream.write_all(format!("{}\n", Request::default()).as_bytes()).await?;
                     Link::Tcp { stream, decoder: Decoder::default() }
                 }
                 Endpoint::Udp(place) => Link::Udp { socket: open_udp(place).await?, skipped: 0 },
@@ -149,7 +150,7 @@ impl Client {
         match message {
             Message::Pose(frame) => self.order.note(&frame),
             Message::Refusal(Refusal { error }) => return Err(ClientError::Refused(error)),
-            Message::Descriptor(_) | Message::Heartbeat(_) => {}
+            Message::Descriptor(_) | Message::Heartbeat(_) | Message::Answer(_) => {}
         }
         Ok(message)
     }

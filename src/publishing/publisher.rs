@@ -55,7 +55,7 @@ pub struct Publisher<C> {
     clock: C,
     utc: Utc,
     counters: Arc<Counters>,
-    tcp: Option<mpsc::Sender<FrameBytes>>,
+    tcp: Option<mpsc::Sender<PoseFrame>>,
     sequence: u64,
 }
 
@@ -76,7 +76,7 @@ impl<C: Clock> Publisher<C> {
         clock: C,
         utc: Utc,
         counters: Arc<Counters>,
-        tcp: Option<mpsc::Sender<FrameBytes>>,
+        tcp: Option<mpsc::Sender<PoseFrame>>,
     ) -> Result<Self, Failure> {
         let targets = settings.udp.into_iter().map(Target::open).collect::<Result<_, _>>()?;
         Ok(Self { id: settings.id, targets, clock, utc, counters, tcp, sequence: 0 })
@@ -101,7 +101,7 @@ impl<C: Clock> Publisher<C> {
         }
         // A closed channel is not a loss: it means that the TCP side has ended, which the daemon sees.
         if let Some(tcp) = &self.tcp
-            && let Err(TrySendError::Full(_)) = tcp.try_send(bytes)
+            && let Err(TrySendError::Full(_)) = tcp.try_send(frame)
         {
             self.counters.tcp_overflows.one();
         }
@@ -167,7 +167,7 @@ mod tests {
         }
     }
 
-    fn publisher(udp: Vec<SocketAddr>, tcp: Option<mpsc::Sender<FrameBytes>>) -> Publisher<Fixed> {
+    fn publisher(udp: Vec<SocketAddr>, tcp: Option<mpsc::Sender<PoseFrame>>) -> Publisher<Fixed> {
         let settings = PublisherSettings { id: StreamId { session: 1, config: 2 }, udp };
         let utc = Utc::reading(|| (Mono(0), 5_000_000_000));
         Publisher::new(settings, Fixed(Mono(1_200_000)), utc, Arc::default(), tcp).unwrap()
@@ -209,7 +209,7 @@ mod tests {
         assert_eq!(publisher.counters.tcp_overflows.get(), 3);
         rx.try_recv().unwrap();
         publisher.publish(&report());
-        let sequence = |bytes: FrameBytes| PoseFrame::decode(&bytes).unwrap().sequence;
+        let sequence = |frame: PoseFrame| frame.sequence;
         assert_eq!([rx.try_recv().map(sequence), rx.try_recv().map(sequence)], [Ok(1), Ok(5)]);
     }
 
@@ -218,7 +218,7 @@ mod tests {
         let (tx, mut rx) = mpsc::channel(2);
         let mut publisher = publisher(vec![], Some(tx));
         publisher.publish(&PoseReport { pose: None, status: Status::SOURCE_DOWN, ..report() });
-        let frame = PoseFrame::decode(&rx.try_recv().unwrap()).unwrap();
+        let frame = rx.try_recv().unwrap();
         assert_eq!(frame.status, Status::SOURCE_DOWN);
         assert_eq!((publisher.counters.frames.get(), publisher.counters.frames_invalid.get()), (1, 1));
     }

@@ -45,7 +45,7 @@ async fn next_sequence(client: &mut Client) -> u64 {
 async fn send_to_readers(server: &Server, count: u64, readers: &mut [Client]) {
     for first in (0..count).step_by(64) {
         for sequence in first..(first + 64).min(count) {
-            server.frames.send(frame(sequence).encode()).await.unwrap();
+            server.frames.send(frame(sequence)).await.unwrap();
         }
         for reader in &mut *readers {
             for sequence in first..(first + 64).min(count) {
@@ -87,7 +87,7 @@ async fn read_on(mut stream: TcpStream, total: u64) -> (u64, Heartbeat) {
 #[tokio::test]
 async fn a_client_that_never_reads_costs_the_others_nothing() {
     const FRAMES: u64 = 20_000;
-    let server = start(Limits { clients: 8, queue: 256 }).await;
+    let server = start(Limits { clients: 8, queue: 256, ..Limits::default() }).await;
     let mut readers = [connect(server.address).await, connect(server.address).await];
     let stalled = stalled(server.address).await;
     send_to_readers(&server, FRAMES, &mut readers).await;
@@ -102,7 +102,7 @@ async fn a_client_that_never_reads_costs_the_others_nothing() {
 
 #[tokio::test]
 async fn garbage_from_a_client_is_harmless() {
-    let server = start(Limits { clients: 8, queue: 256 }).await;
+    let server = start(Limits { clients: 8, queue: 256, ..Limits::default() }).await;
     let mut readers = [connect(server.address).await];
     let mut rude = TcpStream::connect(server.address).await.unwrap();
     rude.write_all(&b"GET / HTTP/1.1\r\n\r\n\0\xff".repeat(5000)).await.unwrap();
@@ -119,10 +119,10 @@ async fn garbage_from_a_client_is_harmless() {
 
 #[tokio::test]
 async fn the_last_frames_and_a_heartbeat_arrive_before_the_end() {
-    let server = start(Limits { clients: 8, queue: 256 }).await;
+    let server = start(Limits { clients: 8, queue: 256, ..Limits::default() }).await;
     let mut client = connect(server.address).await;
     for sequence in 0..100 {
-        server.frames.send(frame(sequence).encode()).await.unwrap();
+        server.frames.send(frame(sequence)).await.unwrap();
     }
     server.shutdown.cancel();
     drop(server.frames);
@@ -136,12 +136,12 @@ async fn the_last_frames_and_a_heartbeat_arrive_before_the_end() {
         }
     }
     assert_eq!((frames, last.sent, last.dropped), (100, 100, 0));
-    server.task.await.unwrap().unwrap();
+    server.task.await.unwrap();
 }
 
 #[tokio::test]
 async fn one_client_too_many_is_told_why_and_a_place_that_is_free_again_is_given() {
-    let server = start(Limits { clients: 1, queue: 256 }).await;
+    let server = start(Limits { clients: 1, queue: 256, ..Limits::default() }).await;
     let first = connect(server.address).await;
     let endpoint = Endpoint::Tcp(server.address.to_string());
     let mut second = Client::connect(&endpoint).await.unwrap();
@@ -153,7 +153,7 @@ async fn one_client_too_many_is_told_why_and_a_place_that_is_free_again_is_given
     // The server notices when it next writes to the first one: feed it until it does.
     let admitted = async {
         loop {
-            let _ = server.frames.send(frame(0).encode()).await;
+            let _ = server.frames.send(frame(0)).await;
             let mut third = Client::connect(&endpoint).await.unwrap();
             if let Ok(Message::Descriptor(_)) = third.next().await {
                 return;
@@ -165,7 +165,7 @@ async fn one_client_too_many_is_told_why_and_a_place_that_is_free_again_is_given
 
 #[tokio::test]
 async fn a_client_that_takes_nothing_for_long_loses_its_place() {
-    let server = start(Limits { clients: 1, queue: 64 }).await;
+    let server = start(Limits { clients: 1, queue: 64, ..Limits::default() }).await;
     let hung = stalled(server.address).await;
     let endpoint = Endpoint::Tcp(server.address.to_string());
     let mut refused = 0;
@@ -173,7 +173,7 @@ async fn a_client_that_takes_nothing_for_long_loses_its_place() {
         loop {
             // Enough to fill what the sockets hold.
             for sequence in 0..1000 {
-                server.frames.send(frame(sequence).encode()).await.unwrap();
+                server.frames.send(frame(sequence)).await.unwrap();
             }
             let mut other = Client::connect(&endpoint).await.unwrap();
             match other.next().await {
