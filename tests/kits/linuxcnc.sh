@@ -111,6 +111,9 @@ wait_for ramp.maxv 1 # near the end of the file
 halcmd setp trifacet.max-age 0.2 # the machine of the test may be busy; what it shows is the order of things
 halcmd setp watchdog.timeout-0 0.5
 halcmd setp watchdog.enable-in 1
+diff <(grep -o '^| `trifacet\.[a-z-]*`' docs/clients.md | tr -d '|` ' | sort) \
+    <({ halcmd -s show pin trifacet; halcmd -s show param trifacet; } | grep -o 'trifacet\.[a-z-]*' | sort) ||
+    fail "docs/clients.md has other pins and parameters than the component"
 [ "$(pin trifacet.valid)" = FALSE ] || fail "valid before the first frame"
 [ "$(pin trifacet.tx)" = nan ] || fail "tx is $(pin trifacet.tx) before the first frame, not nan"
 [ "$(pin trifacet.age)" = inf ] || fail "age is $(pin trifacet.age) before the first frame, not inf"

@@ -267,13 +267,15 @@ fn silence_is_told_and_can_be_read_past() {
                   stream = trifacet.udp(0, silence=0.1)\n\
                   try:\n    next(stream)\n    sys.exit('a frame of nobody')\n\
                   except trifacet.Silence as e:\n    assert '[publishing] udp' in str(e), e\n\
-                  frame = bytes.fromhex(sys.argv[1])\n\
+                  frame = bytes(map(int, sys.argv[1:]))\n\
                   stream.silence = 60\n\
                   socket.socket(socket.AF_INET, socket.SOCK_DGRAM).sendto(frame, ('127.0.0.1', stream.port))\n\
                   assert next(stream).valid\n";
     let good = datagrams().iter().find(|d| d[48] & 1 == 1).unwrap();
-    let hex: String = good.iter().map(|b| format!("{b:02x}")).collect();
     let mut command = Command::new("python3");
-    command.env("PYTHONPATH", crate::tools::root("clients/python")).args(["-c", script, &hex]);
+    command
+        .env("PYTHONPATH", crate::tools::root("clients/python"))
+        .args(["-c", script])
+        .args(good.iter().map(u8::to_string));
     succeeded(&mut command, "silence");
 }
