@@ -31,13 +31,15 @@ pub(crate) struct Daemon {
 }
 
 impl Daemon {
-    /// 200 frames a second, slow enough for every reader; from 1 s to 2 s there is no light.
+    /// 200 frames a second, slow enough for every reader; from second 1 on every other second without light.
     pub(crate) fn start(udp: &[u16]) -> Self {
         let place = tempfile::tempdir().unwrap();
         let config = place.path().join("trifacet.toml");
-        let mut text = "[acquisition]\nrate_hz = 200.0\n[[twin.fault]]\nkind = 'beam-blocked'\nat_s = 1.0\n\
-                        for_s = 1.0\n[publishing]\ntcp = '127.0.0.1:0'\nudp = ["
-            .to_owned();
+        let mut text = "[acquisition]\nrate_hz = 200.0\n".to_owned();
+        for at in (1..120).step_by(2) {
+            writeln!(text, "[[twin.fault]]\nkind = 'beam-blocked'\nat_s = {at}\nfor_s = 1").unwrap();
+        }
+        text += "[publishing]\ntcp = '127.0.0.1:0'\nudp = [";
         for port in udp {
             write!(text, "'127.0.0.1:{port}', ").unwrap();
         }
