@@ -190,14 +190,14 @@ fn solve_says_why_there_is_no_pose() {
     let solved = columns(&output.stdout);
     let status = &solved["status"];
     assert_eq!(status[0], "ok");
-    assert!(status[1].contains("no light on PSD B"), "{status:?}");
+    assert!(status[1].contains("too little light on PSD B"), "{status:?}");
     assert!(status[2].contains("off PSD A"), "{status:?}");
     assert!(status[3].contains("power_c"), "{status:?}");
     for name in POSE.iter().chain(&OFFSET) {
         let known: Vec<_> = solved[*name].iter().map(|cell| cell != "NaN").collect();
         assert_eq!(known, [true, false, false, false], "{name}");
     }
-    assert!(stderr(&output).contains("standard input:3: no light on PSD B"));
+    assert!(stderr(&output).contains("standard input:3: too little light on PSD B"));
 }
 
 #[test]

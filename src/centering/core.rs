@@ -10,6 +10,8 @@ use crate::optics::{HeadError, Optics, Pose};
 /// The time between samples counts as at most so many periods.
 const MOST_PERIODS: f64 = 5.0;
 
+const TOO_LATE: &str = "samples come later than centering.loop_delay_ms";
+
 /// What the rest of the house is told of the loop.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LoopState {
@@ -22,8 +24,10 @@ pub struct LoopState {
 /// What follows from a sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// The command for the stage, unless the loop is off.
+    /// The command for the stage, unless the loop is off or the sample came too late.
     pub command: Option<OutputCommand>,
+    /// The sample came too late to act on it.
+    pub late: bool,
     /// The lock state has changed.
     pub transition: Option<Transition>,
 }
@@ -36,6 +40,12 @@ pub struct Centering {
     controller: Controller,
     enabled: bool,
     period_s: f64,
+    /// A sample older than this comes too late: the gains are made for this delay, and with a longer
+    /// one the loop would push again and again before it sees what it has done.
+    fresh_s: f64,
+    /// For how long they have come too late, and how long that may last before it is no hiccup.
+    late_s: f64,
+    patience_s: f64,
     steering: Steering,
     lock: Lock,
     memory: Option<Memory>,
@@ -63,6 +73,9 @@ impl Centering {
             controller: Controller::new(config),
             enabled: config.centering.enabled,
             period_s: 1.0 / config.acquisition.rate_hz,
+            fresh_s: config.centering.loop_delay_s(config.acquisition.rate_hz),
+            late_s: 0.0,
+            patience_s: config.centering.lost_time_ms * 1e-3,
             lock: Lock::new(LockLimits::new(&config.centering), config.centering.enabled),
             memory: None,
             last: None,
@@ -100,9 +113,9 @@ impl Centering {
         self.last = None;
     }
 
-    /// Takes a sample, which must be newer than all before. `pose` is the last valid pose, if it is fresh;
-    /// `output_bits` the resolution of the stage's outputs.
-    pub fn sample(&mut self, sample: &Sample, pose: Option<&Pose>, output_bits: u8) -> Outcome {
+    /// Takes a sample, which must be newer than all before, at the moment `now`. `pose` is the last valid
+    /// pose, if it is fresh; `output_bits` the resolution of the stage's outputs.
+    pub fn sample(&mut self, sample: &Sample, pose: Option<&Pose>, now: Mono, output_bits: u8) -> Outcome {
         let dt = self.seconds_since_last(sample);
         let lease_s = f64::from(self.steering.lease_ms) * 1e-3;
         if self.last.is_some_and(|(_, time)| sample.time.seconds_since(time) >= lease_s) {
@@ -116,10 +129,13 @@ impl Centering {
         if first {
             self.take_over(sample);
         }
+        let late = now.seconds_since(sample.time) > self.fresh_s;
+        self.late_s = if late { self.late_s + dt } else { 0.0 };
         let memory = self.memory.unwrap_or_default();
         let (next, sight) = match self.offset(sample, pose) {
+            _ if self.late_s > self.patience_s => (memory, Sight::Nothing(TOO_LATE)),
             Ok(offset) => {
-                let next = self.controller.update(&memory, offset, dt);
+                let next = if late { memory } else { self.controller.update(&memory, offset, dt) };
                 let railed = sample.output_railed || self.controller.railed(next.position);
                 (next, Sight::Offset { size: offset[0].hypot(offset[1]), railed })
             }
@@ -127,7 +143,8 @@ impl Centering {
         };
         self.memory = Some(next);
         let transition = self.lock.update(sight, dt);
-        Outcome { command: Some(self.steering.command(next.position, output_bits)), transition }
+        let command = (!late).then(|| self.steering.command(next.position, output_bits));
+        Outcome { command, late, transition }
     }
 
     /// `dt` seconds have passed without a sample. No command: the lease decides what the stage does.
@@ -183,5 +200,60 @@ impl Steering {
         let codes = position.map(code);
         self.id = self.id.wrapping_add(1);
         OutputCommand { id: self.id, codes, lease_ms: self.lease_ms, on_expiry: self.on_lease }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::optics::{Model, Vec2};
+
+    const MS: i64 = 1_000_000;
+
+    fn centering() -> Centering {
+        Centering::new(&Config::default()).unwrap()
+    }
+
+    /// What is seen with the beam 20 um off.
+    fn sample(index: u64) -> Sample {
+        let optics = Optics::new(&Config::default().head.build().unwrap());
+        let (_, powers) = optics.trace_each(Model::Gaussian, &Pose::default(), Vec2::new(20e-6, 0.0));
+        Sample {
+            index,
+            time: Mono(index as i64 * MS),
+            time_sigma_ns: None,
+            lost: 0,
+            spots: [0.0; 6],
+            powers: powers.map(|p| p * 1e-3),
+            psds: [PsdState::Good; 3],
+            steering: Some([0.0; 2]),
+            output_railed: false,
+        }
+    }
+
+    #[test]
+    fn what_was_late_is_not_acted_upon_again_and_again() {
+        let mut centering = centering();
+        let now = Mono(50 * MS);
+        let outcomes: Vec<_> = (0..=50).map(|k| centering.sample(&sample(k), None, now, 16)).collect();
+        // After a pause of 50 ms only what is younger than the loop delay of 2.5 ms counts.
+        let acted: Vec<_> = outcomes.iter().map(|outcome| outcome.command.is_some()).collect();
+        assert_eq!(acted, (0..=50).map(|k| k >= 48).collect::<Vec<_>>());
+        let [x, _] = centering.state().position.unwrap();
+        assert!((-20e-6..-5e-6).contains(&x), "{x}");
+    }
+
+    #[test]
+    fn a_source_that_is_always_late_is_said_to_be() {
+        let mut centering = centering();
+        let mut transitions = Vec::new();
+        for k in 0..200 {
+            let outcome = centering.sample(&sample(k), None, Mono((k as i64 + 10) * MS), 16);
+            assert!(outcome.late && outcome.command.is_none());
+            transitions.extend(outcome.transition.map(|t| (t.to, t.cause)));
+        }
+        assert_eq!(transitions, [(LockState::Held, TOO_LATE), (LockState::Lost, TOO_LATE)]);
+        centering.sample(&sample(200), None, Mono(200 * MS), 16);
+        assert_eq!(centering.state().lock, LockState::Acquiring);
     }
 }

@@ -38,6 +38,15 @@ impl LockState {
         LockState::Held,
     ];
 
+    /// What may be claimed of this state once samples have stopped coming, before the loop has noticed.
+    #[must_use]
+    pub fn without_samples(self) -> LockState {
+        match self {
+            LockState::Acquiring | LockState::Locked | LockState::Railed => LockState::Held,
+            other => other,
+        }
+    }
+
     /// The state as a word: "off", "locked".
     pub fn name(self) -> &'static str {
         match self {

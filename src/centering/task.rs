@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 use super::core::{Centering, LoopState};
 use super::lock::Transition;
 use crate::acquisition::{Identity, OutputCommand, Sample, task::Newest};
-use crate::clock::Clock;
+use crate::clock::{Clock, Mono};
 use crate::estimation::PoseReport;
 use crate::monitor::Counters;
 use crate::optics::Pose;
@@ -65,7 +65,8 @@ pub async fn run<C: Clock>(
                 {
                     counters.centering_skips.add(skipped);
                     heard = clock.now();
-                    act(&mut centering, sample, identity.output_bits, &edges);
+                    let late = act(&mut centering, sample, heard, identity.output_bits, &edges);
+                    counters.centering_skips.add(u64::from(late));
                 }
             }
             () = sleep(PATIENCE) => {
@@ -83,13 +84,15 @@ pub async fn run<C: Clock>(
     }
 }
 
-fn act(centering: &mut Centering, sample: &Sample, output_bits: u8, edges: &Edges) {
+/// Acts on a sample, unless it comes too late: says whether it does.
+fn act(centering: &mut Centering, sample: &Sample, now: Mono, output_bits: u8, edges: &Edges) -> bool {
     let pose = fresh_pose(&edges.poses, sample);
-    let outcome = centering.sample(sample, pose.as_ref(), output_bits);
+    let outcome = centering.sample(sample, pose.as_ref(), now, output_bits);
     if let Some(command) = outcome.command {
         edges.commands.send_replace(Some(command));
     }
     say(outcome.transition);
+    outcome.late
 }
 
 fn fresh_pose(poses: &watch::Receiver<Option<PoseReport>>, sample: &Sample) -> Option<Pose> {
@@ -106,11 +109,15 @@ fn say(transition: Option<Transition>) {
 
 async fn finish(last: OutputCommand, edges: &mut Edges) {
     edges.commands.send_replace(Some(last));
-    let answered = edges.newest.wait_for(|newest| newest.ack.is_some_and(|ack| ack.id == last.id));
-    if let Ok(Ok(_)) = timeout(LAST_ACK, answered).await {
-        tracing::info!(codes = ?last.codes, "steering acknowledged its last command");
-    } else {
-        let lease_ms = last.lease_ms;
-        tracing::warn!(lease_ms, "steering did not acknowledge its last command; its lease will end it");
+    let mine = |newest: &Newest| newest.ack.is_some_and(|ack| ack.id == last.id);
+    let answered = timeout(LAST_ACK, edges.newest.wait_for(mine)).await;
+    let accepted = answered.ok().and_then(Result::ok).and_then(|newest| newest.ack).map(|ack| ack.accepted);
+    let lease_ms = last.lease_ms;
+    match accepted {
+        Some(true) => tracing::info!(codes = ?last.codes, "steering acknowledged its last command"),
+        Some(false) => tracing::warn!(lease_ms, "steering refused its last command; the lease will end it"),
+        None => {
+            tracing::warn!(lease_ms, "steering did not acknowledge its last command; its lease will end it")
+        }
     }
 }

@@ -41,7 +41,7 @@ pub use locate::Place;
 pub use log::{LogConfig, LogFormat};
 pub use motion::{Axis, Motion, MotionKind};
 pub use network::Network;
-pub use publishing::PublishingConfig;
+pub use publishing::{PublishingConfig, UdpTarget};
 pub use realtime::RealtimeConfig;
 pub use steering::{OnExit, SteeringConfig};
 pub use twin::{TwinConfig, TwinSteering};

@@ -113,7 +113,8 @@ impl Estimation {
             steering: None,
             output_railed: false,
         };
-        let mut report = self.blank(&Mean { sample: nothing, count: 0, gap: false }, steering);
+        let steering = LoopState { lock: steering.lock.without_samples(), ..*steering };
+        let mut report = self.blank(&Mean { sample: nothing, count: 0, gap: false }, &steering);
         report.status |= Status::SOURCE_DOWN;
         report
     }
@@ -125,13 +126,11 @@ impl Estimation {
             return report;
         }
         let signals = Signals { spots: mean.sample.spots, powers: mean.sample.powers };
-        match self.settings.estimator.solve(&signals, self.warm.as_ref()) {
-            Ok(solution) => self.solved(solution, mean, &mut report),
-            Err(error) => {
-                self.warm = None;
-                report.iterations = error.iterations();
-                report.status |= reason(&error);
-            }
+        let solved = self.settings.estimator.solve(&signals, self.warm.as_ref());
+        if let Err(error) = solved.and_then(|solution| self.solved(solution, mean, &mut report)) {
+            self.warm = None;
+            report.iterations = error.iterations();
+            report.status |= reason(&error);
         }
         report
     }
@@ -199,10 +198,10 @@ impl Estimation {
         }
     }
 
-    fn solved(&mut self, solution: Solution, mean: &Mean, report: &mut PoseReport) {
+    fn solved(&mut self, solution: Solution, mean: &Mean, report: &mut PoseReport) -> Result<(), SolveError> {
         let estimator = &self.settings.estimator;
         let noise = self.stated_noise(mean);
-        let covariance: Matrix6<f64> = estimator.sensitivity(&solution).pose_covariance(&noise);
+        let covariance: Matrix6<f64> = estimator.sensitivity(&solution)?.pose_covariance(&noise);
         report.status |= Status::POSE_VALID;
         report.pose = Some(solution.pose);
         report.covariance = Some(covariance);
@@ -216,6 +215,7 @@ impl Estimation {
             });
         }
         self.warm = Some(solution);
+        Ok(())
     }
 }
 

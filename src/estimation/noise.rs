@@ -8,8 +8,14 @@
 const SIGNALS: usize = 9;
 /// Samples over which a burst is noticed, and a slow growth.
 const WINDOWS: [f64; 2] = [64.0, 4096.0];
-/// A live deviation counts from so many of its own deviations above the configured one.
-const SIGNIFICANT: f64 = 3.0;
+/// The first signals are the spots. Most noise (the laser, vibration) meets all of them, and together they
+/// tell it at once, within fewer samples.
+const SPOTS: usize = 6;
+/// Samples over which noise of all spots is noticed.
+const COMMON_WINDOW: f64 = 16.0;
+/// A live deviation counts from so many of its own deviations above the configured one: a hundred thousand
+/// samples of the configured noise show no other.
+const SIGNIFICANT: f64 = 4.0;
 
 /// Live deviations of the nine signals.
 #[derive(Clone, Debug, Default)]
@@ -17,6 +23,8 @@ pub struct LiveNoise {
     last: Option<[f64; SIGNALS]>,
     last_step: Option<[f64; SIGNALS]>,
     variance: [[f64; WINDOWS.len()]; SIGNALS],
+    /// Mean over the spots.
+    common: f64,
     count: f64,
 }
 
@@ -31,12 +39,14 @@ impl LiveNoise {
         let step = self.last.map(|last| std::array::from_fn(|i| signals[i] - last[i]));
         if let Some((step, last_step)) = step.zip(self.last_step) {
             self.count += 1.0;
+            let square = |i: usize| (step[i] - last_step[i]).powi(2) / 6.0;
             for i in 0..SIGNALS {
-                let second: f64 = step[i] - last_step[i];
                 for (variance, window) in self.variance[i].iter_mut().zip(WINDOWS) {
-                    *variance += (second * second / 6.0 - *variance) / self.count.min(window);
+                    *variance += (square(i) - *variance) / self.count.min(window);
                 }
             }
+            let mean = (0..SPOTS).map(square).sum::<f64>() / SPOTS as f64;
+            self.common += (mean - self.common) / self.count.min(COMMON_WINDOW);
         }
         (self.last, self.last_step) = (Some(signals), step);
     }
@@ -44,11 +54,12 @@ impl LiveNoise {
     /// The deviation of a signal: the configured one, or the live one where it is larger by more than
     /// chance. A deviation measured over n second differences is itself good to about 1/sqrt(n).
     pub fn deviation(&self, signal: usize, configured: f64) -> f64 {
+        let own = self.variance[signal].iter().zip(WINDOWS.map(|window| self.count.min(window)));
+        let n = if signal < SPOTS { self.count.min(COMMON_WINDOW) * SPOTS as f64 } else { 0.0 };
         let mut deviation = configured;
-        for (variance, window) in self.variance[signal].iter().zip(WINDOWS) {
+        for (variance, n) in own.chain([(&self.common, n)]) {
             let live = variance.sqrt();
-            let chance = 1.0 + SIGNIFICANT / self.count.min(window).max(1.0).sqrt();
-            if live > configured * chance {
+            if n > 0.0 && live > configured * (1.0 + SIGNIFICANT / n.sqrt()) {
                 deviation = deviation.max(live);
             }
         }

@@ -3,7 +3,10 @@
 use std::time::Duration;
 
 use tokio::sync::{mpsc, watch};
-use tokio::time::{Instant, sleep_until};
+use tokio::{
+    task::yield_now,
+    time::{Instant, sleep_until},
+};
 
 use super::{Estimation, PoseReport};
 use crate::acquisition::{Identity, task::Acquired};
@@ -60,6 +63,11 @@ pub async fn run<C: Clock>(
                 }
             },
             () = sleep_until(rhythm.next) => {
+                // The whole thread may have slept: what has come in the meantime has its turn first.
+                yield_now().await;
+                if !samples.is_empty() {
+                    continue;
+                }
                 rhythm.silent();
                 let steering = *steering.borrow();
                 Some(estimation.silence(clock.now(), &steering))

@@ -44,7 +44,8 @@ counters! {
     commands_refused,
     /// Samples dropped because estimation was behind.
     estimation_overflows,
-    /// Samples the controller skipped because a newer one was there.
+    /// Samples the controller did not act on: a newer one was there, or they came later than the loop
+    /// delay that its gains are made for.
     centering_skips,
     /// Pose frames made.
     frames,
@@ -56,6 +57,8 @@ counters! {
     tcp_overflows,
     /// Frames dropped for TCP clients that did not keep up, summed over clients.
     tcp_dropped,
+    /// Requests for UDP subscriptions that were not granted, or were none.
+    udp_refused,
     /// TCP clients that were not let in: too many, or not of an allowed network.
     tcp_refused,
 }

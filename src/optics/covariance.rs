@@ -3,7 +3,7 @@
 use nalgebra::{Matrix2, Matrix6, SMatrix, SVector, Vector6};
 
 use super::slopes::Residual;
-use super::{Estimator, Solution, Vec2, Vec3};
+use super::{Estimator, Solution, SolveError, Vec2, Vec3};
 
 /// One standard deviation of each signal, in its unit; the noises are taken as independent.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,18 +22,22 @@ pub struct Noise {
 pub struct Sensitivity(pub SMatrix<f64, 8, 9>);
 
 impl Estimator {
-    /// The sensitivity at a solution, to a hundredth of itself (the equations of the solver's last step).
-    pub fn sensitivity(&self, solution: &Solution) -> Sensitivity {
+    /// The sensitivity at a solution. Fails if the equations are singular there.
+    ///
+    /// The equations are made anew: those that the solver keeps from sample to sample can be wrong by a
+    /// fifth where they hardly matter to it (the powers of a beam that wanders slowly).
+    pub fn sensitivity(&self, solution: &Solution) -> Result<Sensitivity, SolveError> {
+        let equations = self.equations(solution)?;
         let to_world = self.optics().to_world;
         let turn = solution.pose.euler_rates() * to_world;
         let mut matrix = SMatrix::<f64, 8, 9>::zeros();
         for signal in 0..9 {
-            let (dt, dw, doffset) = solution.slopes.solve(&solution.unit_residual(signal));
+            let (dt, dw, doffset) = equations.solve(&solution.unit_residual(signal));
             let (t, w) = (to_world * dt, turn * dw);
             let column = SVector::from([t.x, t.y, t.z, w.x, w.y, w.z, doffset.x, doffset.y]);
             matrix.set_column(signal, &column);
         }
-        Sensitivity(matrix)
+        Ok(Sensitivity(matrix))
     }
 }
 

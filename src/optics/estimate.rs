@@ -51,8 +51,8 @@ pub enum SolveError {
         /// Largest allowed coordinate, metres.
         half_size: f64,
     },
-    /// A power is zero or negative.
-    #[error("no light on PSD {psd}: power {power:e}")]
+    /// A power is zero, negative, or below [`FAINTEST`] of the sum.
+    #[error("too little light on PSD {psd}: power {power:e}, needed is more than {FAINTEST:e} of the sum")]
     Dark {
         /// A, B or C.
         psd: char,
@@ -103,8 +103,8 @@ pub struct Solution {
     /// Newton and chord steps taken.
     pub iterations: u8,
     state: State,
-    /// The equations of the last step.
-    pub(super) slopes: Arc<Linearised>,
+    /// The equations of the last step, perhaps of an earlier sample.
+    slopes: Arc<Linearised>,
     pub(super) fractions: Vec2,
 }
 
@@ -141,17 +141,18 @@ struct Target {
     total: f64,
 }
 
-/// The iteration ends when the next step (metres and radians) would be below this.
+/// The iteration ends when the next step would be below this. The length of a step is that of all its
+/// components, metres and radians alike.
 const AT_REST: f64 = 1e-13;
 /// The step after a Newton step is at most this times its square (1/m or 1/rad): a bound for heads of
 /// the size of the nominal one, ten times what is seen on it.
 const CURVATURE: f64 = 1e5;
-/// After a larger step the equations are made anew.
-const NEAR: f64 = 1e-4;
+/// After a larger step the equations are made anew: the next one would not be KEEP times smaller.
+const NEAR: f64 = 1e-5;
 /// The equations are kept while each step is at most this fraction of the one before.
 const KEEP: f64 = 0.01;
-/// Most steps from one start.
-const MAX_STEPS: u8 = 14;
+/// Most steps from one start: enough for an offset of four deviations of the beam.
+const MAX_STEPS: u8 = 20;
 
 /// Turns signals into poses.
 #[derive(Clone, Debug)]
@@ -202,6 +203,15 @@ impl Estimator {
             }
         }
         self.iterate::<GAUSSIAN>(target, self.centred(), None, &mut iterations)
+    }
+
+    /// The equations at a solution.
+    pub(super) fn equations(&self, solution: &Solution) -> Result<Linearised, SolveError> {
+        let light = match self.model {
+            Model::Ray => self.light::<false>(&solution.state),
+            Model::Gaussian => self.light::<true>(&solution.state),
+        };
+        Linearised::new(&self.optics, &light).ok_or(SolveError::Singular { iterations: solution.iterations })
     }
 
     fn centred(&self) -> State {
@@ -266,8 +276,9 @@ impl Estimator {
         Err(SolveError::NotConverged { iterations: *count })
     }
 
-    /// Moves the state by the solution of the linear equations; returns the largest component of the step
-    /// and whether it was shortened, so that the offset moves by at most the beam's deviation.
+    /// Moves the state by the solution of the linear equations; returns the length of the step (a NaN in
+    /// any part of it stays one) and whether it was shortened, so that the offset moves by at most the
+    /// beam's deviation.
     #[inline(always)]
     fn step(&self, slopes: &Linearised, residual: &Residual, state: &mut State) -> (f64, bool) {
         let (dt, dw, doffset) = slopes.solve(residual);
@@ -279,7 +290,7 @@ impl Estimator {
         let turned = Quaternion::from_parts(1.0, half) * state.turn.into_inner();
         state.turn = UnitQuaternion::new_normalize(turned);
         state.offset += doffset * scale;
-        (dt.amax().max(dw.amax()).max(doffset.amax()), reach > 1.0)
+        ((dt.norm_squared() + dw.norm_squared() + doffset.norm_squared()).sqrt(), reach > 1.0)
     }
 
     #[inline(always)]
@@ -339,15 +350,25 @@ impl Target {
     }
 }
 
+/// A smaller fraction of the beam on one facet says nothing of the offset: rounding of the powers alone
+/// (1e-16 of the beam) would move the solution by more than 1e-10 m.
+pub const FAINTEST: f64 = 1e-9;
+
+/// A power above this is as good as infinite: the sum of three could not be told.
+const MAX_POWER: f64 = f64::MAX / 4.0;
+
 /// The sum of the powers, if each is light.
 pub(super) fn total_power(powers: &[f64; 3]) -> Result<f64, SolveError> {
     for (&power, psd) in powers.iter().zip(FACETS) {
-        if !power.is_finite() {
+        if power.is_nan() || power.abs() > MAX_POWER {
             return Err(SolveError::NotFinite { signal: "power", psd });
         }
-        if power <= 0.0 {
+    }
+    let total: f64 = powers.iter().sum();
+    for (&power, psd) in powers.iter().zip(FACETS) {
+        if power <= 0.0 || power <= FAINTEST * total {
             return Err(SolveError::Dark { psd, power });
         }
     }
-    Ok(powers.iter().sum())
+    Ok(total)
 }

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use super::{FACETS, Vec3};
+use super::{FACETS, Mat3, Vec3};
 
 /// One position-sensitive detector: a plane with two axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,6 +26,14 @@ impl Psd {
         let x = x.normalize();
         let z = (up - x * up.dot(&x)).normalize();
         Self { origin, x, y: z.cross(&x), z, half_size: size / 2.0 }
+    }
+
+    /// Whether x, y, z are unit vectors at right angles, right-handed, at a finite place.
+    fn is_frame(&self) -> bool {
+        let axes = Mat3::from_columns(&[self.x, self.y, self.z]);
+        let off = (axes.transpose() * axes - Mat3::identity()).norm();
+        // False for a NaN.
+        off < 1e-9 && axes.determinant() > 0.0 && self.origin.norm().is_finite()
     }
 }
 
@@ -62,6 +70,14 @@ pub enum HeadError {
         /// What was given.
         value: [f64; 3],
     },
+    /// A detector whose axes span no plane.
+    #[error(
+        "the normal and the up direction of PSD {psd} must be finite, not zero and not along the same line"
+    )]
+    PsdAxes {
+        /// A, B or C.
+        psd: char,
+    },
     /// The light passes facet by, or comes from below.
     #[error("facet {facet} does not face the light")]
     FacetTurnedAway {
@@ -94,14 +110,19 @@ impl Head {
         head.checked()
     }
 
-    /// The same head, if it is one: directions are made unit vectors, and the facets must face the
-    /// light and follow each other counter-clockwise.
+    /// The same head, if it is one: directions are made unit vectors, the facets must face the light and
+    /// follow each other counter-clockwise, and the axes of a PSD must be those of a frame.
     pub fn checked(mut self) -> Result<Self, HeadError> {
         self.beam_direction = unit("the beam direction", self.beam_direction)?;
         for (name, normal) in FACETS.iter().zip(&mut self.facets) {
             *normal = unit(&format!("the normal of facet {name}"), *normal)?;
             if normal.dot(&self.beam_direction) > -1e-3 {
                 return Err(HeadError::FacetTurnedAway { facet: *name });
+            }
+        }
+        for (psd, frame) in FACETS.into_iter().zip(&self.psds) {
+            if !frame.is_frame() {
+                return Err(HeadError::PsdAxes { psd });
             }
         }
         let [a, b, c] = self.facets;

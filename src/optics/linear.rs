@@ -77,3 +77,34 @@ fn inverse(m: &Mat3) -> Option<Mat3> {
     let cofactors = Mat3::new(yz.x, yz.y, yz.z, zx.x, zx.y, zx.z, xy.x, xy.y, xy.z);
     invertible.then(|| cofactors * (1.0 / determinant))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Off by this much from what it was made of.
+    fn off(a: Mat3, b: Mat3, c: Mat3, d: Mat3) -> f64 {
+        let (x, y) = (Vec3::new(1.0, -2.0, 3.0), Vec3::new(-0.5, 0.25, 4.0));
+        let (p, q) = Factored::new(a, b, c, d).unwrap().solve(a * x + b * y, c * x + d * y);
+        (p - x).norm() + (q - y).norm()
+    }
+
+    #[test]
+    fn blocks_and_full_pivoting_solve_the_same_equations() {
+        let one = Mat3::identity();
+        let some = Mat3::new(0.1, 0.2, -0.3, 0.0, 0.4, 0.1, -0.2, 0.5, 0.3);
+        assert!(Factored::new(one, some, some, one).unwrap().full.is_none());
+        assert!(off(one, some, some, one) < 1e-14);
+        // The diagonal blocks cannot be divided by, the whole can.
+        assert!(Factored::new(some * 0.0, one, one, some).unwrap().full.is_some());
+        assert!(off(some * 0.0, one, one, some) < 1e-14);
+    }
+
+    #[test]
+    fn singular_and_infinite_equations_are_refused() {
+        let one = Mat3::identity();
+        assert!(Factored::new(one, one, one, one).is_none());
+        assert!(Factored::new(one * f64::NAN, one, one, one).is_none());
+        assert!(Factored::new(one, one * f64::INFINITY, one, one).is_none());
+    }
+}

@@ -112,6 +112,7 @@ impl Columns {
     }
 
     /// These of the columns, in this order; all of them if none is named.
+    #[must_use]
     pub fn select(self, names: Option<&[&'static str]>) -> Self {
         let Some(names) = names else { return self };
         let of = |name: &&str| self.0.iter().find(|(n, _)| n == name).cloned();

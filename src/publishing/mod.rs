@@ -3,7 +3,8 @@
 //! - [`frame`]: the 192 bytes of a pose frame; [`layout`] is its byte table; [`stamp`] makes one of a report.
 //! - [`message`]: how messages follow each other on TCP, and how a reader finds them again after damage.
 //! - [`descriptor`]: what the daemon says of itself in JSON: descriptor, heartbeat, answer, refusal.
-//! - [`publisher`]: the fast side: makes every frame and sends the datagrams.
+//! - [`publisher`]: the fast side: makes every frame; [`target`] sends the datagrams ([`endian`]: in network order).
+//! - [`subscription`]: who leases datagrams and until when; [`subscribe`] is the task.
 //! - [`tcp`]: the slow side: the TCP server. [`request`] is what its clients say, [`form`] the shape of what
 //!   they get, [`query`] the answers in one line; [`held`] keeps the last pose for those who ask for it.
 //! - [`client`]: reads all this back; [`columns`] names what is in a frame for JSON and CSV.
@@ -13,6 +14,7 @@
 pub mod client;
 pub mod columns;
 pub mod descriptor;
+pub mod endian;
 pub mod form;
 pub mod frame;
 pub mod held;
@@ -22,6 +24,9 @@ pub mod publisher;
 pub mod query;
 pub mod request;
 pub mod stamp;
+pub mod subscribe;
+pub mod subscription;
+pub mod target;
 pub mod tcp;
 
 pub use descriptor::{Descriptor, Heartbeat};

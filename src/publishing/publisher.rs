@@ -3,21 +3,21 @@
 
 use std::{
     hash::{BuildHasher, Hasher, RandomState},
-    io,
-    net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket},
     sync::Arc,
 };
 
 use tokio::sync::mpsc::{self, error::TrySendError};
 
 use super::{
-    frame::{FrameBytes, PoseFrame},
+    frame::PoseFrame,
     stamp::Stamp,
+    target::{Subscribers, Targets},
 };
 use crate::{
     clock::{Clock, utc::Utc},
+    config::UdpTarget,
     estimation::PoseReport,
-    exit::{self, Failure},
+    exit::Failure,
     monitor::Counters,
 };
 
@@ -44,14 +44,14 @@ pub struct PublisherSettings {
     /// Goes into every frame.
     pub id: StreamId,
     /// Where datagrams go.
-    pub udp: Vec<SocketAddr>,
+    pub udp: Vec<UdpTarget>,
 }
 
 /// Makes frames of reports and gives them to the network. Lives on the fast thread.
 #[derive(Debug)]
 pub struct Publisher<C> {
     id: StreamId,
-    targets: Vec<Target>,
+    targets: Targets,
     clock: C,
     utc: Utc,
     counters: Arc<Counters>,
@@ -59,16 +59,9 @@ pub struct Publisher<C> {
     sequence: u64,
 }
 
-#[derive(Debug)]
-struct Target {
-    address: SocketAddr,
-    socket: UdpSocket,
-    /// The last sending failed: says once that, and once that it works again.
-    failing: bool,
-}
-
 impl<C: Clock> Publisher<C> {
-    /// A publisher with its sockets. `tcp` leads to [`super::tcp::serve`], if that runs.
+    /// A publisher with its sockets. `subscribers` are those of [`super::subscribe`], `tcp` leads to
+    /// [`super::tcp::serve`], if they run.
     ///
     /// Fails if no socket can be had.
     pub fn new(
@@ -76,10 +69,12 @@ impl<C: Clock> Publisher<C> {
         clock: C,
         utc: Utc,
         counters: Arc<Counters>,
+        subscribers: Option<Subscribers>,
         tcp: Option<mpsc::Sender<PoseFrame>>,
     ) -> Result<Self, Failure> {
-        let targets = settings.udp.into_iter().map(Target::open).collect::<Result<_, _>>()?;
-        Ok(Self { id: settings.id, targets, clock, utc, counters, tcp, sequence: 0 })
+        let PublisherSettings { id, udp } = settings;
+        let targets = Targets::open(&udp, subscribers)?;
+        Ok(Self { id, targets, clock, utc, counters, tcp, sequence: 0 })
     }
 
     /// Sends the frame of a report to everyone. Frames go out at the full rate, valid or not: silence
@@ -95,10 +90,7 @@ impl<C: Clock> Publisher<C> {
         if frame.pose[0].is_nan() {
             self.counters.frames_invalid.one();
         }
-        let bytes = frame.encode();
-        for target in &mut self.targets {
-            target.send(&bytes, &self.counters);
-        }
+        self.targets.send(&frame, &self.counters);
         // A closed channel is not a loss: it means that the TCP side has ended, which the daemon sees.
         if let Some(tcp) = &self.tcp
             && let Err(TrySendError::Full(_)) = tcp.try_send(frame)
@@ -108,52 +100,12 @@ impl<C: Clock> Publisher<C> {
     }
 }
 
-impl Target {
-    /// A socket per target, left unconnected: so the refusal of one that nobody listens to stays unseen,
-    /// and starting the listener later just works.
-    fn open(address: SocketAddr) -> Result<Self, Failure> {
-        let local: SocketAddr = match address {
-            SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
-            SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
-        };
-        let open = || {
-            let socket = UdpSocket::bind(local)?;
-            socket.set_nonblocking(true)?;
-            socket.set_broadcast(address.is_ipv4())?;
-            Ok(socket)
-        };
-        let socket = open().map_err(|e: io::Error| {
-            Failure::new(exit::IO, format!("cannot open a UDP socket towards {address}: {e}"))
-        })?;
-        Ok(Self { address, socket, failing: false })
-    }
-
-    fn send(&mut self, bytes: &FrameBytes, counters: &Counters) {
-        let failure = match self.socket.send_to(bytes, self.address) {
-            Ok(_) => None,
-            Err(e) if e.kind() == io::ErrorKind::ConnectionRefused => None,
-            Err(e) => Some(e),
-        };
-        if failure.is_some() {
-            counters.udp_dropped.one();
-        }
-        match (self.failing, failure) {
-            (false, Some(e)) => {
-                self.failing = true;
-                tracing::warn!(target = %self.address, "datagrams are not sent (udp_dropped counts them): {e}");
-            }
-            (true, None) => {
-                self.failing = false;
-                tracing::info!(target = %self.address, "datagrams are sent again");
-            }
-            _ => {}
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
+    use std::{
+        net::{SocketAddr, UdpSocket},
+        time::Duration,
+    };
 
     use super::*;
     use crate::{clock::Mono, estimation::Status, publishing::stamp::tests::report};
@@ -168,9 +120,10 @@ mod tests {
     }
 
     fn publisher(udp: Vec<SocketAddr>, tcp: Option<mpsc::Sender<PoseFrame>>) -> Publisher<Fixed> {
+        let udp = udp.into_iter().map(UdpTarget::to).collect();
         let settings = PublisherSettings { id: StreamId { session: 1, config: 2 }, udp };
         let utc = Utc::reading(|| (Mono(0), 5_000_000_000));
-        Publisher::new(settings, Fixed(Mono(1_200_000)), utc, Arc::default(), tcp).unwrap()
+        Publisher::new(settings, Fixed(Mono(1_200_000)), utc, Arc::default(), None, tcp).unwrap()
     }
 
     #[test]
@@ -189,6 +142,46 @@ mod tests {
             assert_eq!(frame.send_delay_ns, 200_000);
         }
         assert_eq!(publisher.counters.udp_dropped.get(), 0, "that nobody listens is not a loss");
+    }
+
+    #[test]
+    fn each_target_gets_the_frames_that_it_wants_in_its_form() {
+        let receivers = [(); 3].map(|()| {
+            let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+            socket.set_nonblocking(true).unwrap();
+            socket
+        });
+        let [plain, big, held] = receivers.each_ref().map(|r| UdpTarget::to(r.local_addr().unwrap()));
+        let targets = [
+            UdpTarget { divider: 2, ..plain },
+            UdpTarget { big_endian: true, ..big },
+            UdpTarget { held: true, divider: 3, ..held },
+        ];
+        let settings = PublisherSettings { id: StreamId { session: 1, config: 2 }, udp: targets.to_vec() };
+        let utc = Utc::reading(|| (Mono(0), 0));
+        let counters = Arc::default();
+        let mut publisher =
+            Publisher::new(settings, Fixed(Mono(1_200_000)), utc, counters, None, None).unwrap();
+        for n in 0..6 {
+            let status = if n < 2 { report().status } else { Status::PSD_A_LOW };
+            publisher.publish(&PoseReport { status, ..report() });
+        }
+        let [plain, big, held] = receivers.map(|receiver| {
+            let mut bytes = [0; 300];
+            let next = || receiver.recv(&mut bytes).ok().map(|n| bytes[..n].to_vec());
+            std::iter::from_fn(next).collect::<Vec<_>>()
+        });
+        let decode = |all: &[Vec<u8>]| -> Vec<_> {
+            all.iter().map(|bytes| PoseFrame::decode_either(bytes).unwrap()).collect()
+        };
+        let sequences = |all| -> Vec<_> { decode(all).iter().map(|frame| frame.sequence).collect() };
+        assert_eq!(sequences(&plain), [0, 2, 4]);
+        assert_eq!(sequences(&big), [0, 1, 2, 3, 4, 5]);
+        assert!(PoseFrame::decode(&big[0]).is_err() && decode(&big)[5].pose[0].is_nan());
+        assert_eq!(sequences(&held), [0, 3]);
+        let last = decode(&held)[1];
+        assert_eq!((last.status, last.pose[0]), (Status::PSD_A_LOW | Status::POSE_HELD, 1e-6));
+        assert!(decode(&plain)[2].pose[0].is_nan());
     }
 
     #[test]

@@ -1,0 +1,8 @@
+//! The sensor model and its inverse, on the nominal head and on heads that are not.
+#![allow(clippy::unwrap_used)]
+
+mod beam;
+mod heads;
+mod robustness;
+mod round_trip;
+mod slopes;
