@@ -118,7 +118,7 @@ async fn garbage_is_answered_and_then_sent_away_and_costs_the_others_nothing() {
     assert!(lines[99].contains("100 lines that are no commands"), "{}", lines[99]);
 
     let mut endless = TcpStream::connect(server.address).await.unwrap();
-    endless.write_all(&[b'x'; 100_000]).await.unwrap();
+    endless.write_all(&vec![b'x'; 100_000]).await.unwrap();
     let mut all = String::new();
     timeout(PATIENCE, endless.read_to_string(&mut all)).await.unwrap().unwrap();
     assert_eq!(all, "error: a line of more than 256 bytes\n");
