@@ -4,7 +4,7 @@
 //!  fast thread                                                     main thread
 //!  source ─> acquisition ─(samples, in order)─> estimation ─> UDP
 //!              ^   └─(newest)─> centering <─(pose)─┘   └─(frames)─> TCP clients
-//!              └──────(command)─────┘   └─(lock)──^
+//!              └──────(command)─────┘   └─(lock)──^           ^ subscriptions
 //! ```
 //!
 //! The fast thread never waits for the main thread: frames that do not fit into the channel are counted.
@@ -28,8 +28,9 @@ use crate::estimation::{self, Estimation};
 use crate::exit::{self, Failure};
 use crate::monitor::Counters;
 use crate::publishing::descriptor::StreamFacts;
-use crate::publishing::frame::FrameBytes;
-use crate::publishing::{Descriptor, Publisher, PublisherSettings, StreamId, tcp};
+use crate::publishing::{
+    Descriptor, PoseFrame, Publisher, PublisherSettings, StreamId, subscribe, subscription, tcp,
+};
 use crate::realtime;
 use crate::twin::{Twin, TwinSource};
 
@@ -55,11 +56,13 @@ pub fn run(config: &Config) -> anyhow::Result<()> {
         None => None,
     };
     let udp = config.publishing.udp.clone();
+    let (desk, subscribers) = config.publishing.subscribe.map(subscribe::open).transpose()?.unzip();
     let publisher = Publisher::new(
         PublisherSettings { id, udp },
         SystemClock,
         Utc::system(),
         Arc::clone(&counters),
+        subscribers,
         server.is_some().then_some(to_tcp),
     )?;
     let parts = Parts {
@@ -83,8 +86,12 @@ pub fn run(config: &Config) -> anyhow::Result<()> {
             start_fast(parts, || Ok(source))?
         }
     };
-    let tcp = server.map(|listener| Server { listener, frames, descriptor: Descriptor::new(facts) });
-    let result = serve(&main, config, tcp, fast, &counters, &stop);
+    let slow = Slow {
+        server: server.map(|listener| Server { listener, frames, descriptor: Descriptor::new(facts) }),
+        desk,
+        session: id.session,
+    };
+    let result = serve(&main, config, slow, fast, &counters, &stop);
     let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
     tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
     result
@@ -101,10 +108,17 @@ struct Parts {
     stop: CancellationToken,
 }
 
+/// What the main thread serves.
+struct Slow {
+    server: Option<Server>,
+    desk: Option<subscribe::Desk>,
+    session: u32,
+}
+
 /// The TCP side.
 struct Server {
     listener: tokio::net::TcpListener,
-    frames: mpsc::Receiver<FrameBytes>,
+    frames: mpsc::Receiver<PoseFrame>,
     descriptor: Descriptor,
 }
 
@@ -188,16 +202,25 @@ async fn fast<S: Source + 'static>(
     estimation.await.context("task estimation failed at the end")
 }
 
-/// The main thread: TCP clients and signals, until the end.
+/// The main thread: TCP clients, UDP subscriptions and signals, until the end.
 fn serve(
     main: &Runtime,
     config: &Config,
-    server: Option<Server>,
+    slow: Slow,
     fast: Fast,
     counters: &Arc<Counters>,
     stop: &CancellationToken,
 ) -> anyhow::Result<()> {
-    let limits = tcp::Limits { clients: config.publishing.tcp_clients, queue: config.publishing.tcp_queue };
+    let limits = tcp::Limits {
+        clients: config.publishing.tcp_clients,
+        queue: config.publishing.tcp_queue,
+        allow: config.publishing.allow.clone(),
+        ..tcp::Limits::default()
+    };
+    let publishing = &config.publishing;
+    let subscriptions =
+        subscription::Subscriptions::new(slow.session, publishing.subscribers, publishing.allow.clone());
+    let Slow { server, desk, .. } = slow;
     let Fast { thread, mut ended } = fast;
     let result = main.block_on(async {
         let (mut terminate, mut interrupt) =
@@ -205,27 +228,32 @@ fn serve(
         let serving = async {
             let Some(Server { listener, frames, descriptor }) = server else {
                 stop.cancelled().await;
-                return Ok(());
+                return;
             };
             // Not told to stop: it serves what the fast side still sends, and ends when that has ended.
             let never = CancellationToken::new();
-            tcp::serve(listener, frames, &descriptor, limits, Arc::clone(counters), never).await
+            tcp::serve(listener, frames, &descriptor, limits, Arc::clone(counters), never).await;
+        };
+        let subscribing = async {
+            match desk {
+                Some(desk) => desk.run(subscriptions, SystemClock, counters, stop.clone()).await,
+                None => std::future::pending().await,
+            }
         };
         let mut serving = std::pin::pin!(serving);
         tokio::select! {
             biased;
             end = &mut ended => return fast_end(end),
-            end = &mut serving => {
-                end?;
+            () = &mut serving => {
                 // The server ends by itself only when the fast side is gone.
                 return fast_end(ended.await);
             }
+            end = subscribing => end.context("cannot take UDP subscriptions")?,
             _ = terminate.recv() => tracing::info!("SIGTERM: stopping"),
             _ = interrupt.recv() => tracing::info!("SIGINT: stopping"),
         }
         stop.cancel();
-        let (end, served) = tokio::join!(ended, serving);
-        served?;
+        let (end, ()) = tokio::join!(ended, serving);
         fast_end(end)
     });
     // It has said that it ended; only a panic is news now.

@@ -36,6 +36,8 @@ enum Command {
     Solve(commands::TableArgs),
     /// Compute samples of the digital twin, with the truth behind them, as CSV
     Simulate(commands::SimulateArgs),
+    /// Say why nothing arrives, or nothing valid, and what to do
+    Doctor(commands::DoctorArgs),
     /// Print the frames of a running daemon
     Watch(commands::WatchArgs),
 }
@@ -56,6 +58,7 @@ fn main() -> ExitCode {
         Command::Trace(args) => commands::trace(&args),
         Command::Solve(args) => commands::solve(&args),
         Command::Simulate(args) => commands::simulate(&args),
+        Command::Doctor(args) => commands::doctor(&args),
         Command::Watch(args) => commands::watch(&args),
     };
     result.map_or_else(|error| report(&error), |()| ExitCode::SUCCESS)

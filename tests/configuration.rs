@@ -69,6 +69,12 @@ const BAD: &[(&str, &[&str])] = &[
     ("[log]\nlevel = 'inof'\n", &["lab.toml:2:9: log.level = 'inof': allowed is off, error, warn, info"]),
     ("[acquisition.serial]\nport = ''\n", &["lab.toml:2:8: acquisition.serial.port = '': allowed is the path of a serial port"]),
     ("[publishing]\nudp = ['1.2.3.4:0']\n", &["lab.toml:2:8: publishing.udp[0] = '1.2.3.4:0': allowed is a port from 1 to 65535"]),
+    ("[publishing]\nallow = ['127.0.0.1', 'lab']\n", &["lab.toml:2:23: publishing.allow[1] = 'lab'", "192.168.1.0/24"]),
+    ("[[publishing.udp]]\naddress = '1.2.3.4:0'\n", &["lab.toml:1:1: publishing.udp[0]", "a port from 1 to 65535"]),
+    ("[[publishing.udp]]\naddress = 'lab'\n", &["lab.toml:2:11: publishing.udp[0].address = 'lab'", "127.0.0.1:7361"]),
+    ("[[publishing.udp]]\naddress = '1.2.3.4:5'\nttl = 1\n", &["lab.toml:3:7: publishing.udp[0].ttl = 1", "multicast"]),
+    ("[[publishing.udp]]\naddress = '[ff02::1]:5'\ninterface = '::1'\n", &["publishing.udp[0].interface = '::1'", "the name"]),
+    ("[publishing]\nudp = [{ address = '1.2.3.4:5', dividor = 2 }]\n", &["lab.toml:2:", "dividor", "divider"]),
     ("[publishing]\nudp = ['1.2.3.4:5', '1.2.3.4:5']\n", &["lab.toml:2:21: publishing.udp[1]", "each address once"]),
     // Motions
     ("[[twin.motion]]\naxis = 'roll'\nkind = 'step'\namount_um = 1\n",

@@ -148,6 +148,7 @@ fn with_value(key: &str, value: f64, default: &str) -> String {
     let rest = match (section, name) {
         ("twin.motion[]", "amount_urad") => "axis = 'roll'\nkind = 'sine'\nfrequency_hz = 1",
         ("twin.motion[]", _) => "axis = 'tx'\nkind = 'vibration'",
+        ("publishing.udp[]", _) => "address = '239.255.0.1:7362'",
         ("twin.fault[]", "psd") => "at_s = 1\nkind = 'psd-dark'",
         ("twin.fault[]", "channel") => "at_s = 1\nkind = 'clipped'",
         ("twin.fault[]", "fraction") => "at_s = 1\nkind = 'dropped'",

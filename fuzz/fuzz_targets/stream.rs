@@ -4,7 +4,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use trifacet::publishing::{PoseFrame, layout::FRAME_SIZE, message::Decoder};
+use trifacet::publishing::{PoseFrame, endian::big_endian, layout::FRAME_SIZE, message::Decoder};
 
 fuzz_target!(|bytes: &[u8]| {
     frame(bytes);
@@ -25,6 +25,11 @@ fn sealed(bytes: &[u8]) -> Option<[u8; FRAME_SIZE]> {
 }
 
 fn frame(bytes: &[u8]) {
+    if let (Ok(frame), Ok(little)) = (PoseFrame::decode_either(bytes), PoseFrame::decode(bytes)) {
+        assert_eq!(frame.encode(), little.encode());
+        let turned = PoseFrame::decode_either(&big_endian(&frame.encode()));
+        assert_eq!(turned.map(|frame| frame.encode()), Ok(little.encode()));
+    }
     if let Ok(frame) = PoseFrame::decode(bytes) {
         let again = frame.encode();
         let minor = 5;

@@ -182,9 +182,17 @@ fn publishing(config: &Config, lines: &mut Lines) {
         Some(address) => format!("TCP at {address} for {} clients", publishing.tcp_clients),
         None => "no TCP".into(),
     };
-    let udp: Vec<_> = publishing.udp.iter().map(ToString::to_string).collect();
+    let udp: Vec<_> = publishing.udp.iter().map(|target| target.address.to_string()).collect();
     let udp = if udp.is_empty() { "no UDP".into() } else { format!("UDP to {}", udp.join(", ")) };
     lines.say("publishing", format!("{rate} frames per second: {tcp}; {udp}"));
+    if let Some(address) = publishing.subscribe {
+        lines.say("publishing", format!("subscriptions at {address} for {}", publishing.subscribers));
+    }
+    let allow: Vec<_> = publishing.allow.iter().map(ToString::to_string).collect();
+    lines.say(
+        "publishing",
+        format!("clients from {}", if allow.is_empty() { "nowhere".into() } else { allow.join(", ") }),
+    );
 }
 
 fn machine(config: &Config, lines: &mut Lines) {
@@ -214,6 +222,11 @@ fn notes(config: &Config, lines: &mut Lines) {
     if !bare.is_empty() {
         let psds = bare.join(", ");
         lines.say("note", format!("no correction table for PSD {psds}: the frames say UNCALIBRATED"));
+    }
+    let publishing = &config.publishing;
+    let open = [publishing.tcp, publishing.subscribe].into_iter().flatten().any(|a| !a.ip().is_loopback());
+    if open && publishing.allow.iter().all(|network| network.is_loopback()) {
+        lines.say("note", "publishing.allow has this machine only: clients from elsewhere are refused");
     }
     let period_ms = 1e3 / config.acquisition.rate_hz;
     if config.centering.enabled && f64::from(config.steering.lease_ms) < 3.0 * period_ms {

@@ -8,6 +8,7 @@ use trifacet::config::{self, Config};
 
 mod check;
 mod dark;
+mod doctor;
 mod emulate;
 mod run;
 mod simulate;
@@ -17,6 +18,7 @@ mod watch;
 
 pub(crate) use check::{CheckArgs, check};
 pub(crate) use dark::{DarkArgs, dark};
+pub(crate) use doctor::{DoctorArgs, doctor};
 pub(crate) use emulate::{EmulateArgs, emulate};
 pub(crate) use run::{RunArgs, run};
 pub(crate) use simulate::{SimulateArgs, simulate};

@@ -10,10 +10,10 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 use tokio::time::{Instant, timeout};
 use trifacet::{
-    client::{Client, ClientError, Endpoint, Heartbeat, Losses, Message, PoseFrame},
+    client::{Backoff, Client, ClientError, Endpoint, Heartbeat, Losses, Message, Options, Pace, PoseFrame},
     estimation::Status,
     exit::{self, Failure},
-    publishing::columns::Columns,
+    publishing::{columns::Columns, request::MAX_DIVIDER},
 };
 
 use super::written;
@@ -26,15 +26,40 @@ const READABLE: Duration = Duration::from_millis(200);
 /// Prints the frames of a running daemon
 #[derive(Debug, Args)]
 pub(crate) struct WatchArgs {
-    /// The daemon's TCP server, or the local address to which it sends datagrams (tcp://HOST:PORT or udp://HOST:PORT)
+    /// The daemon's TCP server (tcp://HOST:PORT), the local address or multicast group to which it sends datagrams
+    /// (udp://HOST:PORT), or where it takes subscriptions to them (subscribe://HOST:PORT)
     #[arg(default_value = "tcp://127.0.0.1:7361")]
     endpoint: Endpoint,
+    /// Ask for one frame in so many (not for udp://)
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_DIVIDER)))]
+    divider: u32,
+    /// Ask for the last valid pose, marked POSE_HELD, where there is none (not for udp://)
+    #[arg(long)]
+    held: bool,
+    /// Hear a multicast group through this interface
+    #[arg(long)]
+    interface: Option<String>,
+    /// Connect again, and again, when the stream ends
+    #[arg(long)]
+    reconnect: bool,
     /// How to print frames
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
     /// End after this many printed frames
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
     count: Option<u64>,
+}
+
+impl WatchArgs {
+    fn options(&self) -> Options {
+        Options {
+            pace: Pace::Divider(self.divider),
+            held: self.held,
+            interface: self.interface.clone(),
+            reconnect: self.reconnect.then(Backoff::default),
+            ..Options::default()
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -55,7 +80,7 @@ pub(crate) fn watch(args: &WatchArgs) -> Result<()> {
 }
 
 async fn follow(args: &WatchArgs) -> Result<()> {
-    let mut client = match timeout(SILENCE, Client::connect(&args.endpoint)).await {
+    let mut client = match timeout(SILENCE, Client::connect_with(&args.endpoint, args.options())).await {
         Ok(client) => client.map_err(|e| opening_failed(&args.endpoint, &e))?,
         Err(_) => return Err(unavailable(format!("{} does not answer", args.endpoint))),
     };
@@ -76,7 +101,8 @@ async fn follow(args: &WatchArgs) -> Result<()> {
             Ok(Err(e)) => return Err(unavailable(format!("{}: {e}", args.endpoint))),
             Err(_) => {
                 let why = silence(&args.endpoint, client.losses());
-                if args.count.is_some() || matches!(args.endpoint, Endpoint::Tcp(_)) {
+                let waits = args.reconnect || matches!(args.endpoint, Endpoint::Udp(_));
+                if args.count.is_some() || !waits {
                     return Err(unavailable(why));
                 }
                 if !silent {
@@ -101,6 +127,9 @@ fn opening_failed(endpoint: &Endpoint, error: &ClientError) -> anyhow::Error {
         (Endpoint::Tcp(_), io::ErrorKind::ConnectionRefused) => {
             unavailable(format!("nothing listens at {endpoint}: is the daemon running (`trifacet run`)?"))
         }
+        (Endpoint::Subscribe(_), io::ErrorKind::ConnectionRefused) => unavailable(format!(
+            "nothing takes subscriptions at {endpoint}: is the daemon running, with [publishing] subscribe?"
+        )),
         (Endpoint::Udp(_), io::ErrorKind::AddrInUse) => {
             Failure::new(exit::IN_USE, format!("{error}: another process receives there already")).into()
         }
@@ -125,9 +154,14 @@ fn silence(endpoint: &Endpoint, losses: Losses) -> String {
                 "{endpoint}: connected, but no sign of life for {waited} s; is it trifacet that listens there?"
             )
         }
+        (Endpoint::Subscribe(_), _) => {
+            format!(
+                "{endpoint}: subscribed, but no frame for {waited} s; `trifacet doctor {endpoint}` looks why"
+            )
+        }
         (Endpoint::Udp(_), _) => format!(
             "{endpoint}: no frame for {waited} s; does a daemon run, is this address among its [publishing] udp \
-             targets, and does no firewall stand between?"
+             targets, and does no firewall stand between? `trifacet doctor {endpoint}` looks"
         ),
     }
 }

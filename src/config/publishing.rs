@@ -1,10 +1,12 @@
 //! `[publishing]`: where poses go.
 
-use std::net::SocketAddr;
+use std::fmt;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
-use serde::{Deserialize, Deserializer, de::Error};
+use serde::de::{Error, MapAccess, Visitor, value::MapAccessDeserializer};
+use serde::{Deserialize, Deserializer};
 
-use super::check::Checker;
+use super::{check::Checker, network::Network};
 
 /// `[publishing]`.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -17,9 +19,56 @@ pub struct PublishingConfig {
     pub tcp_clients: usize,
     /// Frames that a TCP client may be behind before the oldest are dropped.
     pub tcp_queue: usize,
+    /// Who may connect, and subscribe.
+    pub allow: Vec<Network>,
     /// Where datagrams go.
-    #[serde(deserialize_with = "addresses")]
-    pub udp: Vec<SocketAddr>,
+    pub udp: Vec<UdpTarget>,
+    /// Where receivers of datagrams subscribe; none (`"off"` in the file): nowhere.
+    #[serde(deserialize_with = "address_or_off")]
+    pub subscribe: Option<SocketAddr>,
+    /// Most subscribers at a time.
+    pub subscribers: usize,
+}
+
+/// A receiver of datagrams: an address, or a table with options.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct UdpTarget {
+    /// Where to.
+    pub address: SocketAddr,
+    /// Frames whose sequence this divides.
+    pub divider: u32,
+    /// In network byte order.
+    pub big_endian: bool,
+    /// With the last valid pose instead of NaN.
+    pub held: bool,
+    /// Multicast only: the name or the IPv4 address of the interface; none: as the system's routes say.
+    pub interface: Option<String>,
+    /// Multicast only: routers that a datagram may pass, and one.
+    pub ttl: Option<u32>,
+}
+
+impl UdpTarget {
+    /// Every frame to this address.
+    pub fn to(address: SocketAddr) -> Self {
+        Self { address, divider: 1, big_endian: false, held: false, interface: None, ttl: None }
+    }
+
+    fn check(&self, mut at: Checker<'_>) {
+        let Self { address, divider, interface, ttl, .. } = self;
+        at.demand(address.port() != 0, "", address, "a port from 1 to 65535");
+        at.number("divider", *divider, 1.0..=1_000_000.0);
+        at.optional("ttl", *ttl, 1.0..=255.0);
+        let multicast = address.ip().is_multicast();
+        let only = "a multicast address (224.0.0.0/4, ff00::/8) beside it, or none";
+        at.demand(multicast || ttl.is_none(), "ttl", ttl.unwrap_or_default(), only);
+        if let Some(interface) = interface {
+            at.demand(multicast, "interface", interface, only);
+            let named = !interface.is_empty() && interface.len() < 16 && interface.parse::<IpAddr>().is_err();
+            let own = address.is_ipv4() && interface.parse::<Ipv4Addr>().is_ok();
+            let allowed = "the name of an interface such as \"eth0\", or, for IPv4, its address";
+            at.demand(named || own, "interface", interface, allowed);
+        }
+    }
 }
 
 impl Default for PublishingConfig {
@@ -28,7 +77,10 @@ impl Default for PublishingConfig {
             tcp: Some(([127, 0, 0, 1], 7361).into()),
             tcp_clients: 64,
             tcp_queue: 1024,
-            udp: vec![([127, 0, 0, 1], 7362).into()],
+            allow: Network::loopback(),
+            udp: vec![UdpTarget::to(([127, 0, 0, 1], 7362).into())],
+            subscribe: None,
+            subscribers: 32,
         }
     }
 }
@@ -37,12 +89,16 @@ impl PublishingConfig {
     pub(super) fn check(&self, mut at: Checker<'_>) {
         at.number("tcp_clients", self.tcp_clients as f64, 1.0..=1024.0);
         at.number("tcp_queue", self.tcp_queue as f64, 1.0..=65_536.0);
+        at.demand(self.allow.len() <= 64, "allow", self.allow.len(), "at most 64 networks");
         at.demand(self.udp.len() <= 32, "udp", self.udp.len(), "at most 32 addresses");
-        for (i, address) in self.udp.iter().enumerate() {
+        for (i, target) in self.udp.iter().enumerate() {
             let key = format!("udp[{i}]");
-            at.demand(address.port() != 0, &key, address, "a port from 1 to 65535");
-            at.demand(!self.udp[..i].contains(address), &key, address, "each address once");
+            let same =
+                |other: &UdpTarget| other.address == target.address && other.interface == target.interface;
+            at.demand(!self.udp[..i].iter().any(same), &key, target.address, "each address once");
+            target.check(at.section(&key));
         }
+        at.number("subscribers", self.subscribers as f64, 1.0..=1024.0);
     }
 }
 
@@ -56,14 +112,54 @@ fn address_or_off<'de, D: Deserializer<'de>>(from: D) -> Result<Option<SocketAdd
     text.parse().map(Some).map_err(|_| D::Error::custom(format_args!("allowed is {ADDRESS}, or \"off\"")))
 }
 
-fn addresses<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<SocketAddr>, D::Error> {
-    /// One of them, so that an error is located at it and not at the list.
-    #[derive(Deserialize)]
-    struct Address(#[serde(deserialize_with = "address")] SocketAddr);
-    Ok(Vec::<Address>::deserialize(from)?.into_iter().map(|a| a.0).collect())
+/// The table of a target.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Table {
+    #[serde(deserialize_with = "address")]
+    address: SocketAddr,
+    #[serde(default = "one")]
+    divider: u32,
+    #[serde(default)]
+    big_endian: bool,
+    #[serde(default)]
+    held: bool,
+    interface: Option<String>,
+    ttl: Option<u32>,
+}
+
+fn one() -> u32 {
+    1
+}
+
+impl<'de> Deserialize<'de> for UdpTarget {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        struct Either;
+        impl<'de> Visitor<'de> for Either {
+            type Value = UdpTarget;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                write!(f, "{ADDRESS}, or a table with such an address")
+            }
+
+            fn visit_str<E: Error>(self, text: &str) -> Result<UdpTarget, E> {
+                parsed(text).map(UdpTarget::to)
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<UdpTarget, A::Error> {
+                let Table { address, divider, big_endian, held, interface, ttl } =
+                    Table::deserialize(MapAccessDeserializer::new(map))?;
+                Ok(UdpTarget { address, divider, big_endian, held, interface, ttl })
+            }
+        }
+        from.deserialize_any(Either)
+    }
 }
 
 fn address<'de, D: Deserializer<'de>>(from: D) -> Result<SocketAddr, D::Error> {
-    let text = String::deserialize(from)?;
-    text.parse().map_err(|_| D::Error::custom(format_args!("allowed is {ADDRESS}")))
+    parsed(&String::deserialize(from)?)
+}
+
+fn parsed<E: Error>(text: &str) -> Result<SocketAddr, E> {
+    text.parse().map_err(|_| E::custom(format_args!("allowed is {ADDRESS}")))
 }

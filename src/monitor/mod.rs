@@ -57,6 +57,10 @@ counters! {
     tcp_overflows,
     /// Frames dropped for TCP clients that did not keep up, summed over clients.
     tcp_dropped,
+    /// Requests for UDP subscriptions that were not granted, or were none.
+    udp_refused,
+    /// TCP clients that were not let in: too many, or not of an allowed network.
+    tcp_refused,
 }
 
 /// A number that only grows.

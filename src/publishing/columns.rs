@@ -23,7 +23,52 @@ pub enum Value {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Columns(pub Vec<(&'static str, Value)>);
 
-const POSE: [&str; 6] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "yaw_rad"];
+/// The names of all columns, in order.
+pub const NAMES: [&str; 41] = [
+    "sequence",
+    "sample_index",
+    "time",
+    "time_ns",
+    "lock",
+    "status",
+    "status_bits",
+    "tx_m",
+    "ty_m",
+    "tz_m",
+    "roll_rad",
+    "pitch_rad",
+    "yaw_rad",
+    "sd_tx_m",
+    "sd_ty_m",
+    "sd_tz_m",
+    "sd_roll_rad",
+    "sd_pitch_rad",
+    "sd_yaw_rad",
+    "beam_dx_m",
+    "beam_dy_m",
+    "steering_residual_m",
+    "u_a_m",
+    "v_a_m",
+    "u_b_m",
+    "v_b_m",
+    "u_c_m",
+    "v_c_m",
+    "power_a_w",
+    "power_b_w",
+    "power_c_w",
+    "steering_x_m",
+    "steering_y_m",
+    "averaged",
+    "lost",
+    "iterations",
+    "solve_delay_ns",
+    "send_delay_ns",
+    "clock_sigma_s",
+    "session",
+    "config",
+];
+
+pub(super) const POSE: [&str; 6] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "yaw_rad"];
 const DEVIATIONS: [&str; 6] = ["sd_tx_m", "sd_ty_m", "sd_tz_m", "sd_roll_rad", "sd_pitch_rad", "sd_yaw_rad"];
 const BEAM: [&str; 2] = ["beam_dx_m", "beam_dy_m"];
 const SPOTS: [&str; 6] = ["u_a_m", "v_a_m", "u_b_m", "v_b_m", "u_c_m", "v_c_m"];
@@ -64,6 +109,14 @@ impl Columns {
             ("config", Value::Count(frame.config.into())),
         ]);
         Self(columns)
+    }
+
+    /// These of the columns, in this order; all of them if none is named.
+    #[must_use]
+    pub fn select(self, names: Option<&[&'static str]>) -> Self {
+        let Some(names) = names else { return self };
+        let of = |name: &&str| self.0.iter().find(|(n, _)| n == name).cloned();
+        Self(names.iter().filter_map(of).collect())
     }
 
     /// The names, as the first line of a CSV file.
@@ -151,6 +204,14 @@ mod tests {
         assert!(json["beam_dx_m"].is_null());
         assert_eq!(json["status"], serde_json::json!(["POSE_VALID", "SIMULATED"]));
         assert_eq!(json["lock"], "locked");
+    }
+
+    #[test]
+    fn the_list_of_names_is_that_of_the_columns() {
+        let columns = Columns::of(&frame());
+        assert_eq!(columns.0.iter().map(|(name, _)| *name).collect::<Vec<_>>(), NAMES);
+        let few = columns.select(Some(&["tz_m", "sequence"]));
+        assert_eq!(few.csv_header(), "tz_m,sequence");
     }
 
     #[test]

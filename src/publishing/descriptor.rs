@@ -7,13 +7,14 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::{
+    columns,
     layout::{FIELDS, FieldEntry},
     message::{MAJOR, MINOR},
     publisher::StreamId,
 };
 use crate::{centering::LockState, config::Model, estimation::Status, monitor::Counters};
 
-/// The first message of every TCP connection: all that is needed to read the frames that follow.
+/// The first message of every TCP stream: all that is needed to read the frames that follow.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Descriptor {
     /// Version of the stream, "major.minor".
@@ -47,6 +48,26 @@ pub struct Descriptor {
     pub lock_states: Vec<String>,
     /// The byte table of the pose frame.
     pub fields: Vec<FieldEntry>,
+    /// The names of a frame's values in text (JSON, CSV).
+    pub columns: Vec<String>,
+    /// What this client gets; absent where no stream was asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stream: Option<StreamForm>,
+}
+
+/// The stream of one client, as it was asked for and is sent.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StreamForm {
+    /// "binary", "json" or "csv".
+    pub format: String,
+    /// Frames whose sequence this divides are sent.
+    pub divider: u32,
+    /// So many a second.
+    pub rate_hz: f64,
+    /// Whether the last valid pose stays, marked with `POSE_HELD`.
+    pub held: bool,
+    /// The values of a line of text, in order; empty in binary.
+    pub columns: Vec<String>,
 }
 
 /// What the daemon knows of its stream and does not get from this module.
@@ -103,6 +124,8 @@ impl Descriptor {
             status_bits: Status::NAMES.iter().map(|(_, name)| (*name).to_owned()).collect(),
             lock_states: LockState::ALL.iter().map(|l| l.name().to_owned()).collect(),
             fields: FIELDS.iter().map(FieldEntry::from).collect(),
+            columns: columns::NAMES.map(str::to_owned).to_vec(),
+            stream: None,
         }
     }
 }
@@ -130,7 +153,12 @@ impl Heartbeat {
     }
 }
 
-/// Why the daemon closes a connection at once.
+/// The answer to a query, within a stream; the line that a client without a stream gets.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Answer(pub String);
+
+/// Why the daemon ends a connection.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Refusal {
     /// The reason, for people.

@@ -21,6 +21,18 @@ pub struct Field {
     pub unit: &'static str,
 }
 
+impl Field {
+    /// Bytes of an element.
+    pub const fn width(&self) -> usize {
+        match self.kind.as_bytes() {
+            [_, b'8'] => 1,
+            [_, b'1', b'6'] => 2,
+            [_, b'3', b'2'] => 4,
+            _ => 8,
+        }
+    }
+}
+
 /// A [`Field`] as a client reads it from a descriptor.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct FieldEntry {
@@ -93,6 +105,7 @@ mod tests {
         let mut end = 0;
         for f in FIELDS {
             let bits: u16 = f.kind[1..].parse().unwrap();
+            assert_eq!(usize::from(bits / 8), f.width());
             assert_eq!(f.offset, end, "{}", f.name);
             assert_eq!(f.offset % (bits / 8), 0, "{} is aligned", f.name);
             end += f.count * bits / 8;

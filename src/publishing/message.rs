@@ -4,7 +4,7 @@
 //! it does not know. [`Decoder`] finds messages in a byte stream, also after a damaged piece.
 
 use super::{
-    descriptor::{Descriptor, Heartbeat, Refusal},
+    descriptor::{Answer, Descriptor, Heartbeat, Refusal},
     frame::{FrameError, PoseFrame},
     layout::FRAME_SIZE,
 };
@@ -25,16 +25,18 @@ const ROOM: usize = 16 * 1024;
 pub enum Kind {
     /// A pose frame.
     Pose,
-    /// The descriptor, in JSON: the first message of every connection.
+    /// The descriptor, in JSON: the first message of every stream.
     Descriptor,
     /// A heartbeat, in JSON: once a second.
     Heartbeat,
-    /// Why the daemon does not serve this client, in JSON.
+    /// The answer to a query, as a string in JSON.
+    Answer,
+    /// Why the daemon ends the connection, in JSON.
     Refusal,
 }
 
 impl Kind {
-    const ALL: [Kind; 4] = [Kind::Pose, Kind::Descriptor, Kind::Heartbeat, Kind::Refusal];
+    const ALL: [Kind; 5] = [Kind::Pose, Kind::Descriptor, Kind::Heartbeat, Kind::Answer, Kind::Refusal];
 
     /// The first four bytes of such a message.
     pub const fn magic(self) -> [u8; 4] {
@@ -42,7 +44,18 @@ impl Kind {
             Kind::Pose => *b"TFP1",
             Kind::Descriptor => *b"TFD1",
             Kind::Heartbeat => *b"TFH1",
+            Kind::Answer => *b"TFA1",
             Kind::Refusal => *b"TFE1",
+        }
+    }
+
+    /// The key under which such a message stands in JSON lines; none if it has one of its own.
+    pub const fn key(self) -> Option<&'static str> {
+        match self {
+            Kind::Descriptor => Some("descriptor"),
+            Kind::Heartbeat => Some("heartbeat"),
+            Kind::Answer => Some("answer"),
+            Kind::Pose | Kind::Refusal => None,
         }
     }
 }
@@ -56,7 +69,9 @@ pub enum Message {
     Descriptor(Box<Descriptor>),
     /// What was sent and lost so far.
     Heartbeat(Heartbeat),
-    /// The daemon does not serve this client, and says why.
+    /// The answer to a query.
+    Answer(Answer),
+    /// The daemon ends the connection, and says why.
     Refusal(Refusal),
 }
 
@@ -211,6 +226,7 @@ fn read(header: Header, message: &[u8]) -> Option<Result<Message, MessageError>>
         Kind::Pose => PoseFrame::decode(message).map(Message::Pose).map_err(MessageError::from),
         Kind::Descriptor => serde_json::from_slice(body).map(Message::Descriptor).map_err(json_error),
         Kind::Heartbeat => serde_json::from_slice(body).map(Message::Heartbeat).map_err(json_error),
+        Kind::Answer => serde_json::from_slice(body).map(Message::Answer).map_err(json_error),
         Kind::Refusal => serde_json::from_slice(body).map(Message::Refusal).map_err(json_error),
     })
 }

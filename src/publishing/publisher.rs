@@ -3,21 +3,21 @@
 
 use std::{
     hash::{BuildHasher, Hasher, RandomState},
-    io,
-    net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket},
     sync::Arc,
 };
 
 use tokio::sync::mpsc::{self, error::TrySendError};
 
 use super::{
-    frame::{FrameBytes, PoseFrame},
+    frame::PoseFrame,
     stamp::Stamp,
+    target::{Subscribers, Targets},
 };
 use crate::{
     clock::{Clock, utc::Utc},
+    config::UdpTarget,
     estimation::PoseReport,
-    exit::{self, Failure},
+    exit::Failure,
     monitor::Counters,
 };
 
@@ -44,31 +44,24 @@ pub struct PublisherSettings {
     /// Goes into every frame.
     pub id: StreamId,
     /// Where datagrams go.
-    pub udp: Vec<SocketAddr>,
+    pub udp: Vec<UdpTarget>,
 }
 
 /// Makes frames of reports and gives them to the network. Lives on the fast thread.
 #[derive(Debug)]
 pub struct Publisher<C> {
     id: StreamId,
-    targets: Vec<Target>,
+    targets: Targets,
     clock: C,
     utc: Utc,
     counters: Arc<Counters>,
-    tcp: Option<mpsc::Sender<FrameBytes>>,
+    tcp: Option<mpsc::Sender<PoseFrame>>,
     sequence: u64,
 }
 
-#[derive(Debug)]
-struct Target {
-    address: SocketAddr,
-    socket: UdpSocket,
-    /// The last sending failed: says once that, and once that it works again.
-    failing: bool,
-}
-
 impl<C: Clock> Publisher<C> {
-    /// A publisher with its sockets. `tcp` leads to [`super::tcp::serve`], if that runs.
+    /// A publisher with its sockets. `subscribers` are those of [`super::subscribe`], `tcp` leads to
+    /// [`super::tcp::serve`], if they run.
     ///
     /// Fails if no socket can be had.
     pub fn new(
@@ -76,10 +69,12 @@ impl<C: Clock> Publisher<C> {
         clock: C,
         utc: Utc,
         counters: Arc<Counters>,
-        tcp: Option<mpsc::Sender<FrameBytes>>,
+        subscribers: Option<Subscribers>,
+        tcp: Option<mpsc::Sender<PoseFrame>>,
     ) -> Result<Self, Failure> {
-        let targets = settings.udp.into_iter().map(Target::open).collect::<Result<_, _>>()?;
-        Ok(Self { id: settings.id, targets, clock, utc, counters, tcp, sequence: 0 })
+        let PublisherSettings { id, udp } = settings;
+        let targets = Targets::open(&udp, subscribers)?;
+        Ok(Self { id, targets, clock, utc, counters, tcp, sequence: 0 })
     }
 
     /// Sends the frame of a report to everyone. Frames go out at the full rate, valid or not: silence
@@ -95,65 +90,22 @@ impl<C: Clock> Publisher<C> {
         if frame.pose[0].is_nan() {
             self.counters.frames_invalid.one();
         }
-        let bytes = frame.encode();
-        for target in &mut self.targets {
-            target.send(&bytes, &self.counters);
-        }
+        self.targets.send(&frame, &self.counters);
         // A closed channel is not a loss: it means that the TCP side has ended, which the daemon sees.
         if let Some(tcp) = &self.tcp
-            && let Err(TrySendError::Full(_)) = tcp.try_send(bytes)
+            && let Err(TrySendError::Full(_)) = tcp.try_send(frame)
         {
             self.counters.tcp_overflows.one();
         }
     }
 }
 
-impl Target {
-    /// A socket per target, left unconnected: so the refusal of one that nobody listens to stays unseen,
-    /// and starting the listener later just works.
-    fn open(address: SocketAddr) -> Result<Self, Failure> {
-        let local: SocketAddr = match address {
-            SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
-            SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
-        };
-        let open = || {
-            let socket = UdpSocket::bind(local)?;
-            socket.set_nonblocking(true)?;
-            socket.set_broadcast(address.is_ipv4())?;
-            Ok(socket)
-        };
-        let socket = open().map_err(|e: io::Error| {
-            Failure::new(exit::IO, format!("cannot open a UDP socket towards {address}: {e}"))
-        })?;
-        Ok(Self { address, socket, failing: false })
-    }
-
-    fn send(&mut self, bytes: &FrameBytes, counters: &Counters) {
-        let failure = match self.socket.send_to(bytes, self.address) {
-            Ok(_) => None,
-            Err(e) if e.kind() == io::ErrorKind::ConnectionRefused => None,
-            Err(e) => Some(e),
-        };
-        if failure.is_some() {
-            counters.udp_dropped.one();
-        }
-        match (self.failing, failure) {
-            (false, Some(e)) => {
-                self.failing = true;
-                tracing::warn!(target = %self.address, "datagrams are not sent (udp_dropped counts them): {e}");
-            }
-            (true, None) => {
-                self.failing = false;
-                tracing::info!(target = %self.address, "datagrams are sent again");
-            }
-            _ => {}
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
+    use std::{
+        net::{SocketAddr, UdpSocket},
+        time::Duration,
+    };
 
     use super::*;
     use crate::{clock::Mono, estimation::Status, publishing::stamp::tests::report};
@@ -167,10 +119,11 @@ mod tests {
         }
     }
 
-    fn publisher(udp: Vec<SocketAddr>, tcp: Option<mpsc::Sender<FrameBytes>>) -> Publisher<Fixed> {
+    fn publisher(udp: Vec<SocketAddr>, tcp: Option<mpsc::Sender<PoseFrame>>) -> Publisher<Fixed> {
+        let udp = udp.into_iter().map(UdpTarget::to).collect();
         let settings = PublisherSettings { id: StreamId { session: 1, config: 2 }, udp };
         let utc = Utc::reading(|| (Mono(0), 5_000_000_000));
-        Publisher::new(settings, Fixed(Mono(1_200_000)), utc, Arc::default(), tcp).unwrap()
+        Publisher::new(settings, Fixed(Mono(1_200_000)), utc, Arc::default(), None, tcp).unwrap()
     }
 
     #[test]
@@ -192,6 +145,46 @@ mod tests {
     }
 
     #[test]
+    fn each_target_gets_the_frames_that_it_wants_in_its_form() {
+        let receivers = [(); 3].map(|()| {
+            let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+            socket.set_nonblocking(true).unwrap();
+            socket
+        });
+        let [plain, big, held] = receivers.each_ref().map(|r| UdpTarget::to(r.local_addr().unwrap()));
+        let targets = [
+            UdpTarget { divider: 2, ..plain },
+            UdpTarget { big_endian: true, ..big },
+            UdpTarget { held: true, divider: 3, ..held },
+        ];
+        let settings = PublisherSettings { id: StreamId { session: 1, config: 2 }, udp: targets.to_vec() };
+        let utc = Utc::reading(|| (Mono(0), 0));
+        let counters = Arc::default();
+        let mut publisher =
+            Publisher::new(settings, Fixed(Mono(1_200_000)), utc, counters, None, None).unwrap();
+        for n in 0..6 {
+            let status = if n < 2 { report().status } else { Status::PSD_A_LOW };
+            publisher.publish(&PoseReport { status, ..report() });
+        }
+        let [plain, big, held] = receivers.map(|receiver| {
+            let mut bytes = [0; 300];
+            let next = || receiver.recv(&mut bytes).ok().map(|n| bytes[..n].to_vec());
+            std::iter::from_fn(next).collect::<Vec<_>>()
+        });
+        let decode = |all: &[Vec<u8>]| -> Vec<_> {
+            all.iter().map(|bytes| PoseFrame::decode_either(bytes).unwrap()).collect()
+        };
+        let sequences = |all| -> Vec<_> { decode(all).iter().map(|frame| frame.sequence).collect() };
+        assert_eq!(sequences(&plain), [0, 2, 4]);
+        assert_eq!(sequences(&big), [0, 1, 2, 3, 4, 5]);
+        assert!(PoseFrame::decode(&big[0]).is_err() && decode(&big)[5].pose[0].is_nan());
+        assert_eq!(sequences(&held), [0, 3]);
+        let last = decode(&held)[1];
+        assert_eq!((last.status, last.pose[0]), (Status::PSD_A_LOW | Status::POSE_HELD, 1e-6));
+        assert!(decode(&plain)[2].pose[0].is_nan());
+    }
+
+    #[test]
     fn what_the_network_does_not_take_is_counted() {
         let no_port = SocketAddr::from(([127, 0, 0, 1], 0));
         let mut publisher = publisher(vec![no_port], None);
@@ -209,7 +202,7 @@ mod tests {
         assert_eq!(publisher.counters.tcp_overflows.get(), 3);
         rx.try_recv().unwrap();
         publisher.publish(&report());
-        let sequence = |bytes: FrameBytes| PoseFrame::decode(&bytes).unwrap().sequence;
+        let sequence = |frame: PoseFrame| frame.sequence;
         assert_eq!([rx.try_recv().map(sequence), rx.try_recv().map(sequence)], [Ok(1), Ok(5)]);
     }
 
@@ -218,7 +211,7 @@ mod tests {
         let (tx, mut rx) = mpsc::channel(2);
         let mut publisher = publisher(vec![], Some(tx));
         publisher.publish(&PoseReport { pose: None, status: Status::SOURCE_DOWN, ..report() });
-        let frame = PoseFrame::decode(&rx.try_recv().unwrap()).unwrap();
+        let frame = rx.try_recv().unwrap();
         assert_eq!(frame.status, Status::SOURCE_DOWN);
         assert_eq!((publisher.counters.frames.get(), publisher.counters.frames_invalid.get()), (1, 1));
     }

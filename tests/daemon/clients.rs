@@ -14,15 +14,17 @@ use crate::fixture::{Daemon, Stream};
 
 /// Talks all the time, whatever it hears.
 fn babble(address: SocketAddr, stop: Arc<AtomicBool>) -> std::thread::JoinHandle<usize> {
-    let mut stream = TcpStream::connect(address).unwrap();
     std::thread::spawn(move || {
         let mut said = 0;
         let noise: Vec<u8> = (0..40_000_u32).map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
         let mut heard = vec![0; 1 << 20];
         while !stop.load(Ordering::Relaxed) {
-            stream.write_all(&noise).unwrap();
+            // It is sent away for that, and comes back.
+            let mut stream = TcpStream::connect(address).unwrap();
+            while stream.write_all(&noise).is_ok() && stream.read(&mut heard).is_ok_and(|n| n > 0) {
+                said += noise.len();
+            }
             said += noise.len();
-            let _ = stream.read(&mut heard).unwrap();
             std::thread::sleep(Duration::from_millis(10));
         }
         said
@@ -33,7 +35,8 @@ fn babble(address: SocketAddr, stop: Arc<AtomicBool>) -> std::thread::JoinHandle
 fn one_that_never_reads_and_one_that_babbles_delay_nobody() {
     let mut daemon = Daemon::start("publishing.tcp_queue = 256");
     let address = daemon.address();
-    let deaf = TcpStream::connect(address).unwrap();
+    let mut deaf = TcpStream::connect(address).unwrap();
+    deaf.write_all(b"stream\n").unwrap();
     rustix::net::sockopt::set_socket_recv_buffer_size(&deaf, 4096).unwrap();
     let stop = Arc::new(AtomicBool::new(false));
     let babbler = babble(address, stop.clone());

@@ -4,7 +4,7 @@ use trifacet::{
     centering::LockState,
     client::PoseFrame,
     estimation::Status,
-    publishing::{layout::FIELDS, message::Decoder},
+    publishing::{endian::big_endian, layout::FIELDS, message::Decoder, request::Command, subscription::Ask},
 };
 
 const DOCUMENT: &str = include_str!("../../docs/stream.md");
@@ -56,7 +56,7 @@ fn every_status_bit_and_lock_state_is_documented() {
 
 #[test]
 fn the_example_decodes_to_what_the_text_says_and_comes_back() {
-    let bytes = dump("54 46 50 31");
+    let bytes = dump("54 46 50 31 01 00 c0");
     let frame = PoseFrame::decode(&bytes).unwrap();
     let expected = PoseFrame {
         session: 0x1234_5678,
@@ -81,7 +81,52 @@ fn the_example_decodes_to_what_the_text_says_and_comes_back() {
         steering: [12.75e-6, -8.5e-6],
     };
     assert_eq!(frame.encode().to_vec(), bytes);
+    let turned = dump("54 46 50 31 01 00 00 c0");
+    assert_eq!(big_endian(&frame.encode()).to_vec(), turned, "{}", hex(&big_endian(&frame.encode())));
+    assert_eq!(PoseFrame::decode_either(&turned).unwrap().encode().to_vec(), bytes);
     assert_eq!(expected.encode().to_vec(), bytes, "{}", hex(&expected.encode()));
+}
+
+/// The cells of the table rows that follow a line, as in `table`.
+fn first_words(after: &str) -> Vec<String> {
+    let rest = &DOCUMENT[DOCUMENT.find(after).expect(after)..];
+    let rows = rest.lines().skip_while(|l| !l.starts_with('|')).skip(2).take_while(|l| l.starts_with('|'));
+    rows.map(|row| row.split('`').nth(1).unwrap_or_default().to_owned()).collect()
+}
+
+#[test]
+fn what_can_be_said_is_documented_and_understood() {
+    let commands = first_words("## TCP: lines");
+    assert_eq!(commands[1..6], ["pose?", "status?", "descriptor?", "help", "bye"]);
+    for command in &commands[1..6] {
+        Command::parse(command.as_bytes()).unwrap();
+    }
+    let options = first_words("Options of `stream`");
+    for option in ["format", "divider", "rate_hz", "fields", "held"] {
+        assert!(options.iter().any(|o| o.starts_with(&format!("{option}="))), "{options:?} lack {option}");
+        assert!(Command::help().contains(&format!("{option}=")));
+    }
+    assert_eq!(options.len(), 5);
+    // What the examples of a subscription say is understood too.
+    let asks = DOCUMENT.lines().filter_map(|l| l.strip_prefix("> ")).filter(|l| l.contains("subscribe "));
+    assert_eq!(asks.map(|ask| Ask::parse(ask.as_bytes()).unwrap().unwrap()).count(), 3);
+}
+
+#[test]
+fn the_masks_for_controllers_are_those_of_the_bits() {
+    let page = include_str!("../../docs/plc.md");
+    let mut bits = 0;
+    for line in page.lines().filter_map(|l| {
+        l.trim_start_matches("required =").trim().trim_start_matches("+ ").strip_prefix("16#")
+    }) {
+        let mut words = line.split_whitespace();
+        let number = u32::from_str_radix(&words.next().unwrap().replace('_', ""), 16).unwrap();
+        let name = words.next().unwrap();
+        assert_eq!(Status(number).names().collect::<Vec<_>>(), [name]);
+        bits |= number & !1;
+    }
+    let mask = format!("16#{:04X}_{:04X}", bits >> 16, bits & 0xffff);
+    assert_eq!(page.matches(&mask).count(), 3, "{mask}");
 }
 
 #[test]

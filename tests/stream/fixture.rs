@@ -9,12 +9,10 @@ use trifacet::{
     client::PoseFrame,
     config::Model,
     estimation::Status,
-    exit::Failure,
     monitor::Counters,
     publishing::{
         Descriptor, StreamId,
         descriptor::StreamFacts,
-        frame::FrameBytes,
         tcp::{self, Limits},
     },
 };
@@ -26,10 +24,10 @@ const ID: StreamId = StreamId { session: 11, config: 22 };
 /// A running server, fed by hand.
 pub(crate) struct Server {
     pub(crate) address: SocketAddr,
-    pub(crate) frames: mpsc::Sender<FrameBytes>,
+    pub(crate) frames: mpsc::Sender<PoseFrame>,
     pub(crate) counters: Arc<Counters>,
     pub(crate) shutdown: CancellationToken,
-    pub(crate) task: JoinHandle<Result<(), Failure>>,
+    pub(crate) task: JoinHandle<()>,
 }
 
 pub(crate) async fn start(limits: Limits) -> Server {

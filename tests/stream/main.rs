@@ -2,7 +2,12 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod crowd;
+mod daemon;
+mod doctor;
 mod document;
 mod fixture;
+mod lines;
 mod tcp;
+mod udp;
 mod watch;

@@ -22,7 +22,10 @@ use crate::fixture::{PATIENCE, Server, descriptor, frame, start};
 async fn connect(address: SocketAddr) -> Client {
     let mut client = Client::connect(&Endpoint::Tcp(address.to_string())).await.unwrap();
     match next(&mut client).await {
-        Message::Descriptor(d) => assert_eq!(*d, descriptor()),
+        Message::Descriptor(mut d) => {
+            assert_eq!(d.stream.take().map(|s| (s.format, s.divider)), Some(("binary".into(), 1)));
+            assert_eq!(*d, descriptor());
+        }
         other => panic!("{other:?} before the descriptor"),
     }
     assert!(matches!(next(&mut client).await, Message::Heartbeat(_)));
@@ -45,7 +48,7 @@ async fn next_sequence(client: &mut Client) -> u64 {
 async fn send_to_readers(server: &Server, count: u64, readers: &mut [Client]) {
     for first in (0..count).step_by(64) {
         for sequence in first..(first + 64).min(count) {
-            server.frames.send(frame(sequence).encode()).await.unwrap();
+            server.frames.send(frame(sequence)).await.unwrap();
         }
         for reader in &mut *readers {
             for sequence in first..(first + 64).min(count) {
@@ -60,7 +63,7 @@ async fn stalled(address: SocketAddr) -> TcpStream {
     let socket = TcpSocket::new_v4().unwrap();
     socket.set_recv_buffer_size(16 * 1024).unwrap();
     let mut stream = socket.connect(address).await.unwrap();
-    stream.readable().await.unwrap();
+    stream.write_all(b"stream\n").await.unwrap();
     // Reads the first byte of the descriptor: from now on it is served.
     assert_eq!(stream.read_u8().await.unwrap(), b'T');
     stream
@@ -87,7 +90,7 @@ async fn read_on(mut stream: TcpStream, total: u64) -> (u64, Heartbeat) {
 #[tokio::test]
 async fn a_client_that_never_reads_costs_the_others_nothing() {
     const FRAMES: u64 = 20_000;
-    let server = start(Limits { clients: 8, queue: 256 }).await;
+    let server = start(Limits { clients: 8, queue: 256, ..Limits::default() }).await;
     let mut readers = [connect(server.address).await, connect(server.address).await];
     let stalled = stalled(server.address).await;
     send_to_readers(&server, FRAMES, &mut readers).await;
@@ -101,28 +104,34 @@ async fn a_client_that_never_reads_costs_the_others_nothing() {
 }
 
 #[tokio::test]
-async fn garbage_from_a_client_is_harmless() {
-    let server = start(Limits { clients: 8, queue: 256 }).await;
+async fn garbage_is_answered_and_then_sent_away_and_costs_the_others_nothing() {
+    let server = start(Limits { clients: 8, queue: 256, ..Limits::default() }).await;
     let mut readers = [connect(server.address).await];
     let mut rude = TcpStream::connect(server.address).await.unwrap();
-    rude.write_all(&b"GET / HTTP/1.1\r\n\r\n\0\xff".repeat(5000)).await.unwrap();
-    let (mut rude_read, mut rude_write) = rude.into_split();
-    rude_write.shutdown().await.unwrap();
-    let mut first = [0; 4];
-    rude_read.read_exact(&mut first).await.unwrap();
-    assert_eq!(&first, b"TFD1", "even the rude one is served, though it says no more");
+    rude.write_all(&b"\0GET / HTTP/1.1\r\n\xff\n".repeat(5000)).await.unwrap();
+    let mut all = Vec::new();
+    timeout(PATIENCE, rude.read_to_end(&mut all)).await.unwrap().unwrap();
+    let text = String::from_utf8(all).unwrap();
+    let lines: Vec<&str> = text.lines().collect();
+    assert_eq!(lines.len(), 100);
+    assert!(lines.iter().all(|line| line.starts_with("error: ") && line.is_ascii()), "{text}");
+    assert!(lines[99].contains("100 lines that are no commands"), "{}", lines[99]);
+
+    let mut endless = TcpStream::connect(server.address).await.unwrap();
+    endless.write_all(&[b'x'; 100_000]).await.unwrap();
+    let mut all = String::new();
+    timeout(PATIENCE, endless.read_to_string(&mut all)).await.unwrap().unwrap();
+    assert_eq!(all, "error: a line of more than 256 bytes\n");
     send_to_readers(&server, 1000, &mut readers).await;
-    drop((rude_read, rude_write));
-    send_to_readers(&server, 10, &mut readers).await;
     assert_eq!(readers[0].losses().missed_frames, 0);
 }
 
 #[tokio::test]
 async fn the_last_frames_and_a_heartbeat_arrive_before_the_end() {
-    let server = start(Limits { clients: 8, queue: 256 }).await;
+    let server = start(Limits { clients: 8, queue: 256, ..Limits::default() }).await;
     let mut client = connect(server.address).await;
     for sequence in 0..100 {
-        server.frames.send(frame(sequence).encode()).await.unwrap();
+        server.frames.send(frame(sequence)).await.unwrap();
     }
     server.shutdown.cancel();
     drop(server.frames);
@@ -136,12 +145,12 @@ async fn the_last_frames_and_a_heartbeat_arrive_before_the_end() {
         }
     }
     assert_eq!((frames, last.sent, last.dropped), (100, 100, 0));
-    server.task.await.unwrap().unwrap();
+    server.task.await.unwrap();
 }
 
 #[tokio::test]
 async fn one_client_too_many_is_told_why_and_a_place_that_is_free_again_is_given() {
-    let server = start(Limits { clients: 1, queue: 256 }).await;
+    let server = start(Limits { clients: 1, queue: 256, ..Limits::default() }).await;
     let first = connect(server.address).await;
     let endpoint = Endpoint::Tcp(server.address.to_string());
     let mut second = Client::connect(&endpoint).await.unwrap();
@@ -153,7 +162,7 @@ async fn one_client_too_many_is_told_why_and_a_place_that_is_free_again_is_given
     // The server notices when it next writes to the first one: feed it until it does.
     let admitted = async {
         loop {
-            let _ = server.frames.send(frame(0).encode()).await;
+            let _ = server.frames.send(frame(0)).await;
             let mut third = Client::connect(&endpoint).await.unwrap();
             if let Ok(Message::Descriptor(_)) = third.next().await {
                 return;
@@ -165,7 +174,8 @@ async fn one_client_too_many_is_told_why_and_a_place_that_is_free_again_is_given
 
 #[tokio::test]
 async fn a_client_that_takes_nothing_for_long_loses_its_place() {
-    let server = start(Limits { clients: 1, queue: 64 }).await;
+    let stall = Duration::from_secs(1);
+    let server = start(Limits { clients: 1, queue: 64, stall, ..Limits::default() }).await;
     let hung = stalled(server.address).await;
     let endpoint = Endpoint::Tcp(server.address.to_string());
     let mut refused = 0;
@@ -173,7 +183,7 @@ async fn a_client_that_takes_nothing_for_long_loses_its_place() {
         loop {
             // Enough to fill what the sockets hold.
             for sequence in 0..1000 {
-                server.frames.send(frame(sequence).encode()).await.unwrap();
+                server.frames.send(frame(sequence)).await.unwrap();
             }
             let mut other = Client::connect(&endpoint).await.unwrap();
             match other.next().await {

@@ -23,11 +23,11 @@ fn serve() -> SocketAddr {
     std::thread::spawn(move || {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         runtime.block_on(async {
-            let server = start(Limits { clients: 8, queue: 1024 }).await;
+            let server = start(Limits { clients: 8, queue: 1024, ..Limits::default() }).await;
             tell.send(server.address).unwrap();
             for sequence in 0.. {
                 let frame = if sequence % 10 == 9 { invalid(sequence) } else { frame(sequence) };
-                server.frames.send(frame.encode()).await.unwrap();
+                server.frames.send(frame).await.unwrap();
                 tokio::time::sleep(Duration::from_millis(2)).await;
             }
         });

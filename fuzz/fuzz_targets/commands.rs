@@ -1,0 +1,54 @@
+//! Whatever clients say: lines and datagrams are understood or answered shortly, what is understood comes
+//! back the same, and nobody is subscribed without the nonce.
+
+#![no_main]
+
+use std::net::SocketAddr;
+
+use libfuzzer_sys::fuzz_target;
+use trifacet::{
+    clock::Mono,
+    config::Network,
+    publishing::{
+        request::{Command, Lines},
+        subscription::{Ask, Subscriptions},
+    },
+};
+
+fuzz_target!(|bytes: &[u8]| {
+    let mut lines = Lines::default();
+    for part in bytes.chunks(100) {
+        lines.push(part);
+        while let Some(Ok(line)) = lines.next_line() {
+            understand(&line);
+        }
+    }
+    subscribe(bytes);
+});
+
+fn understand(line: &[u8]) {
+    match Command::parse(line) {
+        Ok(Command::Stream(request)) => {
+            let again = Command::parse(request.to_string().as_bytes());
+            assert_eq!(again, Ok(Command::Stream(request)));
+        }
+        Ok(_) => {}
+        Err(error) => {
+            let text = error.to_string();
+            assert!(text.is_ascii() && !text.contains(['\n', '\r']));
+        }
+    }
+}
+
+fn subscribe(bytes: &[u8]) {
+    if let Some(Ok(ask)) = Ask::parse(bytes) {
+        assert_eq!(Ask::parse(ask.to_string().as_bytes()), Some(Ok(ask)));
+    }
+    let client = SocketAddr::from(([127, 0, 0, 1], 1));
+    let mut subscriptions = Subscriptions::new(1, 1, Network::loopback());
+    for datagram in bytes.split(|byte| *byte == 0) {
+        let outcome = subscriptions.datagram(client, datagram, Mono(0));
+        assert!(!outcome.changed);
+        assert!(outcome.answer.is_none_or(|answer| answer.len() <= 2 * datagram.len()));
+    }
+}

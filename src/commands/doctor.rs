@@ -1,0 +1,161 @@
+//! `trifacet doctor`: why nothing arrives, or nothing valid, and what to do.
+
+mod frames;
+mod link;
+mod port;
+
+use std::{
+    fmt::Write as _,
+    io::{self, Write as _},
+    net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr},
+    time::Duration,
+};
+
+use anyhow::Result;
+use clap::Args;
+use tokio::time::{Instant, timeout, timeout_at};
+use trifacet::{
+    client::{Client, ClientError, Endpoint, Message, Options},
+    clock::{Clock, Mono, SystemClock, utc::Utc},
+    config::Config,
+    exit::{self, Failure},
+};
+
+use super::{ConfigArg, written};
+use frames::Seen;
+
+/// An answer that takes longer is none.
+const PATIENCE: Duration = Duration::from_secs(3);
+/// Frames are looked at for so long.
+const LOOK: Duration = Duration::from_secs(2);
+
+/// Says why nothing arrives, or nothing valid, and what to do
+#[derive(Debug, Args)]
+pub(crate) struct DoctorArgs {
+    /// Where the stream should come from, as for `watch`; where the configuration says, if absent
+    endpoint: Option<Endpoint>,
+    /// Hear a multicast group through this interface
+    #[arg(long)]
+    interface: Option<String>,
+    #[command(flatten)]
+    config: ConfigArg,
+}
+
+/// What was found.
+#[derive(Default)]
+pub(super) struct Report {
+    text: String,
+    /// The first thing that is wrong.
+    wrong: Option<String>,
+}
+
+impl Report {
+    fn line(&mut self, mark: &str, what: &str, advice: &str) {
+        // A String takes everything.
+        let _ = writeln!(self.text, "{mark:<6} {what}");
+        if !advice.is_empty() {
+            let _ = writeln!(self.text, "       -> {advice}");
+        }
+    }
+
+    /// Something is as it should be.
+    pub(super) fn good(&mut self, what: &str) {
+        self.line("ok", what, "");
+    }
+
+    /// Something that leaves the poses valid.
+    pub(super) fn note(&mut self, what: &str, advice: &str) {
+        self.line("note", what, advice);
+    }
+
+    /// Something for which there is no valid pose.
+    pub(super) fn wrong(&mut self, what: &str, advice: &str) {
+        self.line("WRONG", what, advice);
+        self.wrong.get_or_insert_with(|| what.to_owned());
+    }
+}
+
+/// Looks at everything in turn. Fails with [`exit::UNAVAILABLE`] if no valid frames arrive.
+pub(crate) fn doctor(args: &DoctorArgs) -> Result<()> {
+    let config = args.config.load()?;
+    let endpoint = match &args.endpoint {
+        Some(endpoint) => endpoint.clone(),
+        None => configured(&config)?,
+    };
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let mut report = Report::default();
+    runtime.block_on(look(&endpoint, args.interface.clone(), &config, &mut report));
+    written(io::stdout().write_all(report.text.as_bytes()))?;
+    match report.wrong {
+        None => Ok(()),
+        Some(wrong) => Err(Failure::new(exit::UNAVAILABLE, format!("{endpoint}: {wrong}")).into()),
+    }
+}
+
+/// The first way into the stream that a configuration has.
+fn configured(config: &Config) -> Result<Endpoint> {
+    let publishing = &config.publishing;
+    let local = |address: SocketAddr| {
+        let ip = match address.ip() {
+            ip if !ip.is_unspecified() => ip,
+            IpAddr::V4(_) => Ipv4Addr::LOCALHOST.into(),
+            IpAddr::V6(_) => Ipv6Addr::LOCALHOST.into(),
+        };
+        SocketAddr::new(ip, address.port()).to_string()
+    };
+    match (publishing.tcp, publishing.subscribe, publishing.udp.first()) {
+        (Some(tcp), _, _) => Ok(Endpoint::Tcp(local(tcp))),
+        (None, Some(subscribe), _) => Ok(Endpoint::Subscribe(local(subscribe))),
+        (None, None, Some(target)) => Ok(Endpoint::Udp(target.address.to_string())),
+        (None, None, None) => {
+            let why =
+                "the configuration publishes nothing: give [publishing] a tcp, a subscribe or a udp address";
+            Err(Failure::new(exit::UNAVAILABLE, why).into())
+        }
+    }
+}
+
+async fn look(endpoint: &Endpoint, interface: Option<String>, config: &Config, report: &mut Report) {
+    let options = Options { interface, ..Options::default() };
+    let mut client = match timeout(PATIENCE, Client::connect_with(endpoint, options)).await {
+        Ok(Ok(client)) => client,
+        Ok(Err(error)) => return link::not_open(endpoint, &error, config, report),
+        Err(_) => {
+            let timed_out = io::Error::from(io::ErrorKind::TimedOut);
+            let error = ClientError::Open { endpoint: endpoint.clone(), source: timed_out };
+            return link::not_open(endpoint, &error, config, report);
+        }
+    };
+    report.good(match endpoint {
+        Endpoint::Tcp(_) => "connected",
+        Endpoint::Udp(_) => "the port is open here",
+        Endpoint::Subscribe(_) => "subscribed",
+    });
+    let mut seen = Seen::default();
+    match collect(&mut client, &mut seen).await {
+        Ok(()) if seen.frames() > 0 => seen.tell(client.losses(), report),
+        Ok(()) => link::silent(endpoint, &seen, client.losses(), config, report).await,
+        Err(error) => link::broken(&error, report),
+    }
+}
+
+/// Takes what comes, from the first frame on for as long as it takes to judge.
+async fn collect(client: &mut Client, seen: &mut Seen) -> Result<(), ClientError> {
+    let mut utc = Utc::system();
+    let mut end = Instant::now() + PATIENCE;
+    while let Ok(message) = timeout_at(end, client.next()).await {
+        match message? {
+            Message::Pose(frame) => {
+                let now: Mono = SystemClock.now();
+                if seen.frames() == 0 {
+                    end = Instant::now() + LOOK;
+                }
+                seen.frame(&frame, utc.at(now, now).0);
+            }
+            Message::Descriptor(descriptor) => seen.descriptor = Some(descriptor),
+            Message::Heartbeat(heartbeat) => seen.heartbeat = Some(heartbeat),
+            Message::Answer(_) | Message::Refusal(_) => {}
+        }
+    }
+    Ok(())
+}

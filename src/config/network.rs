@@ -1,0 +1,95 @@
+//! Networks, for lists of who may.
+
+use std::{fmt, net::IpAddr, str::FromStr};
+
+use serde::{Deserialize, Deserializer, de::Error};
+
+/// The addresses that begin with the same bits: "10.1.0.0/16", "fd00::/8", or a single address.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Network {
+    address: IpAddr,
+    bits: u8,
+}
+
+const ALLOWED: &str = "a network such as \"192.168.1.0/24\" or \"fd00::/8\", or a single address";
+
+impl Network {
+    /// This machine itself.
+    pub fn loopback() -> Vec<Self> {
+        let v4 = Self { address: [127, 0, 0, 0].into(), bits: 8 };
+        let v6 = Self { address: std::net::Ipv6Addr::LOCALHOST.into(), bits: 128 };
+        vec![v4, v6]
+    }
+
+    /// Whether an address belongs to it. An IPv4 address that comes in IPv6 clothes is an IPv4 address.
+    pub fn contains(self, address: IpAddr) -> bool {
+        match (self.address, address.to_canonical()) {
+            (IpAddr::V4(own), IpAddr::V4(other)) => {
+                let differs = own.to_bits() ^ other.to_bits();
+                differs.checked_shr(u32::from(32 - self.bits)).unwrap_or(0) == 0
+            }
+            (IpAddr::V6(own), IpAddr::V6(other)) => {
+                let differs = own.to_bits() ^ other.to_bits();
+                differs.checked_shr(u32::from(128 - self.bits)).unwrap_or(0) == 0
+            }
+            _ => false,
+        }
+    }
+
+    /// Whether it has no addresses but this machine's own.
+    pub fn is_loopback(self) -> bool {
+        self.address.is_loopback() && self.bits >= if self.address.is_ipv4() { 8 } else { 128 }
+    }
+}
+
+impl FromStr for Network {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let bad = || format!("allowed is {ALLOWED}");
+        let (address, bits) = text.split_once('/').map_or((text, None), |(a, b)| (a, Some(b)));
+        let address: IpAddr = address.parse().map_err(|_| bad())?;
+        let most = if address.is_ipv4() { 32 } else { 128 };
+        let bits = bits.map_or(Ok(most), str::parse).map_err(|_| bad())?;
+        if bits > most { Err(bad()) } else { Ok(Self { address, bits }) }
+    }
+}
+
+impl fmt::Display for Network {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.address, self.bits)
+    }
+}
+
+impl<'de> Deserialize<'de> for Network {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        String::deserialize(from)?.parse().map_err(D::Error::custom)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn contains(network: &str, address: &str) -> bool {
+        network.parse::<Network>().unwrap().contains(address.parse().unwrap())
+    }
+
+    #[test]
+    fn networks_contain_what_begins_alike() {
+        assert!(contains("127.0.0.0/8", "127.255.0.1") && !contains("127.0.0.0/8", "128.0.0.1"));
+        assert!(contains("10.1.2.3", "10.1.2.3") && !contains("10.1.2.3/32", "10.1.2.2"));
+        assert!(contains("10.1.2.3/31", "10.1.2.2") && contains("0.0.0.0/0", "255.1.2.3"));
+        assert!(contains("fd00::/8", "fdff::1") && !contains("fd00::/8", "fe00::1"));
+        assert!(contains("::/0", "1::") && contains("::1", "::1") && !contains("::1", "::2"));
+        assert!(contains("127.0.0.0/8", "::ffff:127.0.0.1"), "a socket of both kinds says so");
+        assert!(!contains("0.0.0.0/0", "::1") && !contains("::/0", "127.0.0.1"));
+    }
+
+    #[test]
+    fn others_are_refused() {
+        for bad in ["", "10.0.0.0/33", "::/129", "10.0.0/8", "10.0.0.0/", "10.0.0.0/-1", "lab", "1.2.3.4:5"] {
+            assert!(bad.parse::<Network>().unwrap_err().contains("192.168.1.0/24"), "{bad}");
+        }
+    }
+}

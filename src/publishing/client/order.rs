@@ -1,0 +1,88 @@
+//! What went missing, by the sequence numbers.
+
+use crate::publishing::PoseFrame;
+
+/// What went missing on the way, counted by the client itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Losses {
+    /// Frames missing in the sequence.
+    pub missed_frames: u64,
+    /// Frames that came after a younger one, or twice (UDP only); they count as missed before that.
+    pub late_frames: u64,
+    /// Bytes that belonged to no undamaged message.
+    pub skipped_bytes: u64,
+}
+
+/// Watches the sequence numbers.
+#[derive(Debug, Default)]
+pub(super) struct Order {
+    /// Session and sequence of the youngest frame.
+    last: Option<(u32, u64)>,
+    /// By how much the sequence steps, if that is known.
+    pub(super) step: Option<u64>,
+    /// Where it is not: all sequences are multiples of the step, so it is their common divisor.
+    divisor: u64,
+    pub(super) losses: Losses,
+}
+
+impl Order {
+    pub(super) fn new(step: Option<u64>) -> Self {
+        Self { step, ..Self::default() }
+    }
+
+    pub(super) fn note(&mut self, frame: &PoseFrame) {
+        match self.last {
+            Some((session, last)) if session == frame.session => {
+                if frame.sequence <= last {
+                    self.losses.late_frames += 1;
+                    return;
+                }
+                self.divisor = common_divisor(self.divisor, frame.sequence);
+                let step = self.step.unwrap_or(self.divisor).max(1);
+                self.losses.missed_frames += ((frame.sequence - last) / step).saturating_sub(1);
+            }
+            // The first frame, or the first of a daemon that was restarted.
+            _ => self.divisor = frame.sequence,
+        }
+        self.last = Some((frame.session, frame.sequence));
+    }
+}
+
+fn common_divisor(a: u64, b: u64) -> u64 {
+    if b == 0 { a } else { common_divisor(b, a % b) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        clock::Mono,
+        publishing::stamp::{Stamp, tests::report},
+    };
+
+    fn losses(step: Option<u64>, frames: &[(u32, u64)]) -> Losses {
+        let mut order = Order::new(step);
+        for &(session, sequence) in frames {
+            let stamp = Stamp { session, config: 0, sequence, time_ns: 0, synced: true, sent: Mono(0) };
+            order.note(&PoseFrame::from_report(&report(), stamp));
+        }
+        order.losses
+    }
+
+    #[test]
+    fn gaps_are_counted_and_a_restart_is_none() {
+        let frames = [(1, 100), (1, 101), (1, 105), (1, 103), (1, 106), (2, 0), (2, 1), (2, 3)];
+        for step in [None, Some(1)] {
+            let expected = Losses { missed_frames: 4, late_frames: 1, skipped_bytes: 0 };
+            assert_eq!(losses(step, &frames), expected);
+        }
+    }
+
+    #[test]
+    fn a_divided_sequence_has_no_gaps_but_its_own() {
+        let frames = [(1, 700), (1, 710), (1, 720), (1, 750), (1, 760)];
+        for step in [None, Some(10)] {
+            assert_eq!(losses(step, &frames).missed_frames, 2, "{step:?}");
+        }
+    }
+}

@@ -1,0 +1,76 @@
+//! The pose frame in network byte order, for targets that ask for it: every field turned round, the
+//! magic bytes as they are, the CRC over the bytes as they are sent.
+
+use super::{
+    frame::{FrameBytes, FrameError, PoseFrame},
+    layout::{FIELDS, FRAME_SIZE},
+    message::CRC_SIZE,
+};
+
+/// Where the size stands, and how it reads in network order.
+const SIZE_AT: usize = 6;
+const SIZE: [u8; 2] = (FRAME_SIZE as u16).to_be_bytes();
+const CRC_AT: usize = FRAME_SIZE - CRC_SIZE;
+
+/// An encoded frame in network order.
+pub fn big_endian(little: &FrameBytes) -> FrameBytes {
+    let mut bytes = turned(little);
+    let crc = crc32fast::hash(&bytes[..CRC_AT]);
+    bytes[CRC_AT..].copy_from_slice(&crc.to_be_bytes());
+    bytes
+}
+
+impl PoseFrame {
+    /// The frame in these bytes, in either byte order: the size tells.
+    pub fn decode_either(bytes: &[u8]) -> Result<Self, FrameError> {
+        let Ok(big) = FrameBytes::try_from(bytes) else { return Self::decode(bytes) };
+        if big[SIZE_AT..SIZE_AT + 2] != SIZE {
+            return Self::decode(&big);
+        }
+        let mut little = turned(&big);
+        let expected = crc32fast::hash(&big[..CRC_AT]);
+        let received = u32::from_le_bytes(std::array::from_fn(|i| little[CRC_AT + i]));
+        if expected != received {
+            return Err(FrameError::Crc { expected, received });
+        }
+        let crc = crc32fast::hash(&little[..CRC_AT]);
+        little[CRC_AT..].copy_from_slice(&crc.to_le_bytes());
+        Self::decode(&little)
+    }
+}
+
+/// Every field in the other byte order.
+fn turned(bytes: &FrameBytes) -> FrameBytes {
+    let mut bytes = *bytes;
+    for field in &FIELDS {
+        let (start, width) = (usize::from(field.offset), field.width());
+        let end = start + width * usize::from(field.count);
+        bytes[start..end].chunks_exact_mut(width).for_each(<[u8]>::reverse);
+    }
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::publishing::stamp::tests::{report, stamp};
+
+    #[test]
+    fn network_order_reads_back_and_damage_is_seen() {
+        let frame = PoseFrame::from_report(&report(), stamp());
+        let little = frame.encode();
+        let big = big_endian(&little);
+        assert_eq!(&big[..8], b"TFP1\x01\x00\x00\xc0");
+        assert_eq!(f64::from_be_bytes(big[56..64].try_into().unwrap()), 1e-6);
+        assert_eq!(u64::from_be_bytes(big[16..24].try_into().unwrap()), 9);
+        assert_eq!(PoseFrame::decode_either(&big), Ok(frame));
+        assert_eq!(PoseFrame::decode_either(&little), Ok(frame));
+        assert_eq!(PoseFrame::decode(&big), Err(FrameError::Size(0xc000)));
+        for at in 0..FRAME_SIZE {
+            let mut damaged = big;
+            damaged[at] ^= 0x10;
+            assert!(PoseFrame::decode_either(&damaged).is_err(), "byte {at}");
+        }
+        assert_eq!(PoseFrame::decode_either(&big[1..]), PoseFrame::decode(&big[1..]));
+    }
+}

@@ -1,0 +1,57 @@
+//! The last valid pose, for those who asked to keep it (`POSE_HELD`).
+
+use super::PoseFrame;
+use crate::estimation::Status;
+
+/// Remembers the last valid pose of a stream.
+#[derive(Clone, Debug, Default)]
+pub struct Hold {
+    last: Option<PoseFrame>,
+}
+
+impl Hold {
+    /// Takes every frame of a stream in turn. If a frame has no valid pose: the same with the last
+    /// pose that was, marked as held. None if there is nothing to hold: the pose is valid, or none was
+    /// since the daemon's start or since its geometry last changed.
+    pub fn next(&mut self, frame: &PoseFrame) -> Option<PoseFrame> {
+        if frame.status.has(Status::POSE_VALID) {
+            self.last = Some(*frame);
+            return None;
+        }
+        let last = self.last.filter(|last| (last.session, last.config) == (frame.session, frame.config))?;
+        Some(PoseFrame {
+            status: frame.status | Status::POSE_HELD,
+            pose: last.pose,
+            deviations: [f32::INFINITY; 6],
+            ..*frame
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::publishing::stamp::tests::{report, stamp};
+
+    #[test]
+    fn the_last_valid_pose_stays_marked_and_only_as_long_as_it_means_something() {
+        let valid = PoseFrame::from_report(&report(), stamp());
+        let dark = PoseFrame {
+            sequence: 10,
+            time_ns: 11,
+            status: Status::PSD_A_LOW,
+            pose: [f64::NAN; 6],
+            deviations: [f32::NAN; 6],
+            ..valid
+        };
+        let mut hold = Hold::default();
+        assert_eq!(hold.next(&dark), None, "nothing to hold yet");
+        assert_eq!(hold.next(&valid), None);
+        let held = hold.next(&dark).unwrap();
+        assert_eq!(held.pose, valid.pose);
+        assert_eq!(held.deviations, [f32::INFINITY; 6]);
+        assert_eq!(held.status, Status::PSD_A_LOW | Status::POSE_HELD);
+        assert_eq!((held.sequence, held.time_ns), (10, 11));
+        assert_eq!(hold.next(&PoseFrame { config: 99, ..dark }), None, "of another geometry");
+    }
+}

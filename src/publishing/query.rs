@@ -1,0 +1,49 @@
+//! Answers in one line of ASCII, for controllers that cannot read binary: `key=value`, apart by a space.
+
+use std::fmt::Write as _;
+
+use super::{PoseFrame, columns::POSE, descriptor::Descriptor, form::Issue};
+use crate::estimation::Status;
+
+/// A pose older than this, and than three frames, is not given out as valid: the daemon itself is stuck.
+const STALE_S: f64 = 1.0;
+
+/// The newest pose: `pose?`.
+pub fn pose(issue: &Issue, frames_hz: f64) -> String {
+    let frame = issue.frame();
+    let valid = valid(issue, frames_hz);
+    let mut line = format!("valid={}", u8::from(valid));
+    for (name, x) in POSE.iter().zip(frame.pose) {
+        // Seventeen digits give the same number back.
+        let _ = if valid { write!(line, " {name}={x:.16e}") } else { write!(line, " {name}=nan") };
+    }
+    line + &state(frame, issue.age_s())
+}
+
+/// The newest state: `status?`.
+pub fn status(issue: &Issue, frames_hz: f64) -> String {
+    let frame = issue.frame();
+    let names: Vec<_> = frame.status.names().collect();
+    let names = if names.is_empty() { "none".into() } else { names.join(",") };
+    format!(
+        "valid={}{} bits={names} session=0x{:08x} config=0x{:08x} rate_hz={frames_hz}",
+        u8::from(valid(issue, frames_hz)),
+        state(frame, issue.age_s()),
+        frame.session,
+        frame.config
+    )
+}
+
+/// What the daemon says of itself: `descriptor?`.
+pub fn descriptor(descriptor: &Descriptor) -> serde_json::Result<Vec<u8>> {
+    Ok(format!("{{\"descriptor\":{}}}\n", serde_json::to_string(descriptor)?).into_bytes())
+}
+
+fn valid(issue: &Issue, frames_hz: f64) -> bool {
+    issue.frame().status.has(Status::POSE_VALID) && issue.age_s() <= STALE_S.max(3.0 / frames_hz)
+}
+
+fn state(frame: &PoseFrame, age_s: f64) -> String {
+    let PoseFrame { lock, status, sequence, .. } = frame;
+    format!(" lock={} status=0x{:08x} age_s={age_s:.6} sequence={sequence}", lock.name(), status.0)
+}

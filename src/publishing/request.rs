@@ -1,0 +1,373 @@
+//! What a client can say, one ASCII line each. Pure: text in, commands out; and back, for clients.
+
+use std::{collections::BTreeSet, fmt};
+
+use super::columns;
+
+/// The most bytes of a line, without its end.
+pub const MAX_LINE: usize = 256;
+/// The largest divider: one frame in so many.
+pub const MAX_DIVIDER: u32 = 1_000_000;
+
+const COMMANDS: &str = "stream, pose?, status?, descriptor?, help, bye";
+const OPTIONS: &str = "format=, divider=, rate_hz=, fields=, held=";
+const HELP: &str = "stream [format=binary|json|csv] [divider=N | rate_hz=F] [fields=A,B,...] [held=on|off]; \
+    pose?; status?; descriptor?; help; bye";
+
+/// A line that was understood.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Command {
+    /// Send frames, from now on in this form.
+    Stream(Request),
+    /// Say the newest pose in one line.
+    Pose,
+    /// Say the newest state in one line.
+    Status,
+    /// Say what the daemon is, in one line of JSON.
+    Descriptor,
+    /// Say what can be said.
+    Help,
+    /// Close the connection.
+    Bye,
+}
+
+/// The frames that a client wants.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Request {
+    /// How they are written.
+    pub format: Format,
+    /// How many of them.
+    pub pace: Pace,
+    /// The columns of text, in this order; none: all of them.
+    pub fields: Option<Vec<&'static str>>,
+    /// Whether the last valid pose stays (`POSE_HELD`) instead of NaN.
+    pub held: bool,
+}
+
+/// How frames are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Format {
+    /// Messages with header and CRC.
+    #[default]
+    Binary,
+    /// A JSON object a line.
+    Json,
+    /// Comma-separated values.
+    Csv,
+}
+
+impl Format {
+    /// As in a request.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Binary => "binary",
+            Self::Json => "json",
+            Self::Csv => "csv",
+        }
+    }
+}
+
+/// How many of the frames.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Pace {
+    /// Those whose sequence this divides.
+    Divider(u32),
+    /// About so many a second: the divider that comes nearest.
+    RateHz(f64),
+}
+
+impl Default for Pace {
+    fn default() -> Self {
+        Self::Divider(1)
+    }
+}
+
+impl Pace {
+    /// The divider of a stream of so many frames a second.
+    pub fn divider(self, frames_hz: f64) -> u32 {
+        match self {
+            Self::Divider(divider) => divider,
+            Self::RateHz(wanted) => {
+                let least = (frames_hz / wanted).floor().clamp(1.0, f64::from(MAX_DIVIDER - 1));
+                let misses = |divider: f64| (frames_hz / divider - wanted).abs();
+                let nearest = if misses(least + 1.0) < misses(least) { least + 1.0 } else { least };
+                nearest as u32
+            }
+        }
+    }
+}
+
+/// Why a line is none of the commands.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("error: {found}; allowed: {allowed}")]
+pub struct CommandError {
+    found: String,
+    allowed: String,
+}
+
+fn wrong<T>(found: impl Into<String>, allowed: impl Into<String>) -> Result<T, CommandError> {
+    Err(CommandError { found: found.into(), allowed: allowed.into() })
+}
+
+/// What someone wrote, fit to be written back: ASCII, and not too much of it.
+fn quoted(text: &[u8]) -> String {
+    let some = &text[..text.len().min(40)];
+    let more = if some.len() < text.len() { "..." } else { "" };
+    format!("\"{}{more}\"", some.escape_ascii())
+}
+
+impl Command {
+    /// The command of a line without its end.
+    pub fn parse(line: &[u8]) -> Result<Self, CommandError> {
+        let Ok(text) = std::str::from_utf8(line) else {
+            return wrong(format!("{} is no ASCII", quoted(line)), COMMANDS);
+        };
+        let mut words = text.split_ascii_whitespace();
+        let name = words.next().unwrap_or_default().to_ascii_lowercase();
+        let command = match name.as_str() {
+            "stream" => return Request::parse(words).map(Self::Stream),
+            "pose?" => Self::Pose,
+            "status?" => Self::Status,
+            "descriptor?" => Self::Descriptor,
+            "help" => Self::Help,
+            "bye" => Self::Bye,
+            _ => return wrong(format!("{} is no command", quoted(line)), COMMANDS),
+        };
+        match words.next() {
+            None => Ok(command),
+            Some(word) => wrong(format!("{} after {name}", quoted(word.as_bytes())), "nothing"),
+        }
+    }
+
+    /// What can be said, in one line.
+    pub fn help() -> &'static str {
+        HELP
+    }
+}
+
+impl Request {
+    fn parse<'a>(options: impl Iterator<Item = &'a str>) -> Result<Self, CommandError> {
+        let mut request = Self::default();
+        let mut seen = BTreeSet::new();
+        for option in options {
+            let told = quoted(option.as_bytes());
+            let Some((key, value)) = option.split_once('=') else {
+                return wrong(format!("{told} is no option of stream"), OPTIONS);
+            };
+            match key {
+                "format" => request.format = format(&told, value)?,
+                "divider" => request.pace = Pace::Divider(divider(&told, value)?),
+                "rate_hz" => request.pace = Pace::RateHz(rate(&told, value)?),
+                "fields" => request.fields = Some(fields(value)?),
+                "held" => request.held = on_or_off(&told, value)?,
+                _ => return wrong(format!("{told} is no option of stream"), OPTIONS),
+            }
+            if !seen.insert(key) {
+                return wrong(format!("{key} is given twice"), "each option once");
+            }
+        }
+        if seen.contains("divider") && seen.contains("rate_hz") {
+            return wrong("both divider and rate_hz", "one of them");
+        }
+        if request.format == Format::Binary && request.fields.is_some() {
+            return wrong("fields with format=binary", "fields with format=json or format=csv");
+        }
+        Ok(request)
+    }
+}
+
+fn format(told: &str, value: &str) -> Result<Format, CommandError> {
+    let formats = [Format::Binary, Format::Json, Format::Csv];
+    match formats.into_iter().find(|f| f.name() == value) {
+        Some(format) => Ok(format),
+        None => wrong(told, "format=binary, format=json, format=csv"),
+    }
+}
+
+pub(super) fn divider(told: &str, value: &str) -> Result<u32, CommandError> {
+    match value.parse() {
+        Ok(divider @ 1..=MAX_DIVIDER) => Ok(divider),
+        _ => wrong(told, format!("a divider from 1 to {MAX_DIVIDER}")),
+    }
+}
+
+fn rate(told: &str, value: &str) -> Result<f64, CommandError> {
+    match value.parse() {
+        Ok(rate) if (1e-3..=1e6).contains(&rate) => Ok(rate),
+        _ => wrong(told, "a rate_hz from 0.001 to 1000000"),
+    }
+}
+
+pub(super) fn on_or_off(told: &str, value: &str) -> Result<bool, CommandError> {
+    match value {
+        "on" => Ok(true),
+        "off" => Ok(false),
+        _ => wrong(told, "on, off"),
+    }
+}
+
+fn fields(value: &str) -> Result<Vec<&'static str>, CommandError> {
+    let mut names = Vec::new();
+    for name in value.split(',') {
+        match columns::NAMES.into_iter().find(|known| *known == name) {
+            Some(known) if names.contains(&known) => {
+                return wrong(format!("{known} twice"), "each field once");
+            }
+            Some(known) => names.push(known),
+            None => {
+                return wrong(format!("{} is no field", quoted(name.as_bytes())), columns::NAMES.join(", "));
+            }
+        }
+    }
+    Ok(names)
+}
+
+/// As a client says it, without the end of the line.
+impl fmt::Display for Request {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "stream format={}", self.format.name())?;
+        match self.pace {
+            Pace::Divider(divider) => write!(f, " divider={divider}")?,
+            Pace::RateHz(rate) => write!(f, " rate_hz={rate}")?,
+        }
+        if let Some(fields) = &self.fields {
+            write!(f, " fields={}", fields.join(","))?;
+        }
+        if self.held { f.write_str(" held=on") } else { Ok(()) }
+    }
+}
+
+/// A line is longer than [`MAX_LINE`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TooLong;
+
+/// Cuts what comes into lines that end with LF or CR LF.
+#[derive(Debug, Default)]
+pub struct Lines {
+    bytes: Vec<u8>,
+}
+
+impl Lines {
+    /// Takes the next bytes.
+    pub fn push(&mut self, bytes: &[u8]) {
+        self.bytes.extend_from_slice(bytes);
+    }
+
+    /// The next line without its end; none before more bytes come.
+    pub fn next_line(&mut self) -> Option<Result<Vec<u8>, TooLong>> {
+        match self.bytes.iter().position(|b| *b == b'\n') {
+            Some(end) => {
+                let mut line: Vec<u8> = self.bytes.drain(..=end).collect();
+                line.pop();
+                line.pop_if(|last| *last == b'\r');
+                Some(if line.len() > MAX_LINE { Err(TooLong) } else { Ok(line) })
+            }
+            None if self.bytes.len() > MAX_LINE + 1 => Some(Err(TooLong)),
+            None => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn parse(line: &str) -> Result<Command, String> {
+        Command::parse(line.as_bytes()).map_err(|e| e.to_string())
+    }
+
+    fn request(line: &str) -> Request {
+        match parse(line) {
+            Ok(Command::Stream(request)) => request,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn commands_are_understood_whatever_their_case() {
+        assert_eq!(parse("pose?"), Ok(Command::Pose));
+        assert_eq!(parse("  BYE "), Ok(Command::Bye));
+        assert_eq!(parse("Stream"), Ok(Command::Stream(Request::default())));
+        let all = request("stream format=csv rate_hz=12.5 fields=sequence,tx_m held=on");
+        assert_eq!(all.format, Format::Csv);
+        assert_eq!(all.pace, Pace::RateHz(12.5));
+        assert_eq!(all.fields, Some(vec!["sequence", "tx_m"]));
+        assert!(all.held);
+    }
+
+    #[test]
+    fn errors_say_what_is_allowed() {
+        for (line, found, allowed) in [
+            ("pose", "\"pose\" is no command", "pose?"),
+            ("pose? now", "\"now\" after pose?", "nothing"),
+            ("stream fast", "\"fast\" is no option", "divider="),
+            ("stream format=xml", "format=xml", "format=json"),
+            ("stream divider=0", "divider=0", "1 to 1000000"),
+            ("stream divider=1000001", "divider=1000001", "1 to 1000000"),
+            ("stream rate_hz=nan", "rate_hz=nan", "0.001"),
+            ("stream rate_hz=-1", "rate_hz=-1", "0.001"),
+            ("stream rate_hz=5 divider=5", "both", "one of them"),
+            ("stream divider=1 divider=2", "twice", "once"),
+            ("stream fields=tx_m", "format=binary", "format=json"),
+            ("stream format=json fields=tx", "\"tx\" is no field", "tx_m, ty_m"),
+            ("stream format=json fields=tx_m,tx_m", "tx_m twice", "once"),
+            ("stream held=yes", "held=yes", "on, off"),
+            ("GET / HTTP/1.1", "GET", "stream"),
+            ("\u{7}\u{e9}", "\\x07\\xc3\\xa9", "stream"),
+        ] {
+            let error = parse(line).unwrap_err();
+            assert!(error.starts_with("error: ") && error.is_ascii(), "{error}");
+            assert!(error.contains(found) && error.contains(allowed), "{line}: {error}");
+        }
+    }
+
+    #[test]
+    fn the_nearest_divider_is_taken() {
+        for (rate, divider) in [(1000.0, 1), (5000.0, 1), (100.0, 10), (300.0, 3), (400.0, 3), (0.5, 2000)] {
+            assert_eq!(Pace::RateHz(rate).divider(1000.0), divider, "{rate}");
+        }
+        assert_eq!(Pace::RateHz(1e-3).divider(1e5), MAX_DIVIDER);
+    }
+
+    #[test]
+    fn lines_end_with_or_without_cr_and_are_not_endless() {
+        let mut lines = Lines::default();
+        lines.push(b"pose?\r\nsta");
+        assert_eq!(lines.next_line(), Some(Ok(b"pose?".to_vec())));
+        assert_eq!(lines.next_line(), None);
+        lines.push(b"tus?\n\n");
+        assert_eq!(lines.next_line(), Some(Ok(b"status?".to_vec())));
+        assert_eq!(lines.next_line(), Some(Ok(Vec::new())));
+        lines.push(&[b'x'; MAX_LINE]);
+        lines.push(b"\r");
+        assert_eq!(lines.next_line(), None, "the end may follow");
+        lines.push(b"\n");
+        assert_eq!(lines.next_line(), Some(Ok(vec![b'x'; MAX_LINE])));
+        lines.push(&[b'x'; MAX_LINE + 2]);
+        assert_eq!(lines.next_line(), Some(Err(TooLong)));
+    }
+
+    proptest! {
+        #[test]
+        fn any_line_gets_one_line_back(line in prop::collection::vec(any::<u8>(), 0..=MAX_LINE)) {
+            if let Err(error) = Command::parse(&line) {
+                let text = error.to_string();
+                prop_assert!(text.is_ascii() && !text.contains(['\n', '\r']), "{}", text);
+            }
+        }
+
+        #[test]
+        fn what_a_client_asks_is_what_is_understood(
+            format in prop::sample::select(vec![Format::Binary, Format::Json, Format::Csv]),
+            pace in prop_oneof![(1..=MAX_DIVIDER).prop_map(Pace::Divider), (1e-3..1e6).prop_map(Pace::RateHz)],
+            held: bool,
+            fields in prop::option::of(prop::sample::subsequence(columns::NAMES.to_vec(), 1..8)),
+        ) {
+            let fields = fields.filter(|_| format != Format::Binary);
+            let request = Request { format, pace, fields, held };
+            prop_assert_eq!(Command::parse(request.to_string().as_bytes()), Ok(Command::Stream(request)));
+        }
+    }
+}

@@ -1,0 +1,97 @@
+//! The task behind [`Subscriptions`]: the socket that takes requests, on the main thread. The fast side
+//! sends frames from the same socket.
+
+use std::{io, net::SocketAddr, net::UdpSocket, sync::Arc, time::Duration};
+
+use tokio::{sync::watch, time::sleep};
+use tokio_util::sync::CancellationToken;
+
+use super::{
+    subscription::Subscriptions,
+    target::{Subscriber, Subscribers},
+};
+use crate::{
+    clock::Clock,
+    exit::{self, Failure},
+    monitor::Counters,
+};
+
+/// Longer requests are none.
+const LONGEST: usize = 512;
+
+/// The open port, still without anyone.
+#[derive(Debug)]
+pub struct Desk {
+    socket: UdpSocket,
+    list: watch::Sender<Arc<[Subscriber]>>,
+}
+
+/// Opens the port and logs the address; gives the fast side's end of it too. Fails with
+/// [`exit::IN_USE`] if someone else has the port.
+pub fn open(address: SocketAddr) -> Result<(Desk, Subscribers), Failure> {
+    let open = || {
+        let socket = UdpSocket::bind(address)?;
+        socket.set_nonblocking(true)?;
+        let sending = socket.try_clone()?;
+        io::Result::Ok((socket, sending))
+    };
+    let (socket, sending) = open().map_err(|e| {
+        let (code, why) = match e.kind() {
+            io::ErrorKind::AddrInUse => (exit::IN_USE, "another process has the port".to_owned()),
+            _ => (exit::IO, e.to_string()),
+        };
+        Failure::new(code, format!("cannot open {address} for UDP subscriptions: {why}"))
+    })?;
+    let address = socket.local_addr().unwrap_or(address);
+    tracing::info!(%address, "UDP subscriptions are taken");
+    let (list, newest) = watch::channel([].into());
+    Ok((Desk { socket, list }, Subscribers::new(sending, newest)))
+}
+
+impl Desk {
+    /// Takes requests until `stop`. Fails if the runtime does not take the socket.
+    pub async fn run(
+        self,
+        mut subscriptions: Subscriptions,
+        clock: impl Clock,
+        counters: &Counters,
+        stop: CancellationToken,
+    ) -> io::Result<()> {
+        let socket = tokio::net::UdpSocket::from_std(self.socket)?;
+        let mut bytes = [0; LONGEST];
+        loop {
+            let wait = subscriptions.next_end().map(|end| (end - clock.now()).max(0) as u64);
+            let changed = tokio::select! {
+                biased;
+                () = stop.cancelled() => return Ok(()),
+                () = sleep(Duration::from_nanos(wait.unwrap_or_default())), if wait.is_some() => {
+                    subscriptions.expire(clock.now())
+                }
+                came = socket.recv_from(&mut bytes) => match came {
+                    Ok((n, from)) => {
+                        let outcome = subscriptions.datagram(from, &bytes[..n], clock.now());
+                        if outcome.refused {
+                            counters.udp_refused.one();
+                        }
+                        if let Some(answer) = outcome.answer {
+                            // One that gets lost is asked for again.
+                            let _ = socket.try_send_to(answer.as_bytes(), from);
+                        }
+                        outcome.changed
+                    }
+                    Err(e) => {
+                        tracing::warn!("cannot take a UDP subscription: {e}");
+                        sleep(Duration::from_millis(100)).await;
+                        false
+                    }
+                },
+            };
+            if changed {
+                let now = subscriptions.subscribers();
+                let clients: Vec<_> = now.iter().map(|s| s.address.to_string()).collect();
+                tracing::info!(clients = clients.join(" "), "UDP subscriptions");
+                self.list.send_replace(now);
+            }
+        }
+    }
+}

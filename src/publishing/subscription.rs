@@ -1,0 +1,347 @@
+//! Leased subscriptions to datagrams. Pure: datagrams and the time in, answers and the list out.
+//!
+//! A datagram's source can be forged. So nothing is sent to it, and nothing kept of it, before it has
+//! shown that it hears: it must repeat a nonce, which is a keyed hash of its address. Until then an answer
+//! is at most twice as long as the request, so that nobody gains by sending it somewhere else.
+
+use std::{
+    fmt,
+    hash::{BuildHasher, RandomState},
+    net::SocketAddr,
+    sync::Arc,
+};
+
+use super::{
+    request::{CommandError, divider, on_or_off},
+    target::{Delivery, Subscriber},
+};
+use crate::{
+    clock::{Mono, NS_PER_S},
+    config::Network,
+};
+
+/// The longest lease, in seconds.
+pub const MAX_LEASE_S: u32 = 60;
+/// A nonce is good for between one and two of these.
+const NONCE_S: i64 = 60;
+
+/// What someone asks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ask {
+    /// Send me frames.
+    Subscribe {
+        /// For so long, unless it is said again.
+        lease_s: u32,
+        /// These frames, so.
+        delivery: Delivery,
+        /// What the daemon challenged with.
+        nonce: Option<u64>,
+    },
+    /// Stop that.
+    Unsubscribe {
+        /// The nonce of the subscription.
+        nonce: u64,
+    },
+}
+
+impl Ask {
+    /// What a datagram asks. None: it is nothing of ours, and gets no answer.
+    pub fn parse(bytes: &[u8]) -> Option<Result<Self, String>> {
+        let text = std::str::from_utf8(bytes).ok()?;
+        let mut words = text.split_ascii_whitespace();
+        match words.next()? {
+            "subscribe" => Some(subscribe(words)),
+            "unsubscribe" => Some(match words.next().and_then(|w| w.strip_prefix("nonce=")).map(nonce) {
+                Some(nonce) => nonce.map(|nonce| Self::Unsubscribe { nonce }),
+                None => Err("allowed: unsubscribe nonce=HEX".into()),
+            }),
+            _ => None,
+        }
+    }
+}
+
+fn subscribe<'a>(options: impl Iterator<Item = &'a str>) -> Result<Ask, String> {
+    let (mut lease_s, mut nonce_said) = (None, None);
+    let mut delivery = Delivery { divider: 1, big_endian: false, held: false };
+    let said = |e: CommandError| e.to_string().trim_start_matches("error: ").to_owned();
+    for option in options {
+        match option.split_once('=').unwrap_or((option, "")) {
+            ("lease_s", value) => lease_s = value.parse().ok().filter(|s| (1..=MAX_LEASE_S).contains(s)),
+            ("divider", value) => delivery.divider = divider("divider", value).map_err(said)?,
+            ("held", value) => delivery.held = on_or_off("held", value).map_err(said)?,
+            ("big_endian", value) => delivery.big_endian = on_or_off("big_endian", value).map_err(said)?,
+            ("nonce", value) => nonce_said = Some(nonce(value)?),
+            _ => return Err("allowed: lease_s= divider= held= big_endian= nonce=".into()),
+        }
+    }
+    match lease_s {
+        Some(lease_s) => Ok(Ask::Subscribe { lease_s, delivery, nonce: nonce_said }),
+        None => Err(format!("allowed: lease_s=1 to {MAX_LEASE_S}")),
+    }
+}
+
+fn nonce(text: &str) -> Result<u64, String> {
+    u64::from_str_radix(text, 16).map_err(|_| "allowed: nonce=HEX".into())
+}
+
+/// As a client says it.
+impl fmt::Display for Ask {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Subscribe { lease_s, delivery: Delivery { divider, big_endian, held }, nonce } => {
+                write!(f, "subscribe lease_s={lease_s} divider={divider}")?;
+                for (name, on) in [("big_endian", big_endian), ("held", held)] {
+                    if *on {
+                        write!(f, " {name}=on")?;
+                    }
+                }
+                nonce.map_or(Ok(()), |nonce| write!(f, " nonce={nonce:016x}"))
+            }
+            Self::Unsubscribe { nonce } => write!(f, "unsubscribe nonce={nonce:016x}"),
+        }
+    }
+}
+
+/// What comes of a datagram.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[must_use]
+pub struct Outcome {
+    /// To be sent back.
+    pub answer: Option<String>,
+    /// The list of subscribers is another one.
+    pub changed: bool,
+    /// Something was asked that is not granted.
+    pub refused: bool,
+}
+
+/// Who is subscribed, and until when.
+#[derive(Debug)]
+pub struct Subscriptions {
+    /// Random at the daemon's start.
+    key: RandomState,
+    session: u32,
+    most: usize,
+    allow: Vec<Network>,
+    leases: Vec<Lease>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Lease {
+    to: Subscriber,
+    nonce: u64,
+    ends: Mono,
+}
+
+impl Subscriptions {
+    /// Nobody yet, of at most `most`, who must be of these networks.
+    pub fn new(session: u32, most: usize, allow: Vec<Network>) -> Self {
+        Self { key: RandomState::new(), session, most, allow, leases: Vec::new() }
+    }
+
+    /// Everyone who is subscribed.
+    pub fn subscribers(&self) -> Arc<[Subscriber]> {
+        self.leases.iter().map(|lease| lease.to).collect()
+    }
+
+    /// When the next lease ends.
+    pub fn next_end(&self) -> Option<Mono> {
+        self.leases.iter().map(|lease| lease.ends).min()
+    }
+
+    /// Ends the leases that are over; says whether there was one.
+    pub fn expire(&mut self, now: Mono) -> bool {
+        let before = self.leases.len();
+        self.leases.retain(|lease| lease.ends > now);
+        self.leases.len() < before
+    }
+
+    /// Takes a datagram.
+    pub fn datagram(&mut self, from: SocketAddr, bytes: &[u8], now: Mono) -> Outcome {
+        let Some(ask) = Ask::parse(bytes) else { return Outcome { refused: true, ..Outcome::default() } };
+        let allowed = self.allow.iter().any(|network| network.contains(from.ip()));
+        let mut outcome = match ask {
+            _ if !allowed => refusal("you are not in [publishing] allow"),
+            Err(why) => refusal(&why),
+            Ok(ask) => {
+                let (Ask::Subscribe { nonce: Some(said), .. } | Ask::Unsubscribe { nonce: said }) = ask
+                else {
+                    return self.challenge(from, bytes, now);
+                };
+                if !self.genuine(from, said, now) {
+                    return self.challenge(from, bytes, now);
+                }
+                return self.grant(from, ask, said, now);
+            }
+        };
+        // Not shown to hear: no more than twice of what came.
+        if let Some(answer) = &mut outcome.answer {
+            answer.truncate(2 * bytes.len());
+        }
+        outcome
+    }
+
+    /// Asks to say it again with the nonce; or nothing, if that were too long an answer.
+    fn challenge(&self, from: SocketAddr, bytes: &[u8], now: Mono) -> Outcome {
+        let answer = format!("challenge nonce={:016x}", self.nonce(from, now));
+        Outcome { answer: (answer.len() <= 2 * bytes.len()).then_some(answer), ..Outcome::default() }
+    }
+
+    fn grant(&mut self, from: SocketAddr, ask: Ask, nonce: u64, now: Mono) -> Outcome {
+        let own = self.leases.iter().position(|lease| lease.to.address == from);
+        let Ask::Subscribe { lease_s, delivery, .. } = ask else {
+            own.map(|own| self.leases.swap_remove(own));
+            return granted("ok unsubscribed".into(), own.is_some());
+        };
+        let ends = now + i64::from(lease_s) * NS_PER_S;
+        let lease = Lease { to: Subscriber { address: from, delivery }, nonce, ends };
+        let changed = match own {
+            Some(own) => std::mem::replace(&mut self.leases[own], lease).to != lease.to,
+            None if self.leases.len() >= self.most => {
+                return refusal(&format!("the daemon has {} subscribers already, all it may", self.most));
+            }
+            None => {
+                self.leases.push(lease);
+                true
+            }
+        };
+        let Delivery { divider, .. } = delivery;
+        granted(format!("ok lease_s={lease_s} divider={divider} session={:08x}", self.session), changed)
+    }
+
+    /// Whether this nonce was told to this address not long ago, or is the one of its subscription.
+    fn genuine(&self, from: SocketAddr, said: u64, now: Mono) -> bool {
+        let earlier = now + -NONCE_S * NS_PER_S;
+        let of_lease = || self.leases.iter().any(|l| l.to.address == from && l.nonce == said);
+        said == self.nonce(from, now) || said == self.nonce(from, earlier) || of_lease()
+    }
+
+    /// SipHash with a random key: who does not hear it cannot guess it.
+    fn nonce(&self, of: SocketAddr, now: Mono) -> u64 {
+        self.key.hash_one((of, now.0.div_euclid(NONCE_S * NS_PER_S)))
+    }
+}
+
+fn granted(answer: String, changed: bool) -> Outcome {
+    Outcome { answer: Some(answer), changed, refused: false }
+}
+
+fn refusal(why: &str) -> Outcome {
+    Outcome { answer: Some(format!("error: {why}")), changed: false, refused: true }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const S: i64 = NS_PER_S;
+
+    fn some() -> Subscriptions {
+        Subscriptions::new(0xab, 2, Network::loopback())
+    }
+
+    fn client(port: u16) -> SocketAddr {
+        ([127, 0, 0, 1], port).into()
+    }
+
+    /// Asks, and asks again with the nonce.
+    fn subscribe(all: &mut Subscriptions, from: SocketAddr, ask: &str, now: Mono) -> (String, Outcome) {
+        let challenge = all.datagram(from, ask.as_bytes(), now).answer.unwrap();
+        let nonce = challenge.strip_prefix("challenge ").unwrap().to_owned();
+        let outcome = all.datagram(from, format!("{ask} {nonce}\n").as_bytes(), now);
+        (nonce, outcome)
+    }
+
+    #[test]
+    fn a_subscription_is_granted_to_who_hears_renewed_and_ends_by_itself() {
+        let mut all = some();
+        let ask = "subscribe lease_s=10 divider=4 held=on";
+        let (nonce, outcome) = subscribe(&mut all, client(1), ask, Mono(0));
+        assert_eq!(outcome, granted("ok lease_s=10 divider=4 session=000000ab".into(), true));
+        let delivery = Delivery { divider: 4, big_endian: false, held: true };
+        assert_eq!(&*all.subscribers(), [Subscriber { address: client(1), delivery }]);
+        assert_eq!(all.next_end(), Some(Mono(10 * S)));
+        // For as long as it is renewed, however old its nonce.
+        for t in (9..900).step_by(9) {
+            assert!(!all.expire(Mono(t * S)));
+            let renewed = all.datagram(client(1), format!("{ask} {nonce}").as_bytes(), Mono(t * S));
+            assert!(renewed.answer.unwrap().starts_with("ok ") && !renewed.changed);
+        }
+        assert!(all.expire(Mono(1000 * S)) && all.subscribers().is_empty());
+        let late = all.datagram(client(1), format!("{ask} {nonce}").as_bytes(), Mono(1000 * S));
+        assert!(late.answer.unwrap().starts_with("challenge ") && !late.changed);
+    }
+
+    #[test]
+    fn a_nonce_of_another_address_or_a_guess_is_challenged() {
+        let mut all = some();
+        let (nonce, _) = subscribe(&mut all, client(1), "subscribe lease_s=10", Mono(0));
+        for (from, nonce) in [(client(2), nonce.as_str()), (client(1), "nonce=0"), (client(2), "nonce=ff")] {
+            let ask = format!("subscribe lease_s=60 divider=9 {nonce}");
+            let outcome = all.datagram(from, ask.as_bytes(), Mono(0));
+            assert!(outcome.answer.unwrap().starts_with("challenge "));
+            let stop = all.datagram(client(2), format!("unsubscribe {nonce}").as_bytes(), Mono(0));
+            assert!(!outcome.changed && !stop.changed);
+        }
+        assert_eq!(all.subscribers()[0].delivery.divider, 1);
+        let stop = all.datagram(client(1), format!("unsubscribe {nonce}").as_bytes(), Mono(0));
+        assert_eq!(stop, granted("ok unsubscribed".into(), true));
+    }
+
+    #[test]
+    fn there_are_so_many_places_and_only_for_allowed_networks() {
+        let mut all = some();
+        for port in [1, 2] {
+            assert!(subscribe(&mut all, client(port), "subscribe lease_s=1", Mono(0)).1.changed);
+        }
+        let (_, third) = subscribe(&mut all, client(3), "subscribe lease_s=1", Mono(0));
+        assert!(third.refused && third.answer.unwrap().contains("2 subscribers"));
+        let stranger = SocketAddr::from(([10, 0, 0, 1], 1));
+        let outcome = all.datagram(stranger, b"subscribe lease_s=10", Mono(0));
+        assert!(outcome.refused && outcome.answer.unwrap().contains("[publishing] allow"));
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_shortly_and_what_is_not_ours_gets_no_answer() {
+        let mut all = some();
+        for (ask, told) in [
+            ("subscribe lease_s=0 divider=1", "lease_s=1 to 60"),
+            ("subscribe lease_s=61", "lease_s=1 to 60"),
+            ("subscribe lease_s=5 divider=0 held=on", "a divider from 1"),
+            ("subscribe lease_s=5 nonce=xyz", "nonce=HEX"),
+            ("subscribe lease_s=5 rate_hz=5 held=on", "lease_s= divider="),
+            ("unsubscribe me please", "unsubscribe nonce=HEX"),
+        ] {
+            let answer = all.datagram(client(1), ask.as_bytes(), Mono(0)).answer.unwrap();
+            assert!(answer.starts_with("error: ") && answer.contains(told), "{ask}: {answer}");
+        }
+        for other in ["error: x", "challenge nonce=1", "ok", "", "SUBSCRIBE lease_s=1", "\u{e9}"] {
+            assert_eq!(all.datagram(client(1), other.as_bytes(), Mono(0)).answer, None, "{other}");
+        }
+    }
+
+    proptest! {
+        /// Without the nonce, nothing that is asked changes anything or is answered at length.
+        #[test]
+        fn no_amplification(
+            bytes in prop_oneof![
+                prop::collection::vec(any::<u8>(), 0..200),
+                "(un)?subscribe( (lease_s|divider|held|nonce|big_endian|x)=[0-9a-fon]{0,17}){0,6}".prop_map(String::into_bytes),
+            ],
+        ) {
+            let mut all = some();
+            let outcome = all.datagram(client(1), &bytes, Mono(0));
+            prop_assert!(outcome.answer.is_none_or(|a| a.len() <= 2 * bytes.len() && a.is_ascii()));
+            prop_assert!(!outcome.changed);
+        }
+
+        #[test]
+        fn what_a_client_asks_is_what_is_understood(
+            lease_s in 1..=MAX_LEASE_S, divider in 1..1_000_000u32, big_endian: bool, held: bool, nonce: Option<u64>,
+        ) {
+            let ask = Ask::Subscribe { lease_s, delivery: Delivery { divider, big_endian, held }, nonce };
+            prop_assert_eq!(Ask::parse(ask.to_string().as_bytes()), Some(Ok(ask)));
+        }
+    }
+}

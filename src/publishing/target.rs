@@ -1,0 +1,200 @@
+//! Where datagrams go, and in which form. On the fast side.
+
+use std::{
+    io,
+    net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket},
+    sync::Arc,
+};
+
+use rustix::net::{netdevice::name_to_index, sockopt};
+use tokio::sync::watch;
+
+use super::{PoseFrame, endian::big_endian, frame::FrameBytes, held::Hold};
+use crate::{
+    config::UdpTarget,
+    exit::{self, Failure},
+    monitor::Counters,
+};
+
+/// Which frames a receiver of datagrams gets, and how.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Delivery {
+    /// Those whose sequence this divides.
+    pub divider: u32,
+    /// In network byte order.
+    pub big_endian: bool,
+    /// With the last valid pose (`POSE_HELD`) instead of NaN.
+    pub held: bool,
+}
+
+/// A receiver that has subscribed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Subscriber {
+    /// From where it subscribed.
+    pub address: SocketAddr,
+    /// What it asked for.
+    pub delivery: Delivery,
+}
+
+/// The subscribers, as the main thread hands them over.
+#[derive(Debug)]
+pub struct Subscribers {
+    link: Link,
+    newest: watch::Receiver<Arc<[Subscriber]>>,
+    current: Arc<[Subscriber]>,
+}
+
+/// Everyone who gets datagrams.
+#[derive(Debug)]
+pub struct Targets {
+    fixed: Vec<Target>,
+    subscribers: Option<Subscribers>,
+    hold: Hold,
+}
+
+#[derive(Debug)]
+struct Target {
+    to: Subscriber,
+    link: Link,
+}
+
+/// A socket, and whether it works.
+#[derive(Debug)]
+struct Link {
+    socket: UdpSocket,
+    /// The last sending failed: says once that, and once that it works again.
+    failing: bool,
+}
+
+impl Subscribers {
+    /// The subscribers of a list that changes, to whom frames go from the socket to which they spoke.
+    pub fn new(socket: UdpSocket, newest: watch::Receiver<Arc<[Subscriber]>>) -> Self {
+        Self { link: Link { socket, failing: false }, newest, current: [].into() }
+    }
+
+    fn send(&mut self, forms: &mut Forms<'_>, counters: &Counters) {
+        // A look at an atomic; only a change takes the lock. That the other side has ended changes nothing.
+        if self.newest.has_changed().unwrap_or(false) {
+            self.current = Arc::clone(&self.newest.borrow_and_update());
+        }
+        for to in self.current.iter() {
+            self.link.send(to, forms, counters);
+        }
+    }
+}
+
+impl Targets {
+    /// Opens a socket for each target. Fails if one cannot be had.
+    pub fn open(fixed: &[UdpTarget], subscribers: Option<Subscribers>) -> Result<Self, Failure> {
+        let fixed = fixed.iter().map(Target::open).collect::<Result<_, _>>()?;
+        Ok(Self { fixed, subscribers, hold: Hold::default() })
+    }
+
+    /// Sends a frame to all who want it. Never waits; what the network does not take is counted.
+    pub fn send(&mut self, frame: &PoseFrame, counters: &Counters) {
+        let mut forms = Forms::new(frame, self.hold.next(frame));
+        for Target { to, link } in &mut self.fixed {
+            link.send(to, &mut forms, counters);
+        }
+        if let Some(subscribers) = &mut self.subscribers {
+            subscribers.send(&mut forms, counters);
+        }
+    }
+}
+
+/// A frame in every form that is asked for; each is made once.
+struct Forms<'a> {
+    frame: &'a PoseFrame,
+    held: Option<PoseFrame>,
+    made: [Option<FrameBytes>; 4],
+}
+
+impl<'a> Forms<'a> {
+    fn new(frame: &'a PoseFrame, held: Option<PoseFrame>) -> Self {
+        Self { frame, held, made: [None; 4] }
+    }
+
+    fn get(&mut self, delivery: Delivery) -> &FrameBytes {
+        let held = self.held.as_ref().filter(|_| delivery.held);
+        let frame = held.unwrap_or(self.frame);
+        let which = usize::from(held.is_some()) * 2 + usize::from(delivery.big_endian);
+        self.made[which].get_or_insert_with(|| {
+            let little = frame.encode();
+            if delivery.big_endian { big_endian(&little) } else { little }
+        })
+    }
+}
+
+impl Target {
+    /// A socket per target, left unconnected: so the refusal of one that nobody listens to stays unseen,
+    /// and starting the listener later just works.
+    fn open(target: &UdpTarget) -> Result<Self, Failure> {
+        let UdpTarget { address, divider, big_endian, held, .. } = *target;
+        let socket = open(target).map_err(|e| {
+            let through = target.interface.as_ref().map_or(String::new(), |i| format!(" through {i}"));
+            Failure::new(exit::IO, format!("cannot open a UDP socket towards {address}{through}: {e}"))
+        })?;
+        let to = Subscriber { address, delivery: Delivery { divider, big_endian, held } };
+        Ok(Self { to, link: Link { socket, failing: false } })
+    }
+}
+
+fn open(target: &UdpTarget) -> io::Result<UdpSocket> {
+    let local: IpAddr = match target.address {
+        SocketAddr::V4(_) => Ipv4Addr::UNSPECIFIED.into(),
+        SocketAddr::V6(_) => Ipv6Addr::UNSPECIFIED.into(),
+    };
+    let socket = UdpSocket::bind((local, 0))?;
+    socket.set_nonblocking(true)?;
+    socket.set_broadcast(target.address.is_ipv4())?;
+    match target.address.ip() {
+        IpAddr::V4(group) if group.is_multicast() => {
+            sockopt::set_ip_multicast_ttl(&socket, target.ttl.unwrap_or(1))?;
+            match target.interface.as_deref().map(|i| (i, i.parse::<Ipv4Addr>())) {
+                Some((_, Ok(own))) => sockopt::set_ip_multicast_if(&socket, &own)?,
+                Some((name, Err(_))) => {
+                    let index = name_to_index(&socket, name)?;
+                    let any = Ipv4Addr::UNSPECIFIED;
+                    sockopt::set_ip_multicast_if_with_ifindex(&socket, &group, &any, index)?;
+                }
+                None => {}
+            }
+        }
+        IpAddr::V6(group) if group.is_multicast() => {
+            sockopt::set_ipv6_multicast_hops(&socket, target.ttl.unwrap_or(1))?;
+            if let Some(name) = &target.interface {
+                sockopt::set_ipv6_multicast_if(&socket, name_to_index(&socket, name)?)?;
+            }
+        }
+        _ => {}
+    }
+    Ok(socket)
+}
+
+impl Link {
+    fn send(&mut self, to: &Subscriber, forms: &mut Forms<'_>, counters: &Counters) {
+        let Subscriber { address, delivery } = to;
+        if !forms.frame.sequence.is_multiple_of(delivery.divider.into()) {
+            return;
+        }
+        let failure = match self.socket.send_to(forms.get(*delivery), address) {
+            Ok(_) => None,
+            Err(e) if e.kind() == io::ErrorKind::ConnectionRefused => None,
+            Err(e) => Some(e),
+        };
+        if failure.is_some() {
+            counters.udp_dropped.one();
+        }
+        match (self.failing, failure) {
+            (false, Some(e)) => {
+                self.failing = true;
+                tracing::warn!(target = %address, "datagrams are not sent (udp_dropped counts them): {e}");
+            }
+            (true, None) => {
+                self.failing = false;
+                tracing::info!(target = %address, "datagrams are sent again");
+            }
+            _ => {}
+        }
+    }
+}

@@ -1,0 +1,320 @@
+//! The talk with one TCP client: lines in; answers, frames and heartbeats out.
+
+use std::{io, net::SocketAddr, sync::Arc, time::Duration};
+
+use tokio::{
+    io::AsyncWriteExt,
+    net::TcpStream,
+    sync::broadcast::{
+        self,
+        error::{RecvError, TryRecvError},
+    },
+    time::{Instant, Interval, MissedTickBehavior, interval, sleep_until, timeout},
+};
+
+use super::{House, part};
+use crate::publishing::{
+    descriptor::Heartbeat,
+    form::{Form, Issue, answer, farewell},
+    query,
+    request::{Command, Lines, MAX_LINE, Request},
+};
+
+/// Bytes that the kernel may hold for a client. The default grows to megabytes: seconds of old frames.
+const SEND_BUFFER: usize = 256 * 1024;
+/// Most frames in one write.
+const BATCH: usize = 64;
+const HEARTBEAT: Duration = Duration::from_secs(1);
+/// A client with so many lines that are no commands is not one of ours.
+const BAD_LINES: u32 = 100;
+
+pub(super) struct Client {
+    stream: TcpStream,
+    ring: broadcast::Receiver<Arc<Issue>>,
+    house: Arc<House>,
+    form: Option<Form>,
+    heartbeat: Interval,
+    lines: Lines,
+    bad_lines: u32,
+    /// When it last said something.
+    heard: Instant,
+    /// It may still say something.
+    open: bool,
+    sent: u64,
+    dropped: u64,
+    /// Frames that the ring lost for this client, of which it is not yet known how many it wanted.
+    lagged: u64,
+}
+
+/// Why a talk ends.
+enum End {
+    /// The daemon ends.
+    Daemon,
+    /// The client closed, or said so.
+    Client,
+    /// The client is sent away.
+    Refused(String),
+}
+
+/// What happens next.
+enum Event {
+    Beat,
+    Bytes(io::Result<usize>),
+    Frame(Result<Arc<Issue>, RecvError>),
+    Idle,
+    Ending,
+}
+
+impl Client {
+    pub(super) fn new(stream: TcpStream, ring: broadcast::Receiver<Arc<Issue>>, house: Arc<House>) -> Self {
+        Self {
+            stream,
+            ring,
+            house,
+            form: None,
+            heartbeat: beats(),
+            lines: Lines::default(),
+            bad_lines: 0,
+            heard: Instant::now(),
+            open: true,
+            sent: 0,
+            dropped: 0,
+            lagged: 0,
+        }
+    }
+
+    pub(super) async fn run(mut self, address: SocketAddr) {
+        let stall = self.house.limits.stall;
+        let result = self.talk().await;
+        if matches!(&result, Err(e) if e.kind() == io::ErrorKind::TimedOut) {
+            self.cut_off();
+        }
+        let end = match &result {
+            Ok(End::Daemon) => "the daemon ends".to_owned(),
+            Ok(End::Client) => "closed by the client".to_owned(),
+            Ok(End::Refused(why)) => format!("sent away: {why}"),
+            Err(e) => match e.kind() {
+                io::ErrorKind::BrokenPipe | io::ErrorKind::ConnectionReset => {
+                    "closed by the client".to_owned()
+                }
+                io::ErrorKind::TimedOut => format!("took nothing for {} s", stall.as_secs_f64()),
+                _ => e.to_string(),
+            },
+        };
+        let Self { sent, dropped, .. } = self;
+        tracing::info!(client = %address, sent, dropped, "disconnected: {end}");
+        let last_word = match result {
+            Ok(End::Refused(why)) => farewell(self.form.as_ref(), &why).unwrap_or_default(),
+            Ok(_) => Vec::new(),
+            Err(_) => return,
+        };
+        part(self.stream, last_word).await;
+    }
+
+    async fn talk(&mut self) -> io::Result<End> {
+        self.stream.set_nodelay(true)?;
+        let stall = u32::try_from(self.house.limits.stall.as_millis()).unwrap_or(u32::MAX);
+        rustix::net::sockopt::set_tcp_user_timeout(&self.stream, stall)?;
+        rustix::net::sockopt::set_socket_send_buffer_size(&self.stream, SEND_BUFFER)?;
+        let mut buffer = [0; 1024];
+        loop {
+            let end = match self.event(&mut buffer).await {
+                Event::Beat => {
+                    self.beat().await?;
+                    None
+                }
+                Event::Bytes(n) => self.said(&buffer[..n?]).await?,
+                Event::Frame(Ok(issue)) => {
+                    self.send_batch(&issue).await?;
+                    None
+                }
+                Event::Frame(Err(RecvError::Lagged(n))) => {
+                    self.lagged += n;
+                    None
+                }
+                Event::Frame(Err(RecvError::Closed)) => {
+                    self.beat().await?;
+                    Some(End::Daemon)
+                }
+                Event::Ending => Some(End::Daemon),
+                Event::Idle => {
+                    let patience = self.house.limits.idle.as_secs_f64();
+                    Some(End::Refused(format!("no whole line for {patience} s; {}", allowed())))
+                }
+            };
+            if let Some(end) = end {
+                return Ok(end);
+            }
+        }
+    }
+
+    /// Waits for what comes first. Whichever of these is dropped unfinished has taken nothing yet.
+    async fn event(&mut self, buffer: &mut [u8]) -> Event {
+        let streaming = self.form.is_some();
+        tokio::select! {
+            biased;
+            _ = self.heartbeat.tick(), if streaming => Event::Beat,
+            n = read(&self.stream, buffer), if self.open => Event::Bytes(n),
+            issue = self.ring.recv(), if streaming => Event::Frame(issue),
+            () = sleep_until(self.heard + self.house.limits.idle), if !streaming => Event::Idle,
+            () = self.house.ending.cancelled(), if !streaming => Event::Ending,
+        }
+    }
+
+    /// Takes what the client said; nothing means that it says no more, and listens on if it has a stream.
+    async fn said(&mut self, bytes: &[u8]) -> io::Result<Option<End>> {
+        self.lines.push(bytes);
+        while let Some(line) = self.lines.next_line() {
+            let Ok(line) = line else {
+                return Ok(Some(End::Refused(format!("a line of more than {MAX_LINE} bytes"))));
+            };
+            self.heard = Instant::now();
+            if let Some(end) = self.obey(&line).await? {
+                return Ok(Some(end));
+            }
+        }
+        self.open = !bytes.is_empty();
+        Ok((!self.open && self.form.is_none()).then_some(End::Client))
+    }
+
+    /// Does what a line says.
+    async fn obey(&mut self, line: &[u8]) -> io::Result<Option<End>> {
+        if line.trim_ascii().is_empty() {
+            return Ok(None);
+        }
+        let text = match Command::parse(line) {
+            Ok(Command::Stream(request)) => {
+                self.start(request).await?;
+                return Ok(None);
+            }
+            Ok(Command::Bye) => return Ok(Some(End::Client)),
+            Ok(Command::Help) => Command::help().to_owned(),
+            Ok(Command::Descriptor) => {
+                let bytes = match &self.form {
+                    Some(form) => form.descriptor(&self.house.descriptor)?,
+                    None => query::descriptor(&self.house.descriptor)?,
+                };
+                self.write(&bytes).await?;
+                return Ok(None);
+            }
+            Ok(Command::Pose) => self.ask(query::pose),
+            Ok(Command::Status) => self.ask(query::status),
+            Err(error) => {
+                self.bad_lines += 1;
+                if self.bad_lines >= BAD_LINES {
+                    return Ok(Some(End::Refused(format!(
+                        "{BAD_LINES} lines that are no commands; {}",
+                        allowed()
+                    ))));
+                }
+                error.to_string()
+            }
+        };
+        let bytes = answer(self.form.as_ref(), &text)?;
+        self.write(&bytes).await?;
+        Ok(None)
+    }
+
+    fn ask(&self, say: impl Fn(&Issue, f64) -> String) -> String {
+        match &*self.house.newest.borrow() {
+            Some(issue) => say(issue, self.house.descriptor.rate_hz),
+            None => "error: no frame was made yet; allowed: ask again".into(),
+        }
+    }
+
+    /// Starts a stream, or changes the one that runs.
+    async fn start(&mut self, request: Request) -> io::Result<()> {
+        let form = Form::new(request, self.house.descriptor.rate_hz);
+        let greeting = form.greeting(&self.house.descriptor)?;
+        if self.form.is_none() {
+            self.ring = self.ring.resubscribe();
+        }
+        self.heartbeat = beats();
+        self.form = Some(form);
+        self.write(&greeting).await
+    }
+
+    /// Sends a frame with those that are already waiting behind it.
+    async fn send_batch(&mut self, first: &Arc<Issue>) -> io::Result<()> {
+        let mut batch = Vec::with_capacity(256);
+        let mut count = self.append(first, &mut batch)?;
+        for _ in 1..BATCH {
+            match self.ring.try_recv() {
+                Ok(issue) => count += self.append(&issue, &mut batch)?,
+                Err(TryRecvError::Lagged(n)) => self.lagged += n,
+                Err(TryRecvError::Empty | TryRecvError::Closed) => break,
+            }
+        }
+        self.write(&batch).await?;
+        self.sent += count;
+        Ok(())
+    }
+
+    /// Appends a frame to what is sent, if it is wanted; settles what was lost before it.
+    fn append(&mut self, issue: &Arc<Issue>, to: &mut Vec<u8>) -> io::Result<u64> {
+        let Some(form) = &self.form else { return Ok(0) };
+        let lost = form.wanted_before(issue, std::mem::take(&mut self.lagged));
+        self.dropped += lost;
+        self.house.counters.tcp_dropped.add(lost);
+        if !form.wants(issue) {
+            return Ok(0);
+        }
+        form.frame(issue, to)?;
+        Ok(1)
+    }
+
+    /// Counts what was waiting for a client that is cut off.
+    fn cut_off(&mut self) {
+        let Some(form) = &self.form else { return };
+        let mut lost = 0;
+        loop {
+            match self.ring.try_recv() {
+                Ok(issue) => {
+                    lost += form.wanted_before(&issue, std::mem::take(&mut self.lagged));
+                    lost += u64::from(form.wants(&issue));
+                }
+                Err(TryRecvError::Lagged(n)) => self.lagged += n,
+                Err(TryRecvError::Empty | TryRecvError::Closed) => break,
+            }
+        }
+        self.dropped += lost;
+        self.house.counters.tcp_dropped.add(lost);
+    }
+
+    async fn beat(&mut self) -> io::Result<()> {
+        let Some(form) = &self.form else { return Ok(()) };
+        let bytes = form.heartbeat(&Heartbeat::new(self.sent, self.dropped, &self.house.counters))?;
+        self.write(&bytes).await
+    }
+
+    /// Writes all of it, as long as the client takes some of it every now and then.
+    async fn write(&mut self, mut bytes: &[u8]) -> io::Result<()> {
+        while !bytes.is_empty() {
+            let n = timeout(self.house.limits.stall, self.stream.write(bytes)).await??;
+            bytes = &bytes[n..];
+        }
+        Ok(())
+    }
+}
+
+fn allowed() -> String {
+    format!("allowed: {}", Command::help())
+}
+
+/// The first one at once.
+fn beats() -> Interval {
+    let mut beats = interval(HEARTBEAT);
+    beats.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    beats
+}
+
+/// Reads what is there; waits until there is something. Zero: the client says no more.
+async fn read(stream: &TcpStream, buffer: &mut [u8]) -> io::Result<usize> {
+    loop {
+        stream.readable().await?;
+        match stream.try_read(buffer) {
+            Err(e) if e.kind() == io::ErrorKind::WouldBlock => {}
+            result => return result,
+        }
+    }
+}

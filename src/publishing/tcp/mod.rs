@@ -1,0 +1,213 @@
+//! The TCP server, on the slow side. It is silent until a client says what it wants (`docs/stream.md`).
+//!
+//! All clients read from one ring of frames at their own pace. One that falls behind by more than the
+//! ring loses the oldest frames, which is counted for it, and no other client notices.
+//!
+//! This file is the house: who comes in, and how it closes. `client` is the talk with one of them.
+
+mod client;
+
+use std::{io, net::SocketAddr, sync::Arc, time::Duration};
+
+use tokio::{
+    io::{AsyncReadExt, AsyncWriteExt},
+    net::{TcpListener, TcpStream},
+    sync::{broadcast, mpsc, watch},
+    task::JoinSet,
+    time::{sleep, timeout},
+};
+use tokio_util::sync::CancellationToken;
+
+use self::client::Client;
+use super::{
+    PoseFrame,
+    descriptor::Descriptor,
+    form::{Issue, farewell},
+    held::Hold,
+};
+use crate::{
+    config::Network,
+    exit::{self, Failure},
+    monitor::Counters,
+};
+
+/// At shutdown: how long the last frames may take to come in, and then to go out.
+const DRAIN: Duration = Duration::from_millis(500);
+/// How long a client that is sent away may take to read why.
+const PARTING: Duration = Duration::from_secs(1);
+/// Most clients that are being sent away at a time; further ones are just cut off.
+const PARTINGS: usize = 64;
+
+/// Bounds of the server.
+#[derive(Clone, Debug)]
+pub struct Limits {
+    /// Most clients at a time; further ones are refused.
+    pub clients: usize,
+    /// Frames that a client may be behind, at least; rounded up to a power of two.
+    pub queue: usize,
+    /// Who may connect.
+    pub allow: Vec<Network>,
+    /// A client without a stream that says nothing for this long is closed.
+    pub idle: Duration,
+    /// A client that takes nothing for this long is dropped: half-open, or hung.
+    pub stall: Duration,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            clients: 64,
+            queue: 1024,
+            allow: Network::loopback(),
+            idle: Duration::from_mins(1),
+            stall: Duration::from_secs(10),
+        }
+    }
+}
+
+/// Opens the port and logs the address. Fails with [`exit::IN_USE`] if someone else has it.
+pub async fn bind(address: SocketAddr) -> Result<TcpListener, Failure> {
+    let listener = TcpListener::bind(address).await.map_err(|e| {
+        let (code, why) = match e.kind() {
+            io::ErrorKind::AddrInUse => (exit::IN_USE, "another process has the port".to_owned()),
+            _ => (exit::IO, e.to_string()),
+        };
+        Failure::new(code, format!("cannot listen on {address} for TCP clients: {why}"))
+    })?;
+    let address = listener.local_addr().unwrap_or(address);
+    tracing::info!(%address, "listening");
+    Ok(listener)
+}
+
+/// Serves the frames that come in until `shutdown`, or until no more can come; then sends what is
+/// still there, within a second at most.
+pub async fn serve(
+    listener: TcpListener,
+    mut frames: mpsc::Receiver<PoseFrame>,
+    descriptor: &Descriptor,
+    limits: Limits,
+    counters: Arc<Counters>,
+    shutdown: CancellationToken,
+) {
+    let (ring, idle_ring) = broadcast::channel(limits.queue.clamp(1, 1 << 20));
+    let (newest_in, newest) = watch::channel(None);
+    let mut press = Press { ring, newest: newest_in, hold: Hold::default() };
+    let ending = CancellationToken::new();
+    let house = House { descriptor: descriptor.clone(), limits, counters, newest, ending: ending.clone() };
+    let mut server = Server { house: house.into(), clients: JoinSet::new(), partings: JoinSet::new() };
+    tokio::select! {
+        () = press.run(&mut frames) => {}
+        () = server.accept_all(&listener, &idle_ring) => {}
+        () = shutdown.cancelled() => {}
+    }
+    drop(listener);
+    let _ = timeout(DRAIN, press.run(&mut frames)).await;
+    // The ring closes: streams end after their last frame. Clients without one end at once.
+    drop(press);
+    ending.cancel();
+    server.finish().await;
+}
+
+/// Puts frames on the ring.
+struct Press {
+    ring: broadcast::Sender<Arc<Issue>>,
+    newest: watch::Sender<Option<Arc<Issue>>>,
+    hold: Hold,
+}
+
+impl Press {
+    /// Until none can come any more.
+    async fn run(&mut self, frames: &mut mpsc::Receiver<PoseFrame>) {
+        while let Some(frame) = frames.recv().await {
+            let issue = Arc::new(Issue::new(frame, &mut self.hold));
+            self.newest.send_replace(Some(Arc::clone(&issue)));
+            // Fails if there is no client, which is no loss.
+            let _ = self.ring.send(issue);
+        }
+    }
+}
+
+/// What all clients share.
+struct House {
+    descriptor: Descriptor,
+    limits: Limits,
+    counters: Arc<Counters>,
+    newest: watch::Receiver<Option<Arc<Issue>>>,
+    ending: CancellationToken,
+}
+
+struct Server {
+    house: Arc<House>,
+    clients: JoinSet<()>,
+    partings: JoinSet<()>,
+}
+
+impl Server {
+    async fn accept_all(&mut self, listener: &TcpListener, ring: &broadcast::Receiver<Arc<Issue>>) {
+        loop {
+            match listener.accept().await {
+                Ok((stream, address)) => self.admit(stream, address, ring),
+                Err(e) => {
+                    // Out of file descriptors, as a rule: nothing to do but wait for some.
+                    tracing::warn!("cannot accept a TCP client: {e}");
+                    sleep(Duration::from_millis(100)).await;
+                }
+            }
+        }
+    }
+
+    fn admit(&mut self, stream: TcpStream, address: SocketAddr, ring: &broadcast::Receiver<Arc<Issue>>) {
+        while self.clients.try_join_next().is_some() {}
+        let limits = &self.house.limits;
+        if !limits.allow.iter().any(|network| network.contains(address.ip())) {
+            let why = format!("{} is in none of the networks of [publishing] allow", address.ip());
+            self.refuse(stream, address, &why);
+        } else if self.clients.len() >= limits.clients {
+            let most = limits.clients;
+            let why = format!("the daemon serves {most} TCP clients already, the most it is configured for");
+            self.refuse(stream, address, &why);
+        } else {
+            let client = Client::new(stream, ring.resubscribe(), Arc::clone(&self.house));
+            self.clients.spawn(async move {
+                tracing::info!(client = %address, "connected");
+                client.run(address).await;
+            });
+        }
+    }
+
+    fn refuse(&mut self, stream: TcpStream, address: SocketAddr, why: &str) {
+        tracing::warn!(client = %address, "refused: {why}");
+        self.house.counters.tcp_refused.one();
+        while self.partings.try_join_next().is_some() {}
+        if self.partings.len() < PARTINGS
+            && let Ok(line) = farewell(None, why)
+        {
+            self.partings.spawn(part(stream, line));
+        }
+    }
+
+    /// Lets the clients take what is still on the ring.
+    async fn finish(&mut self) {
+        let all_done = async { while self.clients.join_next().await.is_some() {} };
+        if timeout(DRAIN, all_done).await.is_err() {
+            tracing::warn!(
+                clients = self.clients.len(),
+                "cut off: TCP clients that did not take the last frames in time"
+            );
+        }
+    }
+}
+
+/// Says a last word, and closes once the client has read it. A socket closed with something unread in
+/// it would reset the connection, and the word would be lost.
+async fn part(mut stream: TcpStream, last_word: Vec<u8>) {
+    let talk = async {
+        stream.write_all(&last_word).await?;
+        stream.shutdown().await?;
+        let mut ignored = [0; 1024];
+        while stream.read(&mut ignored).await? > 0 {}
+        io::Result::Ok(())
+    };
+    // It may as well be gone already.
+    let _ = timeout(PARTING, talk).await;
+}

@@ -1,0 +1,102 @@
+//! Many clients of a daemon at once: none of them costs another one a frame, or the daemon a sample.
+
+use std::{net::SocketAddr, time::Duration};
+
+use tokio::{
+    io::{AsyncReadExt, AsyncWriteExt},
+    net::{TcpSocket, TcpStream},
+    task::JoinSet,
+    time::{Instant, sleep, timeout},
+};
+use trifacet::client::{Client, Endpoint, Heartbeat, Losses, Message};
+
+use crate::{daemon::Daemon, fixture::PATIENCE};
+
+async fn connect(address: SocketAddr) -> Client {
+    let mut client = Client::connect(&Endpoint::Tcp(address.to_string())).await.unwrap();
+    assert!(matches!(client.next().await.unwrap(), Message::Descriptor(_)));
+    client
+}
+
+/// Reads for some time; gives back what was lost, and the last heartbeat.
+async fn read_for(mut client: Client, time: Duration) -> (u64, Losses, Heartbeat) {
+    let (end, mut frames) = (Instant::now() + time, 0);
+    loop {
+        match timeout(PATIENCE, client.next()).await.unwrap().unwrap() {
+            Message::Pose(_) => frames += 1,
+            Message::Heartbeat(heartbeat) => {
+                if Instant::now() > end {
+                    return (frames, client.losses(), heartbeat);
+                }
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+fn nothing_lost((frames, losses, heartbeat): &(u64, Losses, Heartbeat)) {
+    assert!(*frames > 1000, "{frames}");
+    assert_eq!((*losses, heartbeat.dropped), (Losses::default(), 0), "{heartbeat:?}");
+    for counter in ["scans_lost", "estimation_overflows", "tcp_overflows"] {
+        assert_eq!(heartbeat.counters[counter], 0, "{heartbeat:?}");
+    }
+}
+
+#[tokio::test]
+async fn of_64_clients_at_1_khz_one_stalls_and_the_others_lose_nothing() {
+    let daemon = Daemon::start("tcp = '127.0.0.1:0'\nudp = []\ntcp_queue = 2048");
+    let address = daemon.tcp();
+    let socket = TcpSocket::new_v4().unwrap();
+    socket.set_recv_buffer_size(4096).unwrap();
+    let mut stalled = socket.connect(address).await.unwrap();
+    stalled.write_all(b"stream format=json\n").await.unwrap();
+    stalled.read_u8().await.unwrap();
+    let mut readers = JoinSet::new();
+    for _ in 0..63 {
+        readers.spawn(read_for(connect(address).await, Duration::from_secs(5)));
+    }
+    let mut extra = TcpStream::connect(address).await.unwrap();
+    extra.write_all(b"pose?\n").await.unwrap();
+    let mut refusal = String::new();
+    timeout(PATIENCE, extra.read_to_string(&mut refusal)).await.unwrap().unwrap();
+    assert!(refusal.starts_with("error: the daemon serves 64 TCP clients already"), "{refusal}");
+    let (mut dropped, mut refused) = (0, 0);
+    while let Some(reader) = readers.join_next().await {
+        let reader = reader.unwrap();
+        nothing_lost(&reader);
+        let counters = &reader.2.counters;
+        (dropped, refused) = (dropped.max(counters["tcp_dropped"]), refused.max(counters["tcp_refused"]));
+    }
+    assert_eq!(refused, 1);
+    assert!(dropped > 0, "5 s of JSON fit neither the queue nor the sockets");
+    drop(stalled);
+}
+
+#[tokio::test]
+async fn two_hundred_that_come_and_go_cost_the_others_nothing() {
+    let daemon = Daemon::start("tcp = '127.0.0.1:0'\nudp = []\ntcp_queue = 4096\ntcp_clients = 250");
+    let address = daemon.tcp();
+    let steady = tokio::spawn(read_for(connect(address).await, Duration::from_secs(3)));
+    for n in 0..200 {
+        let mut visitor = TcpStream::connect(address).await.unwrap();
+        match n % 4 {
+            0 => {}
+            1 => visitor.write_all(b"stre").await.unwrap(),
+            2 => {
+                visitor.write_all(b"stream format=csv\n").await.unwrap();
+                visitor.read_u8().await.unwrap();
+            }
+            _ => {
+                visitor.write_all(b"stream\npose?\n").await.unwrap();
+                visitor.set_zero_linger().unwrap(); // ends with a reset
+            }
+        }
+        sleep(Duration::from_millis(8)).await;
+    }
+    nothing_lost(&steady.await.unwrap());
+    // All places are free again: as many as there are can be taken at once.
+    let mut all = Vec::new();
+    for _ in 0..250 {
+        all.push(connect(address).await);
+    }
+}
