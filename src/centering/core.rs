@@ -24,9 +24,9 @@ pub struct LoopState {
 /// What follows from a sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// The command for the stage, unless the loop is off or the sample came too late.
+    /// The command for the stage, unless the loop is off.
     pub command: Option<OutputCommand>,
-    /// The sample came too late to act on it.
+    /// The sample came too late to act on it: the command holds.
     pub late: bool,
     /// The lock state has changed.
     pub transition: Option<Transition>,
@@ -143,8 +143,8 @@ impl Centering {
         };
         self.memory = Some(next);
         let transition = self.lock.update(sight, dt);
-        let command = (!late).then(|| self.steering.command(next.position, output_bits));
-        Outcome { command, late, transition }
+        // Also while nothing new is known: it renews the lease, which is for a daemon that is dead.
+        Outcome { command: Some(self.steering.command(next.position, output_bits)), late, transition }
     }
 
     /// `dt` seconds have passed without a sample. No command: the lease decides what the stage does.
@@ -237,8 +237,14 @@ mod tests {
         let now = Mono(50 * MS);
         let outcomes: Vec<_> = (0..=50).map(|k| centering.sample(&sample(k), None, now, 16)).collect();
         // After a pause of 50 ms only what is younger than the loop delay of 2.5 ms counts.
-        let acted: Vec<_> = outcomes.iter().map(|outcome| outcome.command.is_some()).collect();
-        assert_eq!(acted, (0..=50).map(|k| k >= 48).collect::<Vec<_>>());
+        for (k, outcome) in (0..).zip(&outcomes) {
+            assert_eq!(outcome.late, k < 48);
+            assert_eq!(
+                outcome.command.unwrap().codes[0] == 0,
+                outcome.late,
+                "late ones hold, and renew the lease"
+            );
+        }
         let [x, _] = centering.state().position.unwrap();
         assert!((-20e-6..-5e-6).contains(&x), "{x}");
     }
@@ -249,7 +255,7 @@ mod tests {
         let mut transitions = Vec::new();
         for k in 0..200 {
             let outcome = centering.sample(&sample(k), None, Mono((k as i64 + 10) * MS), 16);
-            assert!(outcome.late && outcome.command.is_none());
+            assert_eq!((outcome.late, outcome.command.unwrap().codes), (true, [0, 0]));
             transitions.extend(outcome.transition.map(|t| (t.to, t.cause)));
         }
         assert_eq!(transitions, [(LockState::Held, TOO_LATE), (LockState::Lost, TOO_LATE)]);
