@@ -5,27 +5,31 @@
 //!  source ─> acquisition ─(samples, in order)─> estimation ─> UDP
 //!              ^   └─(newest)─> centering <─(pose)─┘   └─(frames)─> TCP clients
 //!              └──────(command)─────┘   └─(lock)──^           ^ subscriptions
+//!       (changes, orders, questions) <── control ── socket, SIGHUP
 //! ```
 //!
 //! The fast thread never waits for the main thread: frames that do not fit into the channel are counted.
 
 use std::io;
+use std::path::Path;
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use anyhow::Context;
 use tokio::runtime::{Builder, Runtime};
-use tokio::signal::unix::{SignalKind, signal};
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::sync::{Mutex, mpsc, oneshot, watch};
 use tokio::task::LocalSet;
 use tokio_util::sync::CancellationToken;
 
 use crate::acquisition::{self, Channels, SerialSource, Source};
 use crate::centering::{self, Centering};
-use crate::clock::{SystemClock, utc::Utc};
+use crate::clock::{Clock, SystemClock, utc::Utc};
 use crate::config::{Config, SourceKind};
+use crate::control::{self, AtFast, Command, Live, server::Socket};
 use crate::estimation::{self, Estimation};
 use crate::exit::{self, Failure};
+use crate::logging::Logging;
 use crate::monitor::Counters;
 use crate::publishing::descriptor::StreamFacts;
 use crate::publishing::{
@@ -34,14 +38,21 @@ use crate::publishing::{
 use crate::realtime;
 use crate::twin::{Twin, TwinSource};
 
-/// Samples that may wait for estimation; frames that may wait for the TCP side.
+/// Samples that may wait for estimation.
 const QUEUE: usize = 1024;
+/// Frames that may wait for the TCP side, which is an ordinary thread: the system may stop it for long
+/// (1.6 s of frames at 10 kHz). Takes memory only while they wait.
+const TO_TCP: usize = 16 * 1024;
 
 /// Runs until SIGTERM or SIGINT; then ends in order, the steering first.
-pub fn run(config: &Config) -> anyhow::Result<()> {
+///
+/// `file` is where the configuration comes from, to be read again on SIGHUP.
+pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::Result<()> {
+    let started = SystemClock.now();
     let counters = Arc::new(Counters::default());
     let channels = Channels::load(config)?;
-    let id = StreamId::new(config.config_id().context("cannot read a correction table")?);
+    let calibration = config.calibration_id().context("cannot read a correction table")?;
+    let id = StreamId::new(config.frames.id(calibration));
     let facts = StreamFacts {
         id,
         sample_rate_hz: config.acquisition.rate_hz,
@@ -50,7 +61,12 @@ pub fn run(config: &Config) -> anyhow::Result<()> {
         calibrated: channels.calibrated(),
     };
     let main = Builder::new_current_thread().enable_all().build().context("cannot start a runtime")?;
-    let (to_tcp, frames) = mpsc::channel(QUEUE);
+    // Before anything else: without a handler SIGHUP would end the process.
+    let hangup = main.block_on(async { signal(SignalKind::hangup()) }).context("cannot listen for SIGHUP")?;
+    let socket = main.block_on(async { Socket::open(&config.control) })?;
+    let (to_fast, at_fast) = control::ways();
+    let (descriptor, descriptor_now) = watch::channel(Descriptor::new(facts));
+    let (to_tcp, frames) = mpsc::channel(TO_TCP);
     let server = match config.publishing.tcp {
         Some(address) => Some(main.block_on(tcp::bind(address))?),
         None => None,
@@ -66,12 +82,13 @@ pub fn run(config: &Config) -> anyhow::Result<()> {
         server.is_some().then_some(to_tcp),
     )?;
     let parts = Parts {
-        estimation: Estimation::new(estimation::Settings::new(config, channels.calibrated())?),
+        estimation: Estimation::new(estimation::Settings::new(config, channels.calibrated(), id.config)?),
         centering: Centering::new(config)?,
         channels,
         publisher,
         counters: Arc::clone(&counters),
         stop: CancellationToken::new(),
+        control: at_fast,
         config: config.clone(),
     };
     let stop = parts.stop.clone();
@@ -87,11 +104,24 @@ pub fn run(config: &Config) -> anyhow::Result<()> {
         }
     };
     let slow = Slow {
-        server: server.map(|listener| Server { listener, frames, descriptor: Descriptor::new(facts) }),
+        server: server.map(|listener| Server { listener, frames, descriptor: descriptor_now }),
         desk,
         session: id.session,
     };
-    let result = serve(&main, config, slow, fast, &counters, &stop);
+    let live = Live {
+        file: file.map(Path::to_owned),
+        running: config.clone(),
+        taken: config.clone(),
+        calibration,
+        facts,
+        descriptor,
+        fast: to_fast,
+        log: Arc::clone(log),
+        counters: Arc::clone(&counters),
+        started,
+    };
+    let control = control(Arc::new(Mutex::new(live)), socket, hangup);
+    let result = serve(&main, config, slow, control, fast, &counters, &stop);
     let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
     tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
     result
@@ -105,6 +135,7 @@ struct Parts {
     centering: Centering,
     publisher: Publisher<SystemClock>,
     counters: Arc<Counters>,
+    control: AtFast,
     stop: CancellationToken,
 }
 
@@ -119,7 +150,7 @@ struct Slow {
 struct Server {
     listener: tokio::net::TcpListener,
     frames: mpsc::Receiver<PoseFrame>,
-    descriptor: Descriptor,
+    descriptor: watch::Receiver<Descriptor>,
 }
 
 /// The fast thread, and the news of its end: the task that ended by itself, if one did.
@@ -151,7 +182,8 @@ async fn fast<S: Source + 'static>(
     parts: Parts,
     source: impl FnOnce() -> io::Result<S>,
 ) -> anyhow::Result<()> {
-    let Parts { config, channels, estimation, centering, mut publisher, counters, stop } = parts;
+    let Parts { config, channels, estimation, centering, mut publisher, counters, control, stop } = parts;
+    let AtFast { changes, questions, orders } = control;
     let source = source().context("cannot start the source")?;
     let (samples_in, samples) = mpsc::channel(QUEUE);
     let (newest_in, newest) = watch::channel(acquisition::task::Newest::default());
@@ -165,14 +197,14 @@ async fn fast<S: Source + 'static>(
         channels,
         SystemClock,
         Arc::clone(&counters),
-        acquisition::task::Edges { samples: samples_in, newest: newest_in, commands },
+        acquisition::task::Edges { samples: samples_in, newest: newest_in, commands, changes },
         stop_acquisition.clone(),
     ));
     let mut centering = tokio::task::spawn_local(centering::task::run(
         centering,
         SystemClock,
         counters,
-        centering::task::Edges { newest, poses, commands: commands_in, state: state_in },
+        centering::task::Edges { newest, poses, commands: commands_in, state: state_in, orders },
         stop.clone(),
     ));
     let publish = move |report: &_| publisher.publish(report);
@@ -180,7 +212,7 @@ async fn fast<S: Source + 'static>(
         estimation,
         config.acquisition.rate_hz,
         SystemClock,
-        estimation::task::Edges { samples, steering, newest: poses_in, publish },
+        estimation::task::Edges { samples, questions, steering, newest: poses_in, publish },
     ));
 
     let ended = tokio::select! {
@@ -202,11 +234,29 @@ async fn fast<S: Source + 'static>(
     estimation.await.context("task estimation failed at the end")
 }
 
-/// The main thread: TCP clients, UDP subscriptions and signals, until the end.
+/// Commands and SIGHUP, for ever.
+async fn control(live: Arc<Mutex<Live>>, socket: Option<Socket>, mut hangup: Signal) {
+    let commands = async {
+        match socket {
+            Some(socket) => socket.serve(Arc::clone(&live)).await,
+            None => std::future::pending().await,
+        }
+    };
+    let reloads = async {
+        while hangup.recv().await.is_some() {
+            let answer = live.lock().await.obey(Command::Reload).await;
+            control::server::note(&Command::Reload, None, &answer);
+        }
+    };
+    tokio::join!(commands, reloads);
+}
+
+/// The main thread: TCP clients, UDP subscriptions, commands and signals, until the end.
 fn serve(
     main: &Runtime,
     config: &Config,
     slow: Slow,
+    control: impl Future<Output = ()>,
     fast: Fast,
     counters: &Arc<Counters>,
     stop: &CancellationToken,
@@ -232,7 +282,7 @@ fn serve(
             };
             // Not told to stop: it serves what the fast side still sends, and ends when that has ended.
             let never = CancellationToken::new();
-            tcp::serve(listener, frames, &descriptor, limits, Arc::clone(counters), never).await;
+            tcp::serve(listener, frames, descriptor, limits, Arc::clone(counters), never).await;
         };
         let subscribing = async {
             match desk {
@@ -241,20 +291,25 @@ fn serve(
             }
         };
         let mut serving = std::pin::pin!(serving);
-        tokio::select! {
+        let asked = tokio::select! {
             biased;
             end = &mut ended => return fast_end(end),
             () = &mut serving => {
                 // The server ends by itself only when the fast side is gone.
                 return fast_end(ended.await);
             }
-            end = subscribing => end.context("cannot take UDP subscriptions")?,
-            _ = terminate.recv() => tracing::info!("SIGTERM: stopping"),
-            _ = interrupt.recv() => tracing::info!("SIGINT: stopping"),
+            end = subscribing => end.context("cannot take UDP subscriptions").map(|()| "subscriptions ended"),
+            () = control => Err(Failure::new(exit::SOFTWARE, "the control task ended by itself").into()),
+            _ = terminate.recv() => Ok("SIGTERM"),
+            _ = interrupt.recv() => Ok("SIGINT"),
+        };
+        if let Ok(signal) = asked {
+            tracing::info!("{signal}: stopping");
         }
         stop.cancel();
         let (end, ()) = tokio::join!(ended, serving);
-        fast_end(end)
+        fast_end(end)?;
+        asked.map(|_| ())
     });
     // It has said that it ended; only a panic is news now.
     if thread.join().is_err() {

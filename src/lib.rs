@@ -12,7 +12,8 @@
 //!  board ┘                 └─> estimation ──> publishing ──> UDP, TCP
 //! ```
 //!
-//! `optics` is the sensor model that everything rests on; `daemon` is the wiring.
+//! `optics` is the sensor model that everything rests on; `daemon` is the wiring, `control` changes it
+//! while it runs.
 //! Lengths are metres, angles radians, times nanoseconds of the monotonic clock, everywhere inside;
 //! other units exist only in the configuration (where every key carries its unit) and on screens.
 
@@ -20,6 +21,7 @@ pub mod acquisition;
 pub mod centering;
 pub mod clock;
 pub mod config;
+pub mod control;
 pub mod daemon;
 pub mod estimation;
 pub mod exit;

@@ -24,6 +24,8 @@ const EXIT_CODES: &str = "Exit codes: 0 fine, 64 wrong command line, 65 bad rows
 enum Command {
     /// Run the daemon
     Run(commands::RunArgs),
+    /// Tell a running daemon what to do
+    Ctl(commands::CtlArgs),
     /// Say what a configuration means, or what is wrong with it
     Check(commands::CheckArgs),
     /// Play an acquisition board on a pseudo-terminal
@@ -52,6 +54,7 @@ fn main() -> ExitCode {
     };
     let result = match cli.command {
         Command::Run(args) => commands::run(&args),
+        Command::Ctl(args) => commands::ctl(&args),
         Command::Check(args) => commands::check(&args),
         Command::Emulate(args) => commands::emulate(&args),
         Command::Dark(args) => commands::dark(&args),

@@ -21,7 +21,7 @@ const RAY_AT_REST: f64 = -119.2e-6;
 
 /// A mirror at rest at zero; the beam is off by this much, and nothing corrects it.
 fn at_rest(offset_um: [f64; 2]) -> String {
-    format!("[twin]\nseed = 1\nmotion = []\nlaser_offset_um = {offset_um:?}\n[centering]\nenabled = false\n")
+    format!("[twin]\nseed = 1\nmotion = []\nlaser_offset_um = {offset_um:?}\n[centering]\nmode = \"off\"\n")
 }
 
 /// Runs the program on files of a folder; standard output goes to the file `to`.
@@ -109,7 +109,7 @@ impl Bench {
         std::fs::write(file.path(), config).unwrap();
         let config = trifacet::config::load(Some(file.path())).unwrap();
         let channels = Channels::load(&config).unwrap();
-        let estimation = Estimation::new(Settings::new(&config, channels.calibrated()).unwrap());
+        let estimation = Estimation::new(Settings::new(&config, channels.calibrated(), 0).unwrap());
         Self { estimation, channels, config, index: 0 }
     }
 

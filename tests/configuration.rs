@@ -67,6 +67,13 @@ const BAD: &[(&str, &[&str])] = &[
     ("[channels.a]\ngain = [0, 1, -1]\n", &["lab.toml:2:9: channels.a.gain[0] = 0: allowed is 0.01 to 100 or", "lab.toml:2:15: channels.a.gain[2] = -1: allowed is 0.01 to 100 (a power)"]),
     ("[channels.c]\ncorrection = 'no/such.csv'\n", &["lab.toml:2:14: channels.c.correction = 'no/such.csv'", "relative to this one: no/such.csv: No such file"]),
     ("[log]\nlevel = 'inof'\n", &["lab.toml:2:9: log.level = 'inof': allowed is off, error, warn, info"]),
+    ("[control]\nsocket = 'ctl.sock'\n", &["lab.toml:2:10: control.socket = 'ctl.sock': allowed is \"off\", or an absolute path"]),
+    ("[control]\nmode = 660\n", &["lab.toml:2:8: control.mode = 660: allowed is octal permissions from \"0600\""]),
+    ("[control]\nmode = '0o660'\n", &["lab.toml:2:8: control.mode", "octal permissions"]),
+    ("[control]\nmode = '0440'\n", &["lab.toml:2:8: control.mode = '0440': allowed is octal"]),
+    ("[frames.base]\nrotation_deg = [0, 400, 0]\n", &["lab.toml:2:20: frames.base.rotation_deg[1] = 400: allowed is -360 to 360"]),
+    ("[frames.tip]\n", &["lab.toml:1:9: frames.tip is no key", "base, tool, tare"]),
+    ("[centering]\nmode = 'dark'\n", &["lab.toml:2:8: centering.mode = 'dark'", "`on`, `off`, `shadow`"]),
     ("[acquisition.serial]\nport = ''\n", &["lab.toml:2:8: acquisition.serial.port = '': allowed is the path of a serial port"]),
     ("[publishing]\nudp = ['1.2.3.4:0']\n", &["lab.toml:2:8: publishing.udp[0] = '1.2.3.4:0': allowed is a port from 1 to 65535"]),
     ("[publishing]\nallow = ['127.0.0.1', 'lab']\n", &["lab.toml:2:23: publishing.allow[1] = 'lab'", "192.168.1.0/24"]),
@@ -167,10 +174,15 @@ fn the_fingerprint_is_that_of_geometry_and_calibration() {
     // This number is part of the format: it must be the same in every version and on every machine.
     assert_eq!(id(""), 3_635_944_138, "the defaults");
     assert_eq!(id("acquisition.rate_hz = 50\nlog.level = 'warn'\ntwin.seed = 3"), id(""));
+    assert_eq!(id("frames.base.rotation_deg = [-0.0, 0, 0]"), id(""), "frames that change nothing");
+    assert_eq!(id("frames.tool.translation_mm = [0, 0, -40]"), 3_360_922_473, "and of frames");
     for text in [
         "head.psd_distance_mm = 250.0000001",
         "channels.b.gain = [1, -1, 1]",
         "channels.a.dark_v = [0.0, 0.0, 1e-6]",
+        "frames.tool.translation_mm = [0, 0, 1e-7]",
+        "frames.base.translation_mm = [0, 0, 1e-7]",
+        "frames.tare.rotation_deg = [0, 0, 1e-9]",
     ] {
         assert_ne!(id(text), id(""), "{text}");
     }

@@ -96,7 +96,7 @@ fn defaults() -> BTreeMap<String, Option<String>> {
 fn every_key_is_documented_with_its_default() {
     let documented = documented();
     assert!(documented.len() > 80, "{}", documented.len());
-    let one_of_three = [".b.", ".c."];
+    let one_of_three = [".b.", ".c.", "frames.tool.", "frames.tare."];
     for (key, value) in defaults().iter().filter(|(key, _)| !one_of_three.iter().any(|b| key.contains(b))) {
         let row = documented.get(key).unwrap_or_else(|| panic!("docs/configuration.md lacks {key}"));
         assert_eq!(row.default, value.clone().unwrap_or_default(), "default of {key}");
@@ -162,6 +162,16 @@ fn with_value(key: &str, value: f64, default: &str) -> String {
         None => format!("[{section}]"),
     };
     format!("{header}\n{name} = {value}\n{rest}\n")
+}
+
+#[test]
+fn the_table_of_what_can_be_reloaded_is_complete() {
+    let page = read("docs/operation.md");
+    let section = page.split("\n## Reload\n").nth(1).unwrap().split("\n## ").next().unwrap();
+    let documented: Vec<_> =
+        section.lines().filter_map(|l| l.strip_prefix("| `")?.split_once('`').map(|(key, _)| key)).collect();
+    let live: Vec<_> = trifacet::config::reload::LIVE.iter().map(|key| key.join(".")).collect();
+    assert_eq!(documented, live);
 }
 
 #[test]

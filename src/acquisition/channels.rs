@@ -100,6 +100,11 @@ impl Channels {
 }
 
 impl ChannelMap {
+    /// Goes on with what else is said of the same channels; no scan is interrupted.
+    pub fn retune(&mut self, channels: Channels) {
+        self.channels = channels;
+    }
+
     /// The sample of a scan.
     pub fn sample(&mut self, scan: &Scan) -> Sample {
         let volts = scan.codes.map(|code| f64::from(code) * self.converter.step_v());

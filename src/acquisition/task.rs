@@ -3,22 +3,37 @@
 use std::sync::Arc;
 
 use tokio::sync::mpsc::{self, error::TrySendError};
-use tokio::sync::watch;
+use tokio::sync::{oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
 use super::{Ack, ChannelMap, Channels, Down, Event, Identity, OutputCommand, Sample, Source};
 use crate::clock::Clock;
+use crate::estimation;
 use crate::monitor::Counters;
 
 /// What estimation gets, in order.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub enum Acquired {
     /// The source is ready.
     Up(Arc<Identity>),
     /// A sample.
     Sample(Sample),
+    /// From here on, samples and poses mean something else.
+    Changed(Box<Change>),
     /// No samples come, for this reason.
     Down(Down),
+}
+
+/// What samples and poses shall mean from now on. It goes the way of the samples, so that each of them is
+/// read with the settings that belong to it.
+#[derive(Debug)]
+pub struct Change {
+    /// Another channel map; taken out on its way.
+    pub channels: Option<Channels>,
+    /// For estimation.
+    pub settings: estimation::Settings,
+    /// Hears that it is so.
+    pub done: oneshot::Sender<()>,
 }
 
 /// What the controller gets: only the newest.
@@ -41,6 +56,8 @@ pub struct Edges {
     pub newest: watch::Sender<Newest>,
     /// Steering commands, from centering.
     pub commands: watch::Receiver<Option<OutputCommand>>,
+    /// Changes of what samples mean, from outside of the fast side.
+    pub changes: mpsc::Receiver<Change>,
 }
 
 /// Runs until `stop`, then closes the source.
@@ -52,8 +69,9 @@ pub async fn run<S: Source, C: Clock>(
     edges: Edges,
     stop: CancellationToken,
 ) {
-    let mut commands = edges.commands.clone();
-    let mut intake = Intake { channels, counters, edges, source: None, up: false, dropped: 0 };
+    let Edges { samples, newest, mut commands, mut changes } = edges;
+    let mut intake =
+        Intake { channels, counters, samples, newest, source: None, up: false, dropped: 0, change: None };
     loop {
         tokio::select! {
             biased;
@@ -64,6 +82,7 @@ pub async fn run<S: Source, C: Clock>(
                     source.steer(command, clock.now());
                 }
             }
+            Some(change) = changes.recv() => intake.change(change),
             event = source.next() => intake.take(event),
         }
     }
@@ -74,13 +93,16 @@ pub async fn run<S: Source, C: Clock>(
 struct Intake {
     channels: Channels,
     counters: Arc<Counters>,
-    edges: Edges,
+    samples: mpsc::Sender<Acquired>,
+    newest: watch::Sender<Newest>,
     /// The source as it last came up, with its channel map.
     source: Option<(Arc<Identity>, ChannelMap)>,
     /// Scans are coming.
     up: bool,
     /// Samples that estimation had no room for since the last one it took.
     dropped: u32,
+    /// A change that estimation had no room for: no sample goes before it.
+    change: Option<Box<Change>>,
 }
 
 impl Intake {
@@ -94,9 +116,9 @@ impl Intake {
                     if !std::mem::replace(&mut self.up, true) {
                         tracing::info!("scans come");
                         let identity = Arc::clone(identity);
-                        self.edges.newest.send_modify(|newest| newest.source = Some(identity));
+                        self.newest.send_modify(|newest| newest.source = Some(identity));
                     }
-                    self.edges.newest.send_modify(|newest| newest.sample = Some(sample));
+                    self.newest.send_modify(|newest| newest.sample = Some(sample));
                     self.hand_on(sample);
                 }
             }
@@ -104,7 +126,7 @@ impl Intake {
                 if !ack.accepted {
                     self.counters.commands_refused.one();
                 }
-                self.edges.newest.send_modify(|newest| newest.ack = Some(ack));
+                self.newest.send_modify(|newest| newest.ack = Some(ack));
             }
             Event::Down(down) => self.down(down),
         }
@@ -128,13 +150,41 @@ impl Intake {
             self.counters.source_downs.one();
         }
         tracing::warn!(reason = %down, "source is down");
-        self.edges.newest.send_modify(|newest| newest.source = None);
+        self.newest.send_modify(|newest| newest.source = None);
         self.tell(Acquired::Down(down));
     }
 
+    fn change(&mut self, mut change: Change) {
+        if let Some(channels) = change.channels.take() {
+            if let Some((_, map)) = &mut self.source {
+                map.retune(channels.clone());
+            }
+            self.channels = channels;
+        }
+        self.change = Some(Box::new(change)); // one that still waits here is out of date
+        self.pass_change();
+    }
+
+    /// Whether no change is in the way.
+    fn pass_change(&mut self) -> bool {
+        let Some(change) = self.change.take() else { return true };
+        if let Err(TrySendError::Full(Acquired::Changed(change))) =
+            self.samples.try_send(Acquired::Changed(change))
+        {
+            self.change = Some(change);
+        }
+        self.change.is_none()
+    }
+
     fn hand_on(&mut self, mut sample: Sample) {
-        sample.lost += self.dropped;
-        match self.edges.samples.try_send(Acquired::Sample(sample)) {
+        sample.lost = sample.lost.saturating_add(self.dropped);
+        let sample_of = Acquired::Sample(sample);
+        let sent = if self.pass_change() {
+            self.samples.try_send(sample_of)
+        } else {
+            Err(TrySendError::Full(sample_of))
+        };
+        match sent {
             Ok(()) => self.dropped = 0,
             Err(TrySendError::Full(_)) => {
                 self.counters.estimation_overflows.one();
@@ -148,7 +198,7 @@ impl Intake {
     /// News about the source. With no room left estimation has older samples to work on, and finds out
     /// by the silence after them.
     fn tell(&self, news: Acquired) {
-        if self.edges.samples.try_send(news).is_err() {
+        if self.samples.try_send(news).is_err() {
             self.counters.estimation_overflows.one();
         }
     }

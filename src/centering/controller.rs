@@ -19,18 +19,26 @@ pub struct Controller {
     pub slew: f64,
 }
 
-/// What the controller remembers.
+/// What the controller remembers. There is no integral in it, only where the stage is and what was seen
+/// there: so neither gains nor setpoint can change without the next command following from the last one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Memory {
-    integral: Xy,
     /// The last command, metres.
     pub position: Xy,
+    /// The error at that command; none after taking over.
+    error: Option<Xy>,
 }
 
 impl Memory {
     /// The state of a stage at rest at `position`: taking over there makes no jump.
     pub fn at(position: Xy) -> Self {
-        Self { integral: position, position }
+        Self { position, error: None }
+    }
+
+    /// The same state, for a setpoint that has moved by `step`.
+    #[must_use]
+    pub fn shifted(self, step: Xy) -> Self {
+        Self { error: self.error.map(|e| [e[0] + step[0], e[1] + step[1]]), ..self }
     }
 }
 
@@ -46,29 +54,36 @@ impl Controller {
         }
     }
 
-    /// The next command for an offset of the beam, `dt` seconds after the last one.
+    /// The next command for an error (where the beam shall be, less where it is), `dt` seconds after the
+    /// last one.
     ///
-    /// The integral is set back to what the limits let through, so that it never winds up.
+    /// The limits act on the sum of both parts, from which the next step goes on: nothing winds up.
     #[must_use]
-    pub fn update(&self, memory: &Memory, offset: Xy, dt: f64) -> Memory {
-        let mut next = *memory;
-        if !offset.iter().all(|o| o.is_finite()) {
-            return next; // no reason to move
+    pub fn update(&self, memory: &Memory, error: Xy, dt: f64) -> Memory {
+        if !error.iter().all(|e| e.is_finite()) {
+            return self.hold(memory, dt); // no reason to move
         }
-        for (axis, offset) in offset.into_iter().enumerate() {
-            let error = -offset;
-            let integral = memory.integral[axis] + self.ki_per_s * dt * error;
-            let wanted = integral + self.kp * error;
-            next.position[axis] = self.permitted(memory.position[axis], wanted, dt);
-            next.integral[axis] = next.position[axis] - self.kp * error;
+        let before = memory.error.unwrap_or(error);
+        let mut next = Memory { position: memory.position, error: Some(error) };
+        for (axis, error) in error.into_iter().enumerate() {
+            let step = self.kp * (error - before[axis]) + self.ki_per_s * dt * error;
+            next.position[axis] = self.permitted(memory.position[axis], memory.position[axis] + step, dt);
         }
         next
     }
 
-    /// As near to `wanted` as the limits allow.
+    /// The next command when nothing is seen: the last one, or towards it if the limits have come closer.
+    #[must_use]
+    pub fn hold(&self, memory: &Memory, dt: f64) -> Memory {
+        let position = memory.position.map(|p| self.permitted(p, p, dt));
+        Memory { position, error: None }
+    }
+
+    /// As near to `wanted` as the limits allow. A stage outside of its limits goes back at its speed.
     fn permitted(&self, from: f64, wanted: f64, dt: f64) -> f64 {
         let reach = self.slew * dt;
-        wanted.clamp(from - reach, from + reach).clamp(-self.limit, self.limit)
+        let wanted = if wanted.is_finite() { wanted } else { from };
+        wanted.clamp(-self.limit, self.limit).clamp(from - reach, from + reach)
     }
 
     /// Whether a command stands at a limit.
@@ -90,7 +105,7 @@ mod tests {
         for k in 2..steps {
             let beam = run[k - 2].position[0];
             let memory = run[k];
-            run.push(controller.update(&memory, [beam - apex, 0.0], DT));
+            run.push(controller.update(&memory, [apex - beam, 0.0], DT));
         }
         run
     }
@@ -110,7 +125,7 @@ mod tests {
         assert!(run.iter().all(|m| m.position[0].abs() <= 400e-6));
         let railed = *run.last().unwrap();
         assert!(CONTROLLER.railed(railed.position));
-        let next = CONTROLLER.update(&railed, [10e-6, 0.0], DT);
+        let next = CONTROLLER.update(&railed, [-10e-6, 0.0], DT);
         assert!(next.position[0] < 400e-6, "no windup");
     }
 
@@ -126,8 +141,41 @@ mod tests {
     fn nonsense_does_not_move_it() {
         let memory = Memory::at([1e-5, -2e-5]);
         for nonsense in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-            let next = CONTROLLER.update(&memory, [nonsense, nonsense], DT);
-            assert_eq!(next.position, memory.position);
+            for error in [[nonsense, nonsense], [nonsense, 1e-6], [1e-6, nonsense]] {
+                let next = CONTROLLER.update(&memory, error, DT);
+                assert_eq!(next.position, memory.position);
+            }
         }
+        let wild = Controller { kp: f64::MAX, ki_per_s: f64::MAX, ..CONTROLLER };
+        let next = wild.update(&wild.update(&memory, [1.0; 2], 1.0), [-1e300; 2], DT);
+        assert!(next.position.iter().all(|p| p.abs() <= 400e-6), "{next:?}");
+    }
+
+    #[test]
+    fn no_change_of_gains_setpoint_or_limits_makes_it_jump() {
+        let memory = CONTROLLER.update(&Memory::at([100e-6, 0.0]), [5e-6, 0.0], DT);
+        let next = CONTROLLER.update(&memory, [5e-6, 0.0], DT).position[0];
+        // Three times the proportional gain: the same next step, since the error has not moved.
+        let retuned = Controller { kp: 0.3, ..CONTROLLER };
+        assert_eq!(retuned.update(&memory, [5e-6, 0.0], DT).position[0], next);
+        // A setpoint 20 um away moves it by the integral alone.
+        let moved = CONTROLLER.update(&memory.shifted([20e-6, 0.0]), [25e-6, 0.0], DT).position[0];
+        assert!((moved - memory.position[0] - 0.2 * 25e-6).abs() < 1e-12, "{moved}");
+        // Limits that have come closer are reached at the slew limit, seeing or blind.
+        let tight = Controller { limit: 20e-6, ..CONTROLLER };
+        let mut memory = memory;
+        for step in 0..3 {
+            let blind = tight.hold(&memory, DT);
+            let next = if step == 0 { blind } else { tight.update(&memory, [1e-3, 0.0], DT) };
+            assert!((memory.position[0] - next.position[0]) <= 50.001e-6, "{next:?}");
+            memory = next;
+        }
+        assert_eq!(memory.position[0], 20e-6);
+    }
+
+    #[test]
+    fn taking_over_makes_no_proportional_kick() {
+        let next = CONTROLLER.update(&Memory::at([0.0; 2]), [100e-6, 0.0], DT);
+        assert!((next.position[0] - 0.2 * 100e-6).abs() < 1e-12, "{next:?}");
     }
 }

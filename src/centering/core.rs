@@ -4,21 +4,36 @@ use super::controller::{Controller, Memory, Xy};
 use super::lock::{Lock, LockLimits, LockState, Sight, Transition};
 use crate::acquisition::{Expiry, OutputCommand, PsdState, Sample};
 use crate::clock::Mono;
-use crate::config::{Config, OnExit, Target};
+use crate::config::{Config, LoopMode, OnExit, Target};
 use crate::optics::{HeadError, Optics, Pose};
 
 /// The time between samples counts as at most so many periods.
 const MOST_PERIODS: f64 = 5.0;
 
-const TOO_LATE: &str = "samples come later than centering.loop_delay_ms";
+pub(super) const TOO_LATE: &str = "samples come later than centering.loop_delay_ms";
 
 /// What the rest of the house is told of the loop.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LoopState {
     /// The lock state.
     pub lock: LockState,
-    /// Where the stage was last commanded to, metres.
+    /// Where the stage was last commanded to, metres; none unless the loop is on.
     pub position: Option<Xy>,
+}
+
+/// What a person may want to know of the loop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LoopView {
+    /// What it does.
+    pub mode: LoopMode,
+    /// The lock state.
+    pub lock: LockState,
+    /// The offset of the beam in the last sample, metres; not looked at while the loop is off.
+    pub offset: Option<Xy>,
+    /// Where the stage was last commanded to, metres; none unless the loop is on.
+    pub commanded: Option<Xy>,
+    /// In the shadow: where the stage stands, and where the loop would send it next, metres.
+    pub shadow: Option<(Xy, Xy)>,
 }
 
 /// What follows from a sample.
@@ -32,70 +47,129 @@ pub struct Outcome {
     pub transition: Option<Transition>,
 }
 
-/// The loop.
-#[derive(Clone, Debug)]
-pub struct Centering {
-    optics: Optics,
+/// How the loop shall work. All of it can change while the loop runs.
+#[derive(Clone, Copy, Debug)]
+pub struct Tuning {
+    mode: LoopMode,
     target: Target,
+    /// The offset that the loop goes to, metres.
+    setpoint: Xy,
     controller: Controller,
-    enabled: bool,
-    period_s: f64,
+    limits: LockLimits,
     /// A sample older than this comes too late: the gains are made for this delay, and with a longer
     /// one the loop would push again and again before it sees what it has done.
     fresh_s: f64,
-    /// For how long they have come too late, and how long that may last before it is no hiccup.
-    late_s: f64,
+    /// For how long they may come too late until it is no hiccup.
     patience_s: f64,
-    steering: Steering,
-    lock: Lock,
-    memory: Option<Memory>,
-    last: Option<(u64, Mono)>,
-}
-
-/// The stage as the commands need to know it.
-#[derive(Clone, Debug)]
-struct Steering {
-    full_scale: f64,
     park: Xy,
     on_exit: OnExit,
     on_lease: Expiry,
     lease_ms: u16,
-    id: u32,
+}
+
+impl Tuning {
+    /// From a checked configuration.
+    pub fn new(config: &Config) -> Self {
+        let steering = &config.steering;
+        Self {
+            mode: config.centering.mode,
+            target: config.centering.target,
+            setpoint: config.centering.setpoint_um.map(|um| um * 1e-6),
+            controller: Controller::new(config),
+            limits: LockLimits::new(&config.centering),
+            fresh_s: config.centering.loop_delay_s(config.acquisition.rate_hz),
+            patience_s: config.centering.lost_time_ms * 1e-3,
+            park: steering.park_um.map(|um| um * 1e-6),
+            on_exit: steering.on_exit,
+            on_lease: match steering.on_lease {
+                OnExit::Hold => Expiry::Hold,
+                OnExit::Park => Expiry::Park,
+            },
+            lease_ms: steering.lease_ms,
+        }
+    }
+}
+
+/// The loop.
+#[derive(Clone, Debug)]
+pub struct Centering {
+    optics: Optics,
+    tuning: Tuning,
+    period_s: f64,
+    /// Position of the stage at the full-scale code, metres.
+    full_scale: f64,
+    lock: Lock,
+    /// Where the stage was sent last.
+    memory: Option<Memory>,
+    /// The stage is to be taken over, where it stands, before it is moved.
+    apart: bool,
+    /// Nothing but this loop has moved the stage since then.
+    ours: bool,
+    /// For how long samples have come too late.
+    late_s: f64,
+    last: Option<(u64, Mono)>,
+    offset: Option<Xy>,
+    shadow: Option<(Xy, Xy)>,
+    commands: u32,
 }
 
 impl Centering {
     /// From a checked configuration.
     pub fn new(config: &Config) -> Result<Self, HeadError> {
-        let steering = &config.steering;
+        let tuning = Tuning::new(config);
         Ok(Self {
             optics: Optics::new(&config.head.build()?),
-            target: config.centering.target,
-            controller: Controller::new(config),
-            enabled: config.centering.enabled,
+            tuning,
             period_s: 1.0 / config.acquisition.rate_hz,
-            fresh_s: config.centering.loop_delay_s(config.acquisition.rate_hz),
-            late_s: 0.0,
-            patience_s: config.centering.lost_time_ms * 1e-3,
-            lock: Lock::new(LockLimits::new(&config.centering), config.centering.enabled),
+            full_scale: config.steering.full_scale_um * 1e-6,
+            lock: Lock::new(tuning.limits, tuning.mode == LoopMode::On),
             memory: None,
+            apart: true,
+            ours: false,
+            late_s: 0.0,
             last: None,
-            steering: Steering {
-                full_scale: steering.full_scale_um * 1e-6,
-                park: steering.park_um.map(|um| um * 1e-6),
-                on_exit: steering.on_exit,
-                on_lease: match steering.on_lease {
-                    OnExit::Hold => Expiry::Hold,
-                    OnExit::Park => Expiry::Park,
-                },
-                lease_ms: steering.lease_ms,
-                id: 0,
-            },
+            offset: None,
+            shadow: None,
+            commands: 0,
         })
     }
 
     /// What the loop is doing.
     pub fn state(&self) -> LoopState {
-        LoopState { lock: self.lock.state(), position: self.memory.map(|memory| memory.position) }
+        LoopState { lock: self.lock.state(), position: self.commanded() }
+    }
+
+    /// The same, and more, for people.
+    pub fn view(&self) -> LoopView {
+        LoopView {
+            mode: self.tuning.mode,
+            lock: self.lock.state(),
+            offset: self.offset,
+            commanded: self.commanded(),
+            shadow: self.shadow,
+        }
+    }
+
+    fn commanded(&self) -> Option<Xy> {
+        self.memory.filter(|_| !self.apart).map(|memory| memory.position)
+    }
+
+    /// Goes on with another tuning, without a jump of the stage. When the loop lets go of the stage, its
+    /// last command is to stay there, whatever the lease would have done.
+    pub fn retune(&mut self, tuning: Tuning, output_bits: Option<u8>) -> Outcome {
+        let old = std::mem::replace(&mut self.tuning, tuning);
+        let step = [0, 1].map(|axis| tuning.setpoint[axis] - old.setpoint[axis]);
+        self.memory = self.memory.map(|memory| memory.shifted(step));
+        let transition = self.lock.retune(tuning.limits, tuning.mode == LoopMode::On);
+        let mut command = None;
+        if tuning.mode != old.mode {
+            (self.offset, self.shadow) = (None, None);
+            if let (Some(position), Some(bits)) = (self.commanded(), output_bits) {
+                command = Some(OutputCommand { on_expiry: Expiry::Hold, ..self.command(position, bits) });
+            }
+            self.apart = true;
+        }
+        Outcome { command, late: false, transition }
     }
 
     /// Samples that came and went between `sample` and the last one seen; `None` if it is not newer.
@@ -106,67 +180,117 @@ impl Centering {
 
     /// The source is another one, or came back: the stage may stand elsewhere.
     pub fn source_changed(&mut self) {
-        let parked = self.steering.on_lease == Expiry::Park;
-        let Some(memory) = self.memory else { return };
-        // Until a readback says better, where the lease has left it.
-        self.memory = Some(Memory::at(if parked { self.steering.park } else { memory.position }));
         self.last = None;
+        let parked = self.tuning.on_lease == Expiry::Park && !self.apart;
+        (self.apart, self.ours) = (true, false);
+        // Until a readback says better, where the lease has left it.
+        self.memory = self.memory.map(|m| Memory::at(if parked { self.tuning.park } else { m.position }));
     }
 
     /// Takes a sample, which must be newer than all before, at the moment `now`. `pose` is the last valid
     /// pose, if it is fresh; `output_bits` the resolution of the stage's outputs.
     pub fn sample(&mut self, sample: &Sample, pose: Option<&Pose>, now: Mono, output_bits: u8) -> Outcome {
         let dt = self.seconds_since_last(sample);
-        let lease_s = f64::from(self.steering.lease_ms) * 1e-3;
+        let lease_s = f64::from(self.tuning.lease_ms) * 1e-3;
         if self.last.is_some_and(|(_, time)| sample.time.seconds_since(time) >= lease_s) {
             self.source_changed(); // the board has acted by itself in the meantime
         }
-        let first = self.last.is_none();
         self.last = Some((sample.index, sample.time));
-        if !self.enabled {
-            return Outcome::default();
-        }
-        if first {
-            self.take_over(sample);
-        }
-        let late = now.seconds_since(sample.time) > self.fresh_s;
-        self.late_s = if late { self.late_s + dt } else { 0.0 };
-        let memory = self.memory.unwrap_or_default();
-        let (next, sight) = match self.offset(sample, pose) {
-            _ if self.late_s > self.patience_s => (memory, Sight::Nothing(TOO_LATE)),
-            Ok(offset) => {
-                let next = if late { memory } else { self.controller.update(&memory, offset, dt) };
-                let railed = sample.output_railed || self.controller.railed(next.position);
-                (next, Sight::Offset { size: offset[0].hypot(offset[1]), railed })
+        match self.tuning.mode {
+            LoopMode::Off => Outcome::default(),
+            LoopMode::Shadow => {
+                self.watch(sample, pose, dt);
+                Outcome::default()
             }
-            Err(cause) => (memory, Sight::Nothing(cause)),
+            LoopMode::On => {
+                let late = now.seconds_since(sample.time) > self.tuning.fresh_s;
+                self.late_s = if late { self.late_s + dt } else { 0.0 };
+                let offset = self.offset(sample, pose);
+                let patient = self.late_s <= self.tuning.patience_s;
+                // What is late is looked at, and not acted upon. The stage still gets its command: that
+                // renews the lease, which is for a daemon that is dead.
+                let command = self.steer(sample, if late { Err(TOO_LATE) } else { offset }, dt, output_bits);
+                let transition = self.judge(sample, if patient { offset } else { Err(TOO_LATE) }, dt);
+                Outcome { command: Some(command), late, transition }
+            }
+        }
+    }
+
+    fn steer(&mut self, sample: &Sample, offset: Result<Xy, &str>, dt: f64, bits: u8) -> OutputCommand {
+        let memory = match self.memory {
+            Some(memory) if !self.apart => memory,
+            _ => self.take_over(sample, dt),
+        };
+        (self.apart, self.ours) = (false, true);
+        let controller = self.tuning.controller;
+        let next = match offset {
+            Ok(offset) => controller.update(&memory, self.error(offset), dt),
+            Err(_) => controller.hold(&memory, dt),
         };
         self.memory = Some(next);
-        let transition = self.lock.update(sight, dt);
-        // Also while nothing new is known: it renews the lease, which is for a daemon that is dead.
-        Outcome { command: Some(self.steering.command(next.position, output_bits)), late, transition }
+        self.command(next.position, bits)
+    }
+
+    /// What the lock makes of an offset.
+    fn judge(&mut self, sample: &Sample, offset: Result<Xy, &'static str>, dt: f64) -> Option<Transition> {
+        self.offset = offset.ok();
+        let sight = match offset {
+            Ok(offset) => {
+                let error = self.error(offset);
+                let at_limit = |position| self.tuning.controller.railed(position);
+                let railed = sample.output_railed || self.commanded().is_some_and(at_limit);
+                Sight::Offset { size: error[0].hypot(error[1]), railed }
+            }
+            Err(cause) => Sight::Nothing(cause),
+        };
+        self.lock.update(sight, dt)
+    }
+
+    /// In the shadow: what the loop would do next if it took over now.
+    fn watch(&mut self, sample: &Sample, pose: Option<&Pose>, dt: f64) {
+        let stage = self.take_over(sample, dt);
+        self.offset = self.offset(sample, pose).ok();
+        self.shadow = self.offset.map(|offset| {
+            let next = self.tuning.controller.update(&stage, self.error(offset), dt);
+            (stage.position, next.position)
+        });
+    }
+
+    /// From where the beam is to where it shall be.
+    fn error(&self, offset: Xy) -> Xy {
+        [0, 1].map(|axis| self.tuning.setpoint[axis] - offset[axis])
     }
 
     /// `dt` seconds have passed without a sample. No command: the lease decides what the stage does.
     pub fn silence(&mut self, dt: f64) -> Option<Transition> {
+        (self.offset, self.shadow) = (None, None);
         self.lock.update(Sight::Nothing("no samples come"), dt)
     }
 
-    /// The last command: hold or park. `None` if the loop never moved the stage.
+    /// The last command: hold or park. `None` if the stage is not the loop's.
     pub fn finish(&mut self, output_bits: u8) -> Option<OutputCommand> {
-        let position = match self.steering.on_exit {
-            OnExit::Hold => self.memory?.position,
-            OnExit::Park => self.memory.map(|_| self.steering.park)?,
+        let commanded = self.commanded()?;
+        let position = match self.tuning.on_exit {
+            OnExit::Hold => commanded,
+            OnExit::Park => self.tuning.park,
         };
-        Some(self.steering.command(position, output_bits))
+        Some(self.command(position, output_bits))
     }
 
-    /// Starts where the stage says that it stands.
-    fn take_over(&mut self, sample: &Sample) {
-        let known = self.memory.unwrap_or_default().position;
-        let limit = self.controller.limit;
-        let position = sample.steering.unwrap_or(known).map(|p| p.clamp(-limit, limit));
-        self.memory = Some(Memory::at(position));
+    /// The stage as it stands: as it says itself, or where it was sent last. If nothing but this loop has
+    /// moved it (`ours`), and it stands there to within a step, the last command is the better number.
+    fn take_over(&self, sample: &Sample, dt: f64) -> Memory {
+        let limit = self.tuning.controller.limit;
+        let sent = self.memory.map(|memory| memory.position);
+        let read = sample.steering.filter(|at| at.iter().all(|p| p.is_finite()));
+        if let (Some(read), Some(sent), true) = (read, sent, self.ours) {
+            let reach = self.tuning.controller.slew * dt;
+            if (0..2).all(|axis| (read[axis] - sent[axis]).abs() <= reach) {
+                return Memory::at(sent);
+            }
+        }
+        let position = read.or(sent).unwrap_or_default();
+        Memory::at(position.map(|p| p.clamp(-limit, limit)))
     }
 
     fn seconds_since_last(&self, sample: &Sample) -> f64 {
@@ -183,7 +307,7 @@ impl Centering {
             return Err("a PSD sees too little light");
         }
         let nominal = Pose::default();
-        let pose = match self.target {
+        let pose = match self.tuning.target {
             Target::Apex => pose.unwrap_or(&nominal),
             // Nominal wedges: there equal powers are zero offset.
             Target::Balance => &nominal,
@@ -191,75 +315,13 @@ impl Centering {
         let offset = self.optics.offset_of_powers(&sample.powers, pose);
         offset.map(Into::into).map_err(|_| "the powers give no offset")
     }
-}
 
-impl Steering {
     fn command(&mut self, position: Xy, output_bits: u8) -> OutputCommand {
         let full = f64::from(1_i32 << (output_bits - 1));
         let code = |p: f64| (p / self.full_scale * full).round().clamp(-full, full - 1.0) as i32;
         let codes = position.map(code);
-        self.id = self.id.wrapping_add(1);
-        OutputCommand { id: self.id, codes, lease_ms: self.lease_ms, on_expiry: self.on_lease }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::optics::{Model, Vec2};
-
-    const MS: i64 = 1_000_000;
-
-    fn centering() -> Centering {
-        Centering::new(&Config::default()).unwrap()
-    }
-
-    /// What is seen with the beam 20 um off.
-    fn sample(index: u64) -> Sample {
-        let optics = Optics::new(&Config::default().head.build().unwrap());
-        let (_, powers) = optics.trace_each(Model::Gaussian, &Pose::default(), Vec2::new(20e-6, 0.0));
-        Sample {
-            index,
-            time: Mono(index as i64 * MS),
-            time_sigma_ns: None,
-            lost: 0,
-            spots: [0.0; 6],
-            powers: powers.map(|p| p * 1e-3),
-            psds: [PsdState::Good; 3],
-            steering: Some([0.0; 2]),
-            output_railed: false,
-        }
-    }
-
-    #[test]
-    fn what_was_late_is_not_acted_upon_again_and_again() {
-        let mut centering = centering();
-        let now = Mono(50 * MS);
-        let outcomes: Vec<_> = (0..=50).map(|k| centering.sample(&sample(k), None, now, 16)).collect();
-        // After a pause of 50 ms only what is younger than the loop delay of 2.5 ms counts.
-        for (k, outcome) in (0..).zip(&outcomes) {
-            assert_eq!(outcome.late, k < 48);
-            assert_eq!(
-                outcome.command.unwrap().codes[0] == 0,
-                outcome.late,
-                "late ones hold, and renew the lease"
-            );
-        }
-        let [x, _] = centering.state().position.unwrap();
-        assert!((-20e-6..-5e-6).contains(&x), "{x}");
-    }
-
-    #[test]
-    fn a_source_that_is_always_late_is_said_to_be() {
-        let mut centering = centering();
-        let mut transitions = Vec::new();
-        for k in 0..200 {
-            let outcome = centering.sample(&sample(k), None, Mono((k as i64 + 10) * MS), 16);
-            assert_eq!((outcome.late, outcome.command.unwrap().codes), (true, [0, 0]));
-            transitions.extend(outcome.transition.map(|t| (t.to, t.cause)));
-        }
-        assert_eq!(transitions, [(LockState::Held, TOO_LATE), (LockState::Lost, TOO_LATE)]);
-        centering.sample(&sample(200), None, Mono(200 * MS), 16);
-        assert_eq!(centering.state().lock, LockState::Acquiring);
+        self.commands = self.commands.wrapping_add(1);
+        let Tuning { lease_ms, on_lease, .. } = self.tuning;
+        OutputCommand { id: self.commands, codes, lease_ms, on_expiry: on_lease }
     }
 }

@@ -123,10 +123,22 @@ pub struct Lock {
 }
 
 impl Lock {
-    /// Off if the loop is not `enabled`, and for ever then.
-    pub fn new(limits: LockLimits, enabled: bool) -> Self {
-        let state = if enabled { LockState::Acquiring } else { LockState::Off };
+    /// Off if the loop is not `on`.
+    pub fn new(limits: LockLimits, on: bool) -> Self {
+        let state = if on { LockState::Acquiring } else { LockState::Off };
         Self { limits, state, good_s: 0.0, blind_s: 0.0, mean_square: f64::INFINITY }
+    }
+
+    /// Goes on with other limits; switched on or off, it starts over.
+    pub fn retune(&mut self, limits: LockLimits, on: bool) -> Option<Transition> {
+        self.limits = limits;
+        if on == (self.state != LockState::Off) {
+            return None;
+        }
+        let from = self.state;
+        *self = Self::new(limits, on);
+        let cause = if on { "switched on" } else { "switched off" };
+        Some(Transition { from, to: self.state, cause })
     }
 
     /// The state.
@@ -235,8 +247,15 @@ mod tests {
     }
 
     #[test]
-    fn off_stays_off() {
+    fn off_stays_off_until_it_is_switched_on() {
         let mut lock = Lock::new(LIMITS, false);
         assert_eq!(feed(&mut lock, off_by(0.0), 100), LockState::Off);
+        assert_eq!(lock.retune(LIMITS, false), None);
+        assert_eq!(lock.retune(LIMITS, true).unwrap().to, LockState::Acquiring);
+        assert_eq!(feed(&mut lock, off_by(0.0), 40), LockState::Acquiring);
+        assert_eq!(feed(&mut lock, off_by(0.0), 20), LockState::Locked);
+        assert_eq!(lock.retune(LockLimits { offset: 1e-6, ..LIMITS }, true), None);
+        assert_eq!(feed(&mut lock, off_by(2e-6), 1), LockState::Acquiring, "the new limit counts");
+        assert_eq!(lock.retune(LIMITS, false).unwrap().to, LockState::Off);
     }
 }

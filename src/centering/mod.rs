@@ -9,6 +9,9 @@ pub mod controller;
 pub mod core;
 pub mod lock;
 pub mod task;
+#[cfg(test)]
+mod tests;
 
-pub use self::core::{Centering, LoopState};
+pub use self::core::{Centering, LoopState, LoopView, Tuning};
+pub use controller::Xy;
 pub use lock::LockState;

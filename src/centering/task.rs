@@ -3,12 +3,12 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::sync::watch;
+use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 
-use super::core::{Centering, LoopState};
+use super::core::{Centering, LoopState, LoopView, Tuning};
 use super::lock::Transition;
 use crate::acquisition::{Identity, OutputCommand, Sample, task::Newest};
 use crate::clock::{Clock, Mono};
@@ -34,6 +34,17 @@ pub struct Edges {
     pub commands: watch::Sender<Option<OutputCommand>>,
     /// What the loop does, to estimation.
     pub state: watch::Sender<LoopState>,
+    /// Orders from outside of the fast side.
+    pub orders: mpsc::Receiver<Order>,
+}
+
+/// What the loop may be told, and asked.
+#[derive(Debug)]
+pub enum Order {
+    /// To go on with another tuning; the answer says that it does.
+    Retune(Box<Tuning>, oneshot::Sender<()>),
+    /// What it is doing.
+    View(oneshot::Sender<LoopView>),
 }
 
 /// Runs until `stop`; then sends the last command and waits for its acknowledgement.
@@ -50,6 +61,10 @@ pub async fn run<C: Clock>(
         tokio::select! {
             biased;
             () = stop.cancelled() => break,
+            Some(order) = edges.orders.recv() => {
+                let output_bits = source.as_ref().map(|identity| identity.output_bits);
+                obey(&mut centering, order, output_bits, &edges);
+            }
             changed = edges.newest.changed() => {
                 if changed.is_err() {
                     break; // acquisition has ended; the daemon sees that
@@ -87,6 +102,21 @@ pub async fn run<C: Clock>(
         && let Some(last) = centering.finish(identity.output_bits)
     {
         finish(last, &mut edges).await;
+    }
+}
+
+fn obey(centering: &mut Centering, order: Order, output_bits: Option<u8>, edges: &Edges) {
+    // Who does not wait for the answer any more does not need it.
+    match order {
+        Order::Retune(tuning, done) => {
+            let outcome = centering.retune(*tuning, output_bits);
+            if let Some(command) = outcome.command {
+                edges.commands.send_replace(Some(command));
+            }
+            say(outcome.transition);
+            let _ = done.send(());
+        }
+        Order::View(reply) => drop(reply.send(centering.view())),
     }
 }
 

@@ -4,7 +4,9 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 
 use trifacet::acquisition::Channels;
-use trifacet::config::{Config, FacetConfig, LogFormat, OnExit, SourceKind, Target};
+use trifacet::config::{
+    Config, FacetConfig, FramesConfig, LogFormat, LoopMode, OnExit, SourceKind, Target, TransformConfig,
+};
 use trifacet::optics::covariance::deviations;
 use trifacet::optics::{Estimator, FACETS, Model, Noise, Optics, Pose, Signals, Vec2};
 
@@ -28,6 +30,7 @@ pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
     source(&config, &mut lines);
     centering(&config, &mut lines);
     estimation(&config, &mut lines)?;
+    frames(&config, &mut lines);
     publishing(&config, &mut lines);
     machine(&config, &mut lines);
     notes(&config, &mut lines);
@@ -96,7 +99,9 @@ fn source(config: &Config, lines: &mut Lines) {
 
 fn centering(config: &Config, lines: &mut Lines) {
     let (centering, steering) = (&config.centering, &config.steering);
-    if centering.enabled {
+    if centering.mode == LoopMode::Off {
+        lines.say("centering", "off: the laser stays where it is");
+    } else {
         let target = match centering.target {
             Target::Apex => "the beam on the apex",
             Target::Balance => "equal powers",
@@ -117,8 +122,9 @@ fn centering(config: &Config, lines: &mut Lines) {
                 centering.lock_limit_um, centering.lock_time_ms, centering.lost_time_ms
             ),
         );
-    } else {
-        lines.say("centering", "off: the laser stays where it is");
+    }
+    if centering.mode == LoopMode::Shadow {
+        lines.say("", "in the shadow: all this is computed, and the laser stays where it is");
     }
     let does = |action: OnExit| match action {
         OnExit::Hold => "holds".to_owned(),
@@ -175,6 +181,19 @@ fn estimation(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Frames that change nothing need no words.
+fn frames(config: &Config, lines: &mut Lines) {
+    let FramesConfig { base, tool, tare } = config.frames;
+    let mut subject = "frames";
+    for (name, transform) in [("base", base), ("tool", tool), ("tare", tare)] {
+        if transform != TransformConfig::default() {
+            let TransformConfig { translation_mm: t, rotation_deg: r } = transform;
+            lines.say(subject, format!("{name} at {t:?} mm, roll, pitch, yaw {r:?} deg"));
+            subject = "";
+        }
+    }
+}
+
 fn publishing(config: &Config, lines: &mut Lines) {
     let publishing = &config.publishing;
     let rate = config.acquisition.rate_hz / f64::from(config.estimation.average);
@@ -204,6 +223,10 @@ fn machine(config: &Config, lines: &mut Lines) {
     let cpu = realtime.cpu.map_or("any CPU".into(), |cpu| format!("CPU {cpu}"));
     let memory = if realtime.lock_memory { "memory locked" } else { "memory not locked" };
     lines.say("fast thread", format!("{priority}, {cpu}, {memory}"));
+    if let Some(socket) = &config.control.socket {
+        let mode = config.control.mode;
+        lines.say("control", format!("{}, permissions {mode:04o}", socket.display()));
+    }
     let format = match config.log.format {
         LogFormat::Text => "text",
         LogFormat::Json => "JSON lines",
@@ -229,7 +252,7 @@ fn notes(config: &Config, lines: &mut Lines) {
         lines.say("note", "publishing.allow has this machine only: clients from elsewhere are refused");
     }
     let period_ms = 1e3 / config.acquisition.rate_hz;
-    if config.centering.enabled && f64::from(config.steering.lease_ms) < 3.0 * period_ms {
+    if config.centering.mode != LoopMode::Off && f64::from(config.steering.lease_ms) < 3.0 * period_ms {
         lines.say(
             "note",
             format!(
@@ -238,7 +261,7 @@ fn notes(config: &Config, lines: &mut Lines) {
             ),
         );
     }
-    if config.centering.enabled
+    if config.centering.mode != LoopMode::Off
         && config.centering.loop_delay_s(config.acquisition.rate_hz) > config.centering.loop_delay_ms * 1e-3
     {
         lines.say("note", "centering.loop_delay_ms is less than two sample periods: two periods count");

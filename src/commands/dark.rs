@@ -7,11 +7,11 @@ use std::time::Duration;
 
 use anyhow::Context;
 use tokio::time::{Instant, timeout_at};
-use toml_edit::{Array, DocumentMut, Item, Table};
 use trifacet::acquisition::dark::{DarkOffsets, Darkness};
 use trifacet::acquisition::{Event, SerialSource, Source};
 use trifacet::clock::SystemClock;
-use trifacet::config::{self, Config, FaultKind, SourceKind};
+use trifacet::config::edit::{self, Edit};
+use trifacet::config::{Config, FaultKind, SourceKind};
 use trifacet::exit::{self, Failure};
 use trifacet::monitor::Counters;
 use trifacet::optics::FACETS;
@@ -42,7 +42,7 @@ pub(crate) fn dark(args: &DarkArgs) -> anyhow::Result<()> {
     report(&offsets);
     match args.config.path() {
         Some(file) if !args.print => write(file, &offsets),
-        _ => written(write!(io::stdout(), "{}", edited("", &offsets)?)),
+        _ => written(write!(io::stdout(), "{}", edit::edited("", &edits(&offsets))?)),
     }
 }
 
@@ -102,63 +102,15 @@ fn report(offsets: &DarkOffsets) {
     }
 }
 
-/// Replaces the file in one step: a crash leaves the old one or the new one.
 fn write(file: &Path, offsets: &DarkOffsets) -> anyhow::Result<()> {
-    let context = || format!("cannot write the dark offsets into {}", file.display());
-    let text =
-        edited(&std::fs::read_to_string(file).with_context(context)?, offsets).with_context(context)?;
-    // The new file must mean what was measured; otherwise the old one stays.
-    config::parse(&text, Some(file)).with_context(context)?;
-    let target = std::fs::canonicalize(file).with_context(context)?;
-    let new = target.with_added_extension("new");
-    std::fs::write(&new, text).with_context(context)?;
-    std::fs::set_permissions(&new, std::fs::metadata(&target)?.permissions()).with_context(context)?;
-    std::fs::rename(&new, &target).with_context(context)?;
+    edit::write(file, &edits(offsets))
+        .with_context(|| format!("cannot write the dark offsets into {}", file.display()))?;
     eprintln!("written to {} as channels.a, .b, .c dark_v", file.display());
     Ok(())
 }
 
-/// The text of a configuration with these offsets in it; all else stays as it is, comments included.
-fn edited(text: &str, offsets: &DarkOffsets) -> anyhow::Result<String> {
-    let mut document: DocumentMut = text.parse()?;
-    let channels = document.entry("channels").or_insert_with(implicit_table);
-    for (psd, volts) in ["a", "b", "c"].into_iter().zip(offsets.volts) {
-        let rounded = volts.map(|v| (v * 1e7).round() / 1e7); // a tenth of a microvolt
-        let entry = channels.as_table_like_mut().context("[channels] is no table")?.entry(psd);
-        let psd = entry.or_insert_with(implicit_table).as_table_like_mut().context("no table")?;
-        let old = psd.get("dark_v").and_then(Item::as_value).map(|v| v.decor().clone());
-        let mut new = toml_edit::Value::from(rounded.into_iter().collect::<Array>());
-        if let Some(decor) = old {
-            *new.decor_mut() = decor;
-        }
-        psd.insert("dark_v", Item::Value(new));
-    }
-    Ok(document.to_string())
-}
-
-/// A table that shows only if it has keys of its own.
-fn implicit_table() -> Item {
-    let mut table = Table::new();
-    table.set_implicit(true);
-    Item::Table(table)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_the_offsets_change() {
-        let volts = [[1e-3, -2e-3, 3e-3], [0.0; 3], [0.25, 0.0, -1.234_567_89e-4]];
-        let offsets = DarkOffsets { volts, sigma: [[0.0; 3]; 3] };
-        let text =
-            "# mine\n[channels.a] # first\ngain = [1.0, 1.0, 1.0]\ndark_v = [0.0, 0.0, 0.0]  # old\n[log]\n";
-        let new = edited(text, &offsets).unwrap();
-        assert!(new.starts_with("# mine\n[channels.a] # first\ngain = [1.0, 1.0, 1.0]\n"), "{new}");
-        assert!(new.contains("dark_v = [0.001, -0.002, 0.003]  # old\n"), "{new}");
-        let config = config::parse(&new, None).unwrap();
-        assert_eq!(config.channels.c.dark_v, [0.25, 0.0, -1.235e-4]);
-        assert_eq!(edited(&new, &offsets).unwrap(), new);
-        assert!(config::parse(&edited("", &offsets).unwrap(), None).is_ok());
-    }
+fn edits(offsets: &DarkOffsets) -> [Edit; 3] {
+    let rounded = offsets.volts.map(|psd| psd.map(|v| (v * 1e7).round() / 1e7)); // a tenth of a microvolt
+    let edit = |psd, values| Edit { section: ["channels", psd], key: "dark_v", values };
+    [edit("a", rounded[0]), edit("b", rounded[1]), edit("c", rounded[2])]
 }

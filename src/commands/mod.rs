@@ -7,6 +7,7 @@ use anyhow::Context;
 use trifacet::config::{self, Config};
 
 mod check;
+mod ctl;
 mod dark;
 mod doctor;
 mod emulate;
@@ -17,6 +18,7 @@ mod trace;
 mod watch;
 
 pub(crate) use check::{CheckArgs, check};
+pub(crate) use ctl::{CtlArgs, ctl};
 pub(crate) use dark::{DarkArgs, dark};
 pub(crate) use doctor::{DoctorArgs, doctor};
 pub(crate) use emulate::{EmulateArgs, emulate};

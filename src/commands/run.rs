@@ -1,5 +1,7 @@
 //! `trifacet run`: the daemon.
 
+use std::sync::Arc;
+
 use clap::Args;
 use trifacet::{daemon, logging};
 
@@ -15,8 +17,8 @@ pub(crate) struct RunArgs {
 /// Runs the daemon until it is told to stop.
 pub(crate) fn run(args: &RunArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
-    let _written_at_the_end = logging::start(&config.log)?;
-    let result = daemon::run(&config);
+    let log = Arc::new(logging::start(&config.log)?);
+    let result = daemon::run(&config, args.config.path(), &log);
     if let Err(error) = &result {
         tracing::error!("{error:#}");
     }

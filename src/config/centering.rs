@@ -1,11 +1,11 @@
 //! `[centering]`: the loop that keeps the beam on the apex.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::check::{Checker, above_zero};
 
 /// What the loop brings to zero.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Target {
     /// The offset between beam and apex, by the wedges of the last pose.
@@ -14,14 +14,39 @@ pub enum Target {
     Balance,
 }
 
+/// What the loop does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LoopMode {
+    /// It moves the stage.
+    On,
+    /// It does nothing.
+    Off,
+    /// It computes what it would do, reports it, and moves nothing: for the first contact with hardware.
+    Shadow,
+}
+
+impl LoopMode {
+    /// The mode as a word: "on", "shadow".
+    pub fn name(self) -> &'static str {
+        match self {
+            LoopMode::On => "on",
+            LoopMode::Off => "off",
+            LoopMode::Shadow => "shadow",
+        }
+    }
+}
+
 /// `[centering]`.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CenteringConfig {
-    /// Whether the loop is closed.
-    pub enabled: bool,
+    /// What the loop does.
+    pub mode: LoopMode,
     /// What the loop brings to zero.
     pub target: Target,
+    /// To which offset of the beam the loop goes, x and y across the beam.
+    pub setpoint_um: [f64; 2],
     /// From a sample to the effect of its command, everything included; sets the gains.
     pub loop_delay_ms: f64,
     /// First-order lag of the stage; sets the proportional gain.
@@ -50,8 +75,9 @@ pub struct Gains {
 impl Default for CenteringConfig {
     fn default() -> Self {
         Self {
-            enabled: true,
+            mode: LoopMode::On,
             target: Target::Apex,
+            setpoint_um: [0.0; 2],
             loop_delay_ms: 2.5,
             lag_ms: 0.5,
             kp: None,
@@ -79,6 +105,7 @@ impl CenteringConfig {
     }
 
     pub(super) fn check(&self, mut at: Checker<'_>) {
+        at.numbers("setpoint_um", &self.setpoint_um, -100.0..=100.0);
         at.number("loop_delay_ms", self.loop_delay_ms, above_zero(10_000.0));
         at.number("lag_ms", self.lag_ms, 0.0..=10_000.0);
         at.optional("kp", self.kp, 0.0..=10.0);

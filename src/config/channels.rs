@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::check::{Checker, above_zero};
 
 /// `[channels]`.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ChannelsConfig {
     /// Below this sum signal (dark offset subtracted) a PSD has no position.
@@ -27,7 +27,7 @@ pub struct ChannelsConfig {
 }
 
 /// What the amplifier of a PSD puts out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Amplifier {
     /// Positions, already divided by the sum: `full_scale_v` is the edge of the PSD.
@@ -37,7 +37,7 @@ pub enum Amplifier {
 }
 
 /// `[channels.a]`, `[channels.b]`, `[channels.c]`.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PsdChannels {
     /// What the amplifier puts out.

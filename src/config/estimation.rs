@@ -1,12 +1,12 @@
 //! `[estimation]`: from samples to poses.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::check::{Checker, above_zero};
 use crate::optics;
 
 /// Which model of the beam.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Model {
     /// A ray through the apex, as in the paper: six signals.
@@ -25,7 +25,7 @@ impl From<Model> for optics::Model {
 }
 
 /// `[estimation]`.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EstimationConfig {
     /// Which model of the beam.

@@ -1,11 +1,11 @@
 //! `[[twin.fault]]`: what goes wrong in the twin, and when.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::check::Checker;
 
 /// What can go wrong.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub enum FaultKind {
     /// No light at all.
     BeamBlocked,
@@ -41,7 +41,7 @@ pub enum FaultKind {
 }
 
 /// `[[twin.fault]]`: a fault from `at_s` on, for `for_s` seconds.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "FaultKeys")]
 pub struct Fault {
     /// When it starts.

@@ -1,12 +1,12 @@
 //! `[head]`: geometry of the sensor head.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::check::Checker;
 use crate::optics::{FACETS, Head, HeadError, Psd, Vec3};
 
 /// `[head]`: four numbers build the nominal head; the rest is for heads that were calibrated.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct HeadConfig {
     /// From the origin to each PSD.
@@ -28,7 +28,7 @@ pub struct HeadConfig {
 }
 
 /// `[head.a]`, `[head.b]`, `[head.c]`.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FacetConfig {
     /// Normal of the facet in the mirror frame.

@@ -39,6 +39,20 @@ fn read(text: &str, file: Option<&Path>) -> Result<Config, Vec<Problem>> {
     Err(problems)
 }
 
+impl Config {
+    /// Checks values that did not come from a file.
+    ///
+    /// # Errors
+    /// All that is wrong: keys, values, and what is allowed.
+    pub fn verify(&self) -> Result<(), String> {
+        let mut report = Report::default();
+        self.check(&mut Checker::root(&mut report));
+        let wrong = |f: &Finding| format!("{} = {}: allowed is {}", f.keys[0], f.found, f.allowed);
+        let wrong: Vec<_> = report.findings.iter().map(wrong).collect();
+        if wrong.is_empty() { Ok(()) } else { Err(wrong.join("; ")) }
+    }
+}
+
 fn resolve_paths(config: &mut Config, file: Option<&Path>) {
     let folder = file.and_then(Path::parent).unwrap_or(Path::new(""));
     for psd in config.channels.psds_mut() {

@@ -11,9 +11,12 @@ mod acquisition;
 mod centering;
 mod channels;
 mod check;
+mod control;
+pub mod edit;
 mod error;
 mod estimation;
 mod fault;
+mod frames;
 mod head;
 mod id;
 mod load;
@@ -23,18 +26,21 @@ mod motion;
 mod network;
 mod publishing;
 mod realtime;
+pub mod reload;
 mod steering;
 mod together;
 mod twin;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 pub use acquisition::{AcquisitionConfig, SerialConfig, SourceKind};
-pub use centering::{CenteringConfig, Gains, Target};
+pub use centering::{CenteringConfig, Gains, LoopMode, Target};
 pub use channels::{Amplifier, ChannelsConfig, PsdChannels};
+pub use control::ControlConfig;
 pub use error::{ConfigError, Problem};
 pub use estimation::{EstimationConfig, Model};
 pub use fault::{Fault, FaultKind};
+pub use frames::{FramesConfig, TransformConfig};
 pub use head::{FacetConfig, HeadConfig};
 pub use load::{load, parse};
 pub use locate::Place;
@@ -47,7 +53,7 @@ pub use steering::{OnExit, SteeringConfig};
 pub use twin::{TwinConfig, TwinSteering};
 
 /// The whole file.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
     /// Geometry of the sensor head.
@@ -62,8 +68,12 @@ pub struct Config {
     pub steering: SteeringConfig,
     /// From samples to poses.
     pub estimation: EstimationConfig,
+    /// In which frame poses are told.
+    pub frames: FramesConfig,
     /// Where poses go.
     pub publishing: PublishingConfig,
+    /// The control socket.
+    pub control: ControlConfig,
     /// The digital twin.
     pub twin: TwinConfig,
     /// Priority, memory and CPU of the fast thread.
@@ -81,7 +91,9 @@ impl Config {
         self.centering.check(at.section("centering"));
         self.steering.check(at.section("steering"));
         self.estimation.check(at.section("estimation"));
+        self.frames.check(at.section("frames"));
         self.publishing.check(at.section("publishing"));
+        self.control.check(at.section("control"));
         self.twin.check(at.section("twin"), self.acquisition.rate_hz);
         self.realtime.check(at.section("realtime"));
         self.log.check(at.section("log"));

@@ -1,11 +1,11 @@
 //! `[[twin.motion]]`: how the mirror of the twin moves.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::check::Checker;
 
 /// An axis of the mirror.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Axis {
     /// Translation along x.
@@ -30,7 +30,7 @@ impl Axis {
 }
 
 /// `[[twin.motion]]`: one movement of one axis.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Motion {
     /// Which axis.
@@ -56,7 +56,7 @@ pub struct Motion {
 }
 
 /// Kinds of movement.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MotionKind {
     /// A jump at `from_s`, there until `until_s`; from 0 on it is simply a place to rest.

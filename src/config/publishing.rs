@@ -4,12 +4,12 @@ use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 use serde::de::{Error, MapAccess, Visitor, value::MapAccessDeserializer};
-use serde::{Deserialize, Deserializer};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::{check::Checker, network::Network};
 
 /// `[publishing]`.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PublishingConfig {
     /// Where TCP clients connect; none (`"off"` in the file) switches the server off.
@@ -31,7 +31,7 @@ pub struct PublishingConfig {
 }
 
 /// A receiver of datagrams: an address, or a table with options.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct UdpTarget {
     /// Where to.
     pub address: SocketAddr,

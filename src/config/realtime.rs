@@ -1,11 +1,11 @@
 //! `[realtime]`: priority, memory and CPU of the fast thread.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::check::Checker;
 
 /// `[realtime]`.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RealtimeConfig {
     /// `SCHED_FIFO` priority of the fast thread, 1 to 99; 0 leaves it an ordinary thread.

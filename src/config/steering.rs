@@ -1,11 +1,11 @@
 //! `[steering]`: the stage that moves the laser.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::check::{Checker, above_zero};
 
 /// What the steering does when the daemon ends, or the lease of a command.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum OnExit {
     /// Stays where it is.
@@ -15,7 +15,7 @@ pub enum OnExit {
 }
 
 /// `[steering]`.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SteeringConfig {
     /// Position at the full-scale output code.

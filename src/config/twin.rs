@@ -1,13 +1,13 @@
 //! `[twin]`: the digital twin of optics, stage and converter.
 
-use serde::{Deserialize, Deserializer, de};
+use serde::{Deserialize, Deserializer, Serialize, de};
 
 use super::check::{Checker, above_zero};
 use super::fault::Fault;
 use super::motion::{Axis, Motion, MotionKind};
 
 /// `[twin]`.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TwinConfig {
     /// Starts the random numbers: the same seed gives the same samples.
@@ -41,7 +41,7 @@ pub struct TwinConfig {
 }
 
 /// `[twin.steering]`.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TwinSteering {
     /// From command to the start of the movement.

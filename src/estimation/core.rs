@@ -4,7 +4,7 @@ use nalgebra::Matrix6;
 
 use super::block::{Block, Mean};
 use super::noise::LiveNoise;
-use super::{PoseReport, Status};
+use super::{Frames, PoseReport, Status};
 use crate::acquisition::{PsdState, Sample};
 use crate::centering::{LockState, LoopState};
 use crate::clock::Mono;
@@ -29,11 +29,14 @@ pub struct Settings {
     balance_limit: f64,
     /// Bits that are always set.
     fixed: Status,
+    frames: Frames,
+    config: u32,
 }
 
 impl Settings {
-    /// From a checked configuration; `calibrated` if every PSD has a correction table.
-    pub fn new(config: &Config, calibrated: bool) -> Result<Self, HeadError> {
+    /// From a checked configuration; `calibrated` if every PSD has a correction table; `id` is the
+    /// configuration's fingerprint.
+    pub fn new(config: &Config, calibrated: bool, id: u32) -> Result<Self, HeadError> {
         let estimation = &config.estimation;
         let mut fixed = Status::default();
         fixed.set(Status::UNCALIBRATED, !calibrated);
@@ -45,6 +48,8 @@ impl Settings {
             edge_margin: estimation.edge_margin_mm * 1e-3,
             balance_limit: estimation.balance_limit,
             fixed,
+            frames: Frames::new(&config.frames),
+            config: id,
         })
     }
 }
@@ -72,6 +77,29 @@ impl Estimation {
             simulated: false,
             index: 0,
         }
+    }
+
+    /// From the next sample on, all is to be done with other settings: the samples before and after make
+    /// no common mean.
+    pub fn retune(&mut self, settings: Settings) {
+        self.settings = settings;
+        self.block.clear();
+        self.noise.interrupt();
+        self.warm = None;
+    }
+
+    /// A report as it is published: in the user's frame.
+    pub fn in_user_frame(&self, report: &PoseReport) -> PoseReport {
+        let Some(sensor) = report.pose else { return *report };
+        let frames = &self.settings.frames;
+        let user = frames.pose(&sensor);
+        let covariance = user.zip(report.covariance).map(|(user, c)| frames.covariance(&sensor, &user, &c));
+        let mut status = report.status;
+        if user.is_none() {
+            status.0 &= !Status::POSE_VALID.0;
+            status |= Status::OUT_OF_RANGE;
+        }
+        PoseReport { pose: user, covariance, status, ..*report }
     }
 
     /// A source is up.
@@ -155,6 +183,7 @@ impl Estimation {
             time_sigma_ns: sample.time_sigma_ns,
             solved: sample.time,
             status,
+            config: self.settings.config,
             lock: steering.lock,
             pose: None,
             covariance: None,
@@ -233,5 +262,74 @@ fn reason(error: &SolveError) -> Status {
         SolveError::NotFinite { .. } | SolveError::Singular { .. } | SolveError::NotConverged { .. } => {
             Status::NOT_CONVERGED
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::optics::{Pose, Vec2};
+    use crate::publishing::stamp::tests::report;
+
+    fn estimation(text: &str, id: u32) -> Estimation {
+        let config = crate::config::parse(text, None).unwrap();
+        Estimation::new(Settings::new(&config, true, id).unwrap())
+    }
+
+    /// The light of the mirror at rest.
+    fn sample(index: u64) -> Sample {
+        let optics = Optics::new(&Config::default().head.build().unwrap());
+        let light = optics.trace(Model::Gaussian, &Pose::default(), Vec2::zeros()).unwrap();
+        Sample {
+            index,
+            time: Mono(index as i64 * 1_000_000),
+            time_sigma_ns: None,
+            lost: 0,
+            spots: light.spots,
+            powers: light.powers.map(|fraction| fraction * 1e-3),
+            psds: [PsdState::Good; 3],
+            steering: None,
+            output_railed: false,
+        }
+    }
+
+    #[test]
+    fn only_the_pose_goes_to_the_users_frame() {
+        let estimation = estimation("frames.tool.translation_mm = [0, 0, -40]", 5);
+        let sensor = report();
+        let user = estimation.in_user_frame(&sensor);
+        let pose = user.pose.unwrap();
+        assert!((pose.t.z + 0.04).abs() < 1e-5, "{pose:?}");
+        // 40 mm below, a pitch of -5 urad is 0.2 um along x.
+        assert!((pose.t.x - 1e-6 - 0.2e-6).abs() < 1e-11, "{pose:?}");
+        let sd = user.covariance.unwrap()[(0, 0)].sqrt();
+        assert!((sd - 2e-6 * 1.0016_f64.sqrt()).abs() < 1e-12, "{sd}");
+        assert_eq!(PoseReport { pose: sensor.pose, covariance: sensor.covariance, ..user }, sensor);
+    }
+
+    #[test]
+    fn a_pose_that_has_no_angles_there_has_a_reason_instead() {
+        let estimation = estimation("frames.base.rotation_deg = [0, 90, 0]", 5);
+        let user = estimation.in_user_frame(&report());
+        assert_eq!((user.pose, user.covariance), (None, None));
+        assert!(user.status.has(Status::OUT_OF_RANGE) && !user.status.has(Status::POSE_VALID));
+        let dark = PoseReport { pose: None, covariance: None, status: Status::PSD_A_LOW, ..report() };
+        assert_eq!(estimation.in_user_frame(&dark), dark);
+    }
+
+    #[test]
+    fn a_block_has_samples_of_one_meaning_only() {
+        let mut estimation = estimation("estimation.average = 4", 5);
+        let steering = LoopState::default();
+        let mut reports = Vec::new();
+        for index in 0..12 {
+            if index == 6 {
+                let other = crate::config::parse("estimation.average = 4", None).unwrap();
+                estimation.retune(Settings::new(&other, true, 6).unwrap());
+            }
+            reports.extend(estimation.sample(&sample(index), &steering));
+        }
+        let seen: Vec<_> = reports.iter().map(|r| (r.config, r.index, r.pose.is_some())).collect();
+        assert_eq!(seen, [(5, 3, true), (6, 9, true)]);
     }
 }

@@ -18,6 +18,8 @@ pub struct PoseReport {
     pub solved: Mono,
     /// Status bits; `POSE_VALID` is set exactly if `pose` is `Some`.
     pub status: Status,
+    /// Fingerprint of the configuration that gives the pose its meaning.
+    pub config: u32,
     /// State of the centering loop.
     pub lock: LockState,
     /// The pose, if it is known.

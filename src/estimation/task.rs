@@ -2,16 +2,15 @@
 
 use std::time::Duration;
 
-use tokio::sync::{mpsc, watch};
-use tokio::{
-    task::yield_now,
-    time::{Instant, sleep_until},
-};
+use tokio::sync::{mpsc, oneshot, watch};
+use tokio::task::yield_now;
+use tokio::time::{Instant, sleep_until};
 
-use super::{Estimation, PoseReport};
+use super::{Estimation, PoseReport, Status};
 use crate::acquisition::{Identity, task::Acquired};
 use crate::centering::LoopState;
 use crate::clock::Clock;
+use crate::optics::Pose;
 
 /// How often silence is reported, at most.
 const SILENCE_HZ: f64 = 100.0;
@@ -23,12 +22,24 @@ const PATIENCE: Duration = Duration::from_millis(20);
 pub struct Edges<Publish> {
     /// Samples in order, from acquisition.
     pub samples: mpsc::Receiver<Acquired>,
+    /// Questions from outside of the fast side.
+    pub questions: mpsc::Receiver<Question>,
     /// What the loop does, from centering.
     pub steering: watch::Receiver<LoopState>,
-    /// The newest report, to centering.
+    /// The newest report, in the sensor's world, to centering.
     pub newest: watch::Sender<Option<PoseReport>>,
-    /// Every report, to publishing.
+    /// Every report, in the user's frame, to publishing.
     pub publish: Publish,
+}
+
+/// What may be asked.
+#[derive(Debug)]
+pub enum Question {
+    /// The last report that was published, if there was one.
+    Last(oneshot::Sender<Option<PoseReport>>),
+    /// The mean of so many poses in the sensor's world, from the next one on; the status of the first
+    /// report without one ends it. A second one of these questions ends the first.
+    Mean(u32, oneshot::Sender<Result<Pose, Status>>),
 }
 
 /// Runs until acquisition ends. `rate_hz` is the expected rate of samples.
@@ -38,11 +49,21 @@ pub async fn run<C: Clock>(
     clock: C,
     edges: Edges<impl FnMut(&PoseReport)>,
 ) {
-    let Edges { mut samples, steering, newest, mut publish } = edges;
+    let Edges { mut samples, mut questions, steering, newest, mut publish } = edges;
     let mut rhythm = Rhythm::new(rate_hz);
+    let mut last = None;
+    let mut mean: Option<PoseMean> = None;
     loop {
         let report = tokio::select! {
             biased;
+            Some(question) = questions.recv() => {
+                match question {
+                    // Who does not wait for the answer any more does not need it.
+                    Question::Last(reply) => drop(reply.send(last)),
+                    Question::Mean(count, reply) => mean = Some(PoseMean::new(count, reply)),
+                }
+                None
+            }
             acquired = samples.recv() => match acquired {
                 None => break,
                 Some(Acquired::Up(identity)) => {
@@ -54,6 +75,11 @@ pub async fn run<C: Clock>(
                     rhythm.heard();
                     let steering = *steering.borrow();
                     estimation.sample(&sample, &steering)
+                }
+                Some(Acquired::Changed(change)) => {
+                    estimation.retune(change.settings);
+                    let _ = change.done.send(());
+                    None
                 }
                 // Said at once, not after the next silence.
                 Some(Acquired::Down(_)) => {
@@ -75,9 +101,45 @@ pub async fn run<C: Clock>(
         };
         if let Some(mut report) = report {
             report.solved = clock.now();
-            publish(&report);
+            let published = estimation.in_user_frame(&report);
+            publish(&published);
+            last = Some(published);
+            mean = mean.and_then(|mean| mean.push(&report));
             newest.send_replace(Some(report));
         }
+    }
+}
+
+/// A mean that somebody waits for. The angles of a sensor are far from where they wrap around.
+struct PoseMean {
+    count: u32,
+    left: u32,
+    sum: [f64; 6],
+    reply: oneshot::Sender<Result<Pose, Status>>,
+}
+
+impl PoseMean {
+    fn new(count: u32, reply: oneshot::Sender<Result<Pose, Status>>) -> Self {
+        let count = count.max(1);
+        Self { count, left: count, sum: [0.0; 6], reply }
+    }
+
+    /// Takes a report; none when the answer was given.
+    fn push(mut self, report: &PoseReport) -> Option<Self> {
+        let Some(pose) = report.pose else {
+            let _ = self.reply.send(Err(report.status));
+            return None;
+        };
+        for (sum, x) in self.sum.iter_mut().zip(pose.to_array()) {
+            *sum += x;
+        }
+        self.left -= 1;
+        if self.left > 0 {
+            return Some(self);
+        }
+        let mean = self.sum.map(|sum| sum / f64::from(self.count));
+        let _ = self.reply.send(Ok(Pose::from_array(mean)));
+        None
     }
 }
 

@@ -27,7 +27,7 @@ pub use covariance::{Noise, Sensitivity};
 pub use estimate::{Estimator, Signals, Solution, SolveError};
 pub use head::{Head, HeadError, Psd};
 pub use model::{Model, Optics, Reading, TraceError};
-pub use pose::Pose;
+pub use pose::{Pose, Rigid};
 
 /// A vector in space.
 pub type Vec3 = nalgebra::Vector3<f64>;

@@ -1,5 +1,7 @@
 //! Position and orientation.
 
+use std::ops::Mul;
+
 use super::{Mat3, Vec3};
 
 /// Where the apex is and how the mirror is turned, in the world frame.
@@ -61,5 +63,58 @@ impl Pose {
         let droll = Vec3::new(ca / cb, sa / cb, 0.0);
         let dyaw = Vec3::z() + droll * sb;
         Mat3::from_rows(&[droll.transpose(), Vec3::new(-sa, ca, 0.0).transpose(), dyaw.transpose()])
+    }
+    /// The axes about which roll, pitch, yaw turn the mirror, in the world: the columns. The inverse of
+    /// [`Pose::euler_rates`], without its singularity.
+    pub fn euler_axes(&self) -> Mat3 {
+        let (sa, ca) = self.yaw.sin_cos();
+        let (sb, cb) = self.pitch.sin_cos();
+        Mat3::from_columns(&[Vec3::new(ca * cb, sa * cb, -sb), Vec3::new(-sa, ca, 0.0), Vec3::z()])
+    }
+}
+
+/// A frame in another one, or the way from it: `x -> rotation * x + translation`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rigid {
+    /// Its axes, as columns.
+    pub rotation: Mat3,
+    /// Its origin, metres.
+    pub translation: Vec3,
+}
+
+impl Rigid {
+    /// The frame itself.
+    pub fn identity() -> Self {
+        Self { rotation: Mat3::identity(), translation: Vec3::zeros() }
+    }
+
+    /// The way back.
+    #[must_use]
+    pub fn inverse(&self) -> Self {
+        let rotation = self.rotation.transpose();
+        Self { rotation, translation: -(rotation * self.translation) }
+    }
+}
+
+impl From<&Pose> for Rigid {
+    fn from(pose: &Pose) -> Self {
+        Self { rotation: pose.rotation(), translation: pose.t }
+    }
+}
+
+impl From<&Rigid> for Pose {
+    fn from(rigid: &Rigid) -> Self {
+        Pose::new(rigid.translation, &rigid.rotation)
+    }
+}
+
+/// One after the other: `(a * b)(x) = a(b(x))`.
+impl Mul for Rigid {
+    type Output = Rigid;
+    fn mul(self, inner: Rigid) -> Rigid {
+        Rigid {
+            rotation: self.rotation * inner.rotation,
+            translation: self.rotation * inner.translation + self.translation,
+        }
     }
 }

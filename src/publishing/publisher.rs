@@ -82,7 +82,8 @@ impl<C: Clock> Publisher<C> {
     pub fn publish(&mut self, report: &PoseReport) {
         let sent = self.clock.now();
         let (time_ns, synced) = self.utc.at(report.time, sent);
-        let StreamId { session, config } = self.id;
+        // Not that of the start: it changes when the meaning of poses does, with the sample.
+        let (session, config) = (self.id.session, report.config);
         let stamp = Stamp { session, config, sequence: self.sequence, time_ns, synced, sent };
         let frame = PoseFrame::from_report(report, stamp);
         self.sequence += 1;
@@ -137,7 +138,7 @@ mod tests {
             let mut bytes = [0; 300];
             let n = receiver.recv(&mut bytes).unwrap();
             let frame = PoseFrame::decode(&bytes[..n]).unwrap();
-            assert_eq!((frame.session, frame.config, frame.sequence), (1, 2, sequence));
+            assert_eq!((frame.session, frame.config, frame.sequence), (1, report().config, sequence));
             assert_eq!(frame.time_ns, 5_001_000_000, "not the time of sending");
             assert_eq!(frame.send_delay_ns, 200_000);
         }

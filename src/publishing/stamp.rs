@@ -85,6 +85,7 @@ pub(crate) mod tests {
             time_sigma_ns: Some(1_840.0),
             solved: Mono(1_080_000),
             status: Status::POSE_VALID | Status::SIMULATED,
+            config: 8,
             lock: LockState::Locked,
             pose: Some(Pose::from_array([1e-6, -2e-6, 3e-6, 4e-6, -5e-6, 6e-6])),
             covariance: Some(Matrix6::identity() * 4e-12),

@@ -134,7 +134,7 @@ fn a_step_of_the_mirror_is_followed_and_not_called_locked_meanwhile() {
 #[test]
 fn a_loop_that_is_off_says_so_and_moves_nothing() {
     let mut board = Board::start(OFF);
-    let mut daemon = Daemon::on_port(&board.link(), "centering.enabled = false");
+    let mut daemon = Daemon::on_port(&board.link(), "centering.mode = \"off\"");
     let mut stream = daemon.client();
     let frames = stream.samples(300);
     assert!(frames.iter().all(|f| f.lock == LockState::Off && f.valid()));

@@ -38,7 +38,10 @@ pub(crate) async fn start(limits: Limits) -> Server {
     let shutdown = CancellationToken::new();
     let task = tokio::spawn({
         let (counters, shutdown) = (counters.clone(), shutdown.clone());
-        async move { tcp::serve(listener, rx, &descriptor(), limits, counters, shutdown).await }
+        async move {
+            let descriptor = tokio::sync::watch::channel(descriptor()).1;
+            tcp::serve(listener, rx, descriptor, limits, counters, shutdown).await;
+        }
     });
     Server { address, frames, counters, shutdown, task }
 }

@@ -1,7 +1,7 @@
 //! Datagrams of a daemon: targets with options, multicast, leased subscriptions.
 
 use std::{
-    net::{Ipv4Addr, SocketAddr, UdpSocket},
+    net::{SocketAddr, UdpSocket},
     time::Duration,
 };
 
@@ -90,10 +90,6 @@ async fn multicast_is_sent_through_the_interface_that_is_named() {
         let first =
             first.expect("a datagram: does this machine let multicast through its loopback interface?");
         assert!(matches!(first, Ok(Message::Pose(frame)) if frame.sequence % 5 == 0), "{first:?}");
-        // Another interface does not hear it.
-        let other = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).unwrap();
-        assert!(other.set_read_timeout(Some(Duration::from_millis(50))).is_ok());
-        assert!(other.recv(&mut [0; 300]).is_err());
     }
 }
 

@@ -84,7 +84,7 @@ pub async fn bind(address: SocketAddr) -> Result<TcpListener, Failure> {
 pub async fn serve(
     listener: TcpListener,
     mut frames: mpsc::Receiver<PoseFrame>,
-    descriptor: &Descriptor,
+    descriptor: watch::Receiver<Descriptor>,
     limits: Limits,
     counters: Arc<Counters>,
     shutdown: CancellationToken,
@@ -93,7 +93,7 @@ pub async fn serve(
     let (newest_in, newest) = watch::channel(None);
     let mut press = Press { ring, newest: newest_in, hold: Hold::default() };
     let ending = CancellationToken::new();
-    let house = House { descriptor: descriptor.clone(), limits, counters, newest, ending: ending.clone() };
+    let house = House { descriptor, limits, counters, newest, ending: ending.clone() };
     let mut server = Server { house: house.into(), clients: JoinSet::new(), partings: JoinSet::new() };
     tokio::select! {
         () = press.run(&mut frames) => {}
@@ -129,7 +129,8 @@ impl Press {
 
 /// What all clients share.
 struct House {
-    descriptor: Descriptor,
+    /// As it is at present.
+    descriptor: watch::Receiver<Descriptor>,
     limits: Limits,
     counters: Arc<Counters>,
     newest: watch::Receiver<Option<Arc<Issue>>>,

@@ -1,0 +1,279 @@
+//! The loop with a stage that does at once what it is told, and a mirror at rest.
+
+use super::core::{Centering, Outcome, TOO_LATE, Tuning};
+use super::lock::LockState;
+use crate::acquisition::{Expiry, PsdState, Sample};
+use crate::clock::Mono;
+use crate::config::{Config, LoopMode, OnExit};
+use crate::optics::{Model, Optics, Pose, Vec2};
+
+const BITS: u8 = 16;
+const DT_NS: i64 = 1_000_000;
+/// One code of the stage, micrometres.
+const STEP_UM: f64 = 500.0 / 32768.0;
+
+struct Bench {
+    config: Config,
+    centering: Centering,
+    optics: Optics,
+    /// Where the beam is while the stage stands at zero, micrometres.
+    laser_um: [f64; 2],
+    stage_um: [f64; 2],
+    readback: bool,
+    index: u64,
+    expiry: Option<Expiry>,
+}
+
+impl Bench {
+    fn new(change: impl FnOnce(&mut Config)) -> Self {
+        let mut config = Config::default();
+        change(&mut config);
+        Self {
+            centering: Centering::new(&config).unwrap(),
+            optics: Optics::new(&config.head.build().unwrap()),
+            config,
+            laser_um: [100.0, -60.0],
+            stage_um: [0.0; 2],
+            readback: true,
+            index: 0,
+            expiry: None,
+        }
+    }
+
+    fn sample(&mut self) -> Sample {
+        self.index += 1;
+        let offset = Vec2::from([0, 1].map(|i| (self.laser_um[i] + self.stage_um[i]) * 1e-6));
+        let reading = self.optics.trace(Model::Gaussian, &Pose::default(), offset).unwrap();
+        Sample {
+            index: self.index,
+            time: Mono(self.index as i64 * DT_NS),
+            time_sigma_ns: None,
+            lost: 0,
+            spots: reading.spots,
+            powers: reading.powers,
+            psds: [PsdState::Good; 3],
+            steering: self.readback.then(|| self.stage_um.map(|um| um * 1e-6)),
+            output_railed: false,
+        }
+    }
+
+    /// Of a stage that stands still with the beam 20 um off.
+    fn beside_the_point(&mut self) -> Sample {
+        (self.laser_um, self.stage_um) = ([20.0, 0.0], [0.0; 2]);
+        self.sample()
+    }
+
+    /// Moves the stage as told; it never goes faster than its limit, nor beyond it.
+    fn obey(&mut self, outcome: Outcome) -> bool {
+        let Some(command) = outcome.command else { return false };
+        let to = command.codes.map(|code| f64::from(code) * STEP_UM);
+        for (axis, to) in to.into_iter().enumerate() {
+            let step = (to - self.stage_um[axis]).abs();
+            assert!(step <= 50.0 + STEP_UM, "a jump of {step} um");
+            assert!(to.abs() <= 400.0 + STEP_UM, "at {to} um");
+        }
+        self.stage_um = to;
+        self.expiry = Some(command.on_expiry);
+        true
+    }
+
+    /// Runs for so many samples; returns how many commands came.
+    fn run(&mut self, samples: usize) -> usize {
+        let mut commands = 0;
+        for _ in 0..samples {
+            let sample = self.sample();
+            let outcome = self.centering.sample(&sample, None, sample.time, BITS);
+            commands += usize::from(self.obey(outcome));
+        }
+        commands
+    }
+
+    fn retune(&mut self, change: impl FnOnce(&mut Config)) -> bool {
+        change(&mut self.config);
+        let outcome = self.centering.retune(Tuning::new(&self.config), Some(BITS));
+        let before = self.stage_um;
+        let commanded = self.obey(outcome);
+        assert_eq!(self.stage_um, before, "a change by itself moves nothing");
+        commanded
+    }
+
+    fn lock(&self) -> LockState {
+        self.centering.state().lock
+    }
+
+    /// Where the beam is, off the apex.
+    fn offset_um(&self) -> [f64; 2] {
+        [0, 1].map(|i| self.laser_um[i] + self.stage_um[i])
+    }
+}
+
+fn near(a: [f64; 2], b: [f64; 2]) -> bool {
+    (0..2).all(|i| (a[i] - b[i]).abs() < 0.1)
+}
+
+#[test]
+fn in_the_shadow_it_says_what_it_would_do_and_does_nothing() {
+    let mut bench = Bench::new(|config| config.centering.mode = LoopMode::Shadow);
+    bench.stage_um = [20.0, 10.0];
+    assert_eq!(bench.run(500), 0);
+    assert_eq!(bench.lock(), LockState::Off);
+    assert_eq!(bench.centering.state().position, None);
+    let (at, to) = bench.centering.view().shadow.unwrap();
+    assert!(near(at.map(|m| m * 1e6), [20.0, 10.0]), "{at:?}");
+    // Towards the apex, by the integral of one period: 0.2 of the offset of 120 and -50 um (a beam so far
+    // off is seen somewhat nearer or farther than it is).
+    let step = [0, 1].map(|i| (to[i] - at[i]) * 1e6);
+    assert!((-30.0..-18.0).contains(&step[0]) && (8.0..14.0).contains(&step[1]), "{step:?}");
+    assert_eq!(bench.centering.finish(BITS), None, "what it never had it does not park");
+    assert!(!bench.retune(|config| config.centering.mode = LoopMode::On));
+    assert_eq!(bench.run(500), 500);
+    assert_eq!(bench.lock(), LockState::Locked);
+}
+
+#[test]
+fn it_lets_go_where_the_stage_is_and_takes_over_where_it_finds_it() {
+    for readback in [true, false] {
+        let mut bench = Bench::new(|config| config.steering.on_lease = OnExit::Park);
+        bench.readback = readback;
+        bench.run(500);
+        assert!(near(bench.offset_um(), [0.0; 2]), "{:?}", bench.offset_um());
+        // The lease must not park what was let go.
+        assert!(bench.retune(|config| config.centering.mode = LoopMode::Off));
+        assert_eq!(bench.expiry, Some(Expiry::Hold));
+        assert_eq!((bench.run(500), bench.lock()), (0, LockState::Off));
+        assert_eq!(bench.centering.finish(BITS), None);
+        bench.laser_um = [130.0, -60.0];
+        bench.retune(|config| config.centering.mode = LoopMode::On);
+        let before = bench.stage_um;
+        bench.run(1);
+        // The integral of one period, 0.2 of 30 um, and no jump to zero or elsewhere.
+        assert!((bench.stage_um[0] - before[0] + 6.0).abs() < 1.0, "{before:?} {:?}", bench.stage_um);
+        bench.run(500);
+        assert!(near(bench.offset_um(), [0.0; 2]) && bench.lock() == LockState::Locked);
+    }
+}
+
+#[test]
+fn a_stage_that_was_moved_by_others_is_taken_over_where_it_is() {
+    let mut bench = Bench::new(|_| {});
+    bench.run(500);
+    bench.retune(|config| config.centering.mode = LoopMode::Off);
+    bench.stage_um = [30.0, 200.0];
+    bench.laser_um = [-30.0, -200.0];
+    bench.run(10);
+    bench.retune(|config| config.centering.mode = LoopMode::On);
+    bench.run(1);
+    assert!(near(bench.stage_um, [30.0, 200.0]), "{:?}", bench.stage_um);
+}
+
+#[test]
+fn it_goes_to_another_setpoint_and_is_locked_there() {
+    let mut bench = Bench::new(|_| {});
+    bench.run(500);
+    bench.retune(|config| config.centering.setpoint_um = [20.0, -5.0]);
+    let before = bench.stage_um;
+    bench.run(1);
+    assert!((bench.stage_um[0] - before[0] - 4.0).abs() < 0.5, "no kick: {:?}", bench.stage_um);
+    assert_eq!(bench.lock(), LockState::Acquiring, "it is not where it shall be");
+    bench.run(500);
+    assert!(near(bench.offset_um(), [20.0, -5.0]), "{:?}", bench.offset_um());
+    assert_eq!(bench.lock(), LockState::Locked);
+}
+
+#[test]
+fn gains_change_without_a_step() {
+    let mut bench = Bench::new(|config| config.steering.slew_mm_per_s = 1000.0);
+    bench.laser_um = [30.0, 0.0];
+    bench.run(3);
+    let sample = bench.sample();
+    let next = |centering: &mut Centering| {
+        centering.sample(&sample, None, sample.time, BITS).command.unwrap().codes[0]
+    };
+    let unchanged = next(&mut bench.centering.clone());
+    // Ten times the proportional gain acts on what the error has changed since the last sample, about 6 um,
+    // and not on the 18 um that are left.
+    bench.retune(|config| (config.centering.kp, config.centering.ki_per_s) = (Some(1.0), Some(200.0)));
+    let changed = next(&mut bench.centering);
+    let step_um = f64::from(changed - unchanged) * STEP_UM;
+    assert!((3.0..8.0).contains(&step_um), "{step_um} um");
+}
+
+#[test]
+fn nearer_limits_are_gone_to_in_steps_seeing_and_blind() {
+    let mut bench = Bench::new(|_| {});
+    bench.laser_um = [-300.0, 0.0];
+    bench.stage_um = [250.0, 0.0];
+    bench.run(500);
+    assert!((bench.stage_um[0] - 300.0).abs() < 0.1);
+    bench.retune(|config| config.steering.limit_um = 100.0);
+    for sees in [300.0, 250.0, 200.0, 150.0, 100.0, 100.0] {
+        assert!((bench.stage_um[0] - sees).abs() < 0.1, "{:?}", bench.stage_um);
+        let mut sample = bench.sample();
+        if sees > 200.0 {
+            sample.psds = [PsdState::Low; 3];
+        }
+        let outcome = bench.centering.sample(&sample, None, sample.time, BITS);
+        bench.obey(outcome);
+    }
+    assert!((bench.stage_um[0] - 100.0).abs() < 0.1, "{:?}", bench.stage_um);
+}
+
+#[test]
+fn no_nonsense_reaches_the_stage() {
+    let mut bench = Bench::new(|_| {});
+    bench.run(500);
+    let at = bench.stage_um;
+    for nonsense in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 0.0, -1.0] {
+        let mut sample = bench.sample();
+        sample.powers = [nonsense, 1e-4, 1e-4];
+        sample.steering = Some([nonsense; 2]);
+        let pose = Pose::from_array([f64::NAN; 6]);
+        let outcome = bench.centering.sample(&sample, Some(&pose), sample.time, BITS);
+        bench.obey(outcome);
+        assert!(near(bench.stage_um, at), "{nonsense}: {:?}", bench.stage_um);
+    }
+    // Also while taking over.
+    bench.retune(|config| config.centering.mode = LoopMode::Off);
+    bench.retune(|config| config.centering.mode = LoopMode::On);
+    let mut sample = bench.sample();
+    sample.steering = Some([f64::NAN, f64::INFINITY]);
+    let outcome = bench.centering.sample(&sample, None, sample.time, BITS);
+    bench.obey(outcome);
+    assert!(near(bench.stage_um, at), "{:?}", bench.stage_um);
+}
+
+#[test]
+fn what_was_late_is_not_acted_upon_again_and_again() {
+    let mut bench = Bench::new(|_| {});
+    let now = Mono(51 * DT_NS);
+    let outcomes: Vec<_> = (0..=50)
+        .map(|_| {
+            let sample = bench.beside_the_point();
+            bench.centering.sample(&sample, None, now, BITS)
+        })
+        .collect();
+    // After a pause of 50 ms only what is younger than the loop delay of 2.5 ms counts.
+    for (k, outcome) in outcomes.iter().enumerate() {
+        assert_eq!(outcome.late, k < 48);
+        let still = outcome.command.is_some_and(|command| command.codes == [0, 0]);
+        assert_eq!(still, outcome.late, "late ones hold, and renew the lease");
+    }
+    let [x, _] = bench.centering.state().position.unwrap();
+    assert!((-20e-6..-5e-6).contains(&x), "{x}");
+}
+
+#[test]
+fn a_source_that_is_always_late_is_said_to_be() {
+    let mut bench = Bench::new(|_| {});
+    let mut transitions = Vec::new();
+    for _ in 0..200 {
+        let sample = bench.beside_the_point();
+        let outcome = bench.centering.sample(&sample, None, sample.time + 10 * DT_NS, BITS);
+        assert!(outcome.late && outcome.command.is_some_and(|command| command.codes == [0, 0]));
+        transitions.extend(outcome.transition.map(|t| (t.to, t.cause)));
+    }
+    assert_eq!(transitions, [(LockState::Held, TOO_LATE), (LockState::Lost, TOO_LATE)]);
+    let sample = bench.beside_the_point();
+    bench.centering.sample(&sample, None, sample.time, BITS);
+    assert_eq!(bench.centering.state().lock, LockState::Acquiring);
+}

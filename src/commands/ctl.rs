@@ -1,0 +1,103 @@
+//! `trifacet ctl`: tells a running daemon what to do.
+
+use std::io::Write as _;
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand, ValueEnum};
+use trifacet::config::LoopMode;
+use trifacet::control::{self, Command};
+use trifacet::exit::{self, Failure};
+
+use super::written;
+
+/// Options of `ctl`.
+#[derive(Debug, Args)]
+pub(crate) struct CtlArgs {
+    /// The daemon's control socket, as `[control] socket` in its configuration
+    #[arg(long, value_name = "PATH", default_value = "/run/trifacet/control.sock")]
+    socket: PathBuf,
+    #[command(subcommand)]
+    order: Order,
+}
+
+#[derive(Debug, Subcommand)]
+enum Order {
+    /// Say what is going on
+    Status,
+    /// Let the present pose read zero
+    Tare(TareArgs),
+    /// Switch the centering loop; in the shadow it computes, and moves nothing
+    Loop {
+        /// What it shall do
+        #[arg(value_enum)]
+        mode: Mode,
+    },
+    /// Bring the beam to another place than the apex
+    #[command(allow_negative_numbers = true)]
+    Setpoint {
+        /// Along x, micrometres
+        x_um: f64,
+        /// Along y, micrometres
+        y_um: f64,
+    },
+    /// Change the gains of the loop
+    #[command(allow_negative_numbers = true)]
+    Gains {
+        /// Proportional gain
+        kp: f64,
+        /// Integral gain, per second
+        ki_per_s: f64,
+    },
+    /// Read the configuration file again, as on SIGHUP
+    Reload,
+}
+
+#[derive(Debug, Args)]
+struct TareArgs {
+    /// No tare any more
+    #[arg(value_enum)]
+    what: Option<Clear>,
+    /// Write it into the configuration file too; otherwise it goes with the daemon
+    #[arg(long)]
+    save: bool,
+    /// Poses to average; those of 0.1 s if absent
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), conflicts_with = "what")]
+    poses: Option<u32>,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Clear {
+    Clear,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Mode {
+    On,
+    Off,
+    Shadow,
+}
+
+impl Order {
+    fn command(&self) -> Command {
+        match *self {
+            Order::Status => Command::Status,
+            Order::Tare(TareArgs { what: Some(Clear::Clear), save, .. }) => Command::ClearTare { save },
+            Order::Tare(TareArgs { what: None, save, poses }) => Command::Tare { poses, save },
+            Order::Loop { mode: Mode::On } => Command::Loop(LoopMode::On),
+            Order::Loop { mode: Mode::Off } => Command::Loop(LoopMode::Off),
+            Order::Loop { mode: Mode::Shadow } => Command::Loop(LoopMode::Shadow),
+            Order::Setpoint { x_um, y_um } => Command::Setpoint([x_um, y_um]),
+            Order::Gains { kp, ki_per_s } => Command::Gains { kp, ki_per_s },
+            Order::Reload => Command::Reload,
+        }
+    }
+}
+
+/// Prints the daemon's answer, a line of JSON; fails with what it refuses.
+pub(crate) fn ctl(args: &CtlArgs) -> anyhow::Result<()> {
+    let answer = control::client::ask(&args.socket, &args.order.command())?;
+    written(writeln!(std::io::stdout(), "{answer}"))?;
+    let Some(error) = answer["error"].as_str() else { return Ok(()) };
+    let code = answer["code"].as_u64().and_then(|code| u8::try_from(code).ok()).unwrap_or(exit::SOFTWARE);
+    Err(Failure::new(code, error).into())
+}

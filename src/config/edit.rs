@@ -1,0 +1,100 @@
+//! Writes a few keys into a configuration file and leaves the rest as it is, comments included.
+
+use std::fs;
+use std::io::Write as _;
+use std::path::Path;
+
+use anyhow::Context as _;
+use toml_edit::{Array, DocumentMut, Item, Table, Value};
+
+/// Numbers for a key of a section, such as `dark_v` of `["channels", "a"]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Edit {
+    /// The section, step by step.
+    pub section: [&'static str; 2],
+    /// The key in it.
+    pub key: &'static str,
+    /// What it shall be.
+    pub values: [f64; 3],
+}
+
+/// The text of a configuration with these values in it.
+///
+/// # Errors
+/// The text is no TOML, or a section is something else there.
+pub fn edited(text: &str, edits: &[Edit]) -> anyhow::Result<String> {
+    let mut document: DocumentMut = text.parse()?;
+    for Edit { section: [outer, inner], key, values } in edits {
+        let outer_table = document.entry(outer).or_insert_with(implicit_table);
+        let outer_table =
+            outer_table.as_table_like_mut().with_context(|| format!("{outer} is no section"))?;
+        let table = outer_table.entry(inner).or_insert_with(implicit_table);
+        let table = table.as_table_like_mut().with_context(|| format!("{outer}.{inner} is no section"))?;
+        let old = table.get(key).and_then(Item::as_value).map(|value| value.decor().clone());
+        let mut new = Value::from(values.iter().copied().collect::<Array>());
+        if let Some(decor) = old {
+            *new.decor_mut() = decor;
+        }
+        table.insert(key, Item::Value(new));
+    }
+    Ok(document.to_string())
+}
+
+/// A table that shows only if it has keys of its own.
+fn implicit_table() -> Item {
+    let mut table = Table::new();
+    table.set_implicit(true);
+    Item::Table(table)
+}
+
+/// Puts values into a file, which is replaced in one step: a crash leaves the old one or the new one.
+///
+/// # Errors
+/// The file cannot be read or written, or would not be a good configuration afterwards; then it stays
+/// as it is.
+pub fn write(file: &Path, edits: &[Edit]) -> anyhow::Result<()> {
+    let text = edited(&fs::read_to_string(file)?, edits)?;
+    super::parse(&text, Some(file))?;
+    let target = fs::canonicalize(file)?; // a link stays a link
+    let new = target.with_added_extension("new");
+    let mut out = fs::File::create(&new)?;
+    out.write_all(text.as_bytes())?;
+    out.set_permissions(fs::metadata(&target)?.permissions())?;
+    out.sync_all()?;
+    Ok(fs::rename(&new, &target)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn edit(section: [&'static str; 2], key: &'static str, values: [f64; 3]) -> Edit {
+        Edit { section, key, values }
+    }
+
+    #[test]
+    fn only_the_values_change() {
+        let edits = [
+            edit(["channels", "a"], "dark_v", [1e-3, -2e-3, 3e-3]),
+            edit(["channels", "c"], "dark_v", [0.25, 0.0, -1.235e-4]),
+            edit(["frames", "tare"], "translation_mm", [1e-7, 0.0, -250.0]),
+        ];
+        let text =
+            "# mine\n[channels.a] # first\ngain = [1.0, 1.0, 1.0]\ndark_v = [0.0, 0.0, 0.0]  # old\n[log]\n";
+        let new = edited(text, &edits).unwrap();
+        assert!(new.starts_with("# mine\n[channels.a] # first\ngain = [1.0, 1.0, 1.0]\n"), "{new}");
+        assert!(new.contains("dark_v = [0.001, -0.002, 0.003]  # old\n"), "{new}");
+        let config = super::super::parse(&new, None).unwrap();
+        assert_eq!(config.channels.c.dark_v, [0.25, 0.0, -1.235e-4]);
+        assert_eq!(config.frames.tare.translation_mm, [1e-7, 0.0, -250.0]);
+        assert_eq!(edited(&new, &edits).unwrap(), new);
+        assert!(super::super::parse(&edited("", &edits).unwrap(), None).is_ok());
+    }
+
+    #[test]
+    fn what_is_no_section_is_said() {
+        let edits = [edit(["frames", "tare"], "translation_mm", [0.0; 3])];
+        let error = edited("frames = 3\n", &edits).unwrap_err().to_string();
+        assert!(error.contains("frames is no section"), "{error}");
+    }
+}

@@ -1,0 +1,169 @@
+//! What a running daemon takes over from a file that has changed.
+
+use serde_json::Value;
+
+use super::Config;
+
+macro_rules! live {
+    ($($($field:ident).+),* $(,)?) => {
+        /// The keys and sections that can change while the daemon runs. All others need a restart.
+        pub const LIVE: &[&[&str]] = &[$(&[$(stringify!($field)),+]),*];
+
+        /// Takes what differs between `old` and `new` over into `config`, where that can be done live.
+        fn take_over(config: &mut Config, old: &Config, new: &Config) {
+            $(if old.$($field).+ != new.$($field).+ {
+                config.$($field).+.clone_from(&new.$($field).+);
+            })*
+        }
+    };
+}
+
+live! {
+    channels,
+    centering.mode,
+    centering.target,
+    centering.setpoint_um,
+    centering.loop_delay_ms,
+    centering.lag_ms,
+    centering.kp,
+    centering.ki_per_s,
+    centering.lock_limit_um,
+    centering.lock_time_ms,
+    centering.lost_time_ms,
+    steering.limit_um,
+    steering.slew_mm_per_s,
+    steering.park_um,
+    steering.on_exit,
+    steering.lease_ms,
+    steering.on_lease,
+    estimation.spot_noise_um,
+    estimation.power_noise,
+    estimation.edge_margin_mm,
+    estimation.balance_limit,
+    frames,
+    log.level,
+}
+
+/// What becomes of a reload.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Reload {
+    /// What the daemon goes on with.
+    pub running: Config,
+    /// The file as far as it was taken over; the next reload is compared with this.
+    pub taken: Config,
+    /// Dotted keys that were taken over.
+    pub changed: Vec<String>,
+    /// Dotted keys that need a restart.
+    pub refused: Vec<String>,
+}
+
+/// Compares a file with what was last taken over from it, and puts what has changed into the running
+/// configuration. What was changed by command, and not in the file, stays.
+///
+/// # Errors
+/// Old and new values do not fit together.
+pub fn reload(running: &Config, taken: &Config, file: &Config) -> Result<Reload, String> {
+    let (changed, refused) = differences(taken, file)?.into_iter().partition(|key| is_live(key));
+    let (mut running, mut now_taken) = (running.clone(), taken.clone());
+    take_over(&mut running, taken, file);
+    take_over(&mut now_taken, taken, file);
+    running.verify()?;
+    Ok(Reload { running, taken: now_taken, changed, refused })
+}
+
+fn is_live(key: &str) -> bool {
+    LIVE.iter().any(|live| {
+        let live = live.join(".");
+        key.strip_prefix(&live).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+    })
+}
+
+/// The dotted keys whose values differ, in order.
+fn differences(old: &Config, new: &Config) -> Result<Vec<String>, String> {
+    let tree = |config| serde_json::to_value(config).map_err(|e| format!("cannot compare: {e}"));
+    let mut keys = Vec::new();
+    compare("", &tree(old)?, &tree(new)?, &mut keys);
+    Ok(keys)
+}
+
+fn compare(path: &str, old: &Value, new: &Value, keys: &mut Vec<String>) {
+    match (old, new) {
+        (Value::Object(old), Value::Object(new)) => {
+            for (name, new) in new {
+                let path = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
+                compare(&path, old.get(name).unwrap_or(&Value::Null), new, keys);
+            }
+        }
+        (old, new) if old != new => keys.push(path.to_owned()),
+        _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{LoopMode, parse};
+    use super::*;
+
+    fn config(text: &str) -> Config {
+        parse(text, None).unwrap()
+    }
+
+    #[test]
+    fn what_can_change_is_taken_over_and_the_rest_is_named() {
+        let old = config("");
+        let file = config(
+            "acquisition.source = 'serial'\ncentering.kp = 0.3\nframes.tool.translation_mm = [0, 0, -40]\n\
+             publishing.udp = []\nlog.level = 'warn'\nhead.psd_size_mm = 12\ntwin.motion = []\n\
+             channels.b.dark_v = [0, 0, 0.001]\n",
+        );
+        let reload = reload(&old, &old, &file).unwrap();
+        let changed = ["centering.kp", "channels.b.dark_v", "frames.tool.translation_mm", "log.level"];
+        assert_eq!(reload.changed, changed);
+        let refused = ["acquisition.source", "head.psd_size_mm", "publishing.udp", "twin.motion"];
+        assert_eq!(reload.refused, refused);
+        let wanted = config(
+            "centering.kp = 0.3\nframes.tool.translation_mm = [0, 0, -40]\nlog.level = 'warn'\n\
+             channels.b.dark_v = [0, 0, 0.001]\n",
+        );
+        assert_eq!(reload.running, wanted);
+        // Again: what was refused is refused again, and nothing else is news.
+        let again = super::reload(&reload.running, &reload.taken, &file).unwrap();
+        assert!(again.changed.is_empty());
+        assert_eq!(again.refused, refused);
+    }
+
+    #[test]
+    fn every_live_key_is_taken_over() {
+        let old = config("");
+        let file = config(
+            "[channels]\nsum_threshold_v = 0.06\n\
+             [centering]\nmode = 'off'\ntarget = 'balance'\nsetpoint_um = [1, 2]\nloop_delay_ms = 3\nlag_ms = 1\n\
+             kp = 1\nki_per_s = 1\nlock_limit_um = 4\nlock_time_ms = 1\nlost_time_ms = 1\n\
+             [steering]\nlimit_um = 300\nslew_mm_per_s = 1\npark_um = [1, 1]\non_exit = 'park'\nlease_ms = 100\n\
+             on_lease = 'park'\n[estimation]\nspot_noise_um = 2\npower_noise = 0.1\nedge_margin_mm = 1\n\
+             balance_limit = 0.1\n[frames.tare]\nrotation_deg = [1, 0, 0]\n[log]\nlevel = 'warn'\n",
+        );
+        let reload = reload(&old, &old, &file).unwrap();
+        assert_eq!(reload.running, file);
+        assert_eq!((reload.changed.len(), reload.refused.len()), (LIVE.len(), 0));
+    }
+
+    #[test]
+    fn what_was_changed_by_command_stays_unless_the_file_says_otherwise() {
+        let old = config("");
+        let mut running = old.clone();
+        running.centering.mode = LoopMode::Shadow;
+        running.centering.kp = Some(0.7);
+        let reload = reload(&running, &old, &config("centering.kp = 0.2\ncentering.lag_ms = 2")).unwrap();
+        assert_eq!(reload.running.centering.mode, LoopMode::Shadow);
+        assert_eq!(reload.running.centering.kp, Some(0.2));
+    }
+
+    #[test]
+    fn values_that_do_not_fit_the_old_ones_are_refused() {
+        let old = config("");
+        let file = config("head.psd_size_mm = 20\nestimation.edge_margin_mm = 8");
+        let error = reload(&old, &old, &file).unwrap_err();
+        assert!(error.contains("estimation.edge_margin_mm = 8") && error.contains("6.5"), "{error}");
+    }
+}

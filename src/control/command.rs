@@ -1,0 +1,163 @@
+//! What can be said to a daemon: one line of ASCII.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::config::LoopMode;
+
+/// A command.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Command {
+    /// What is going on?
+    Status,
+    /// From now on the present pose reads zero.
+    Tare {
+        /// So many poses are averaged; without, those of a tenth of a second.
+        poses: Option<u32>,
+        /// Also in the configuration file.
+        save: bool,
+    },
+    /// No tare any more.
+    ClearTare {
+        /// Also in the configuration file.
+        save: bool,
+    },
+    /// Switches the loop.
+    Loop(LoopMode),
+    /// Where the loop brings the beam, off the apex, micrometres.
+    Setpoint([f64; 2]),
+    /// Gains of the loop.
+    Gains {
+        /// Proportional.
+        kp: f64,
+        /// Integral, per second.
+        ki_per_s: f64,
+    },
+    /// Reads the configuration file again.
+    Reload,
+}
+
+/// A line that is no command.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{found:?} is no command; allowed are: {ALLOWED}")]
+pub struct NoCommand {
+    found: String,
+}
+
+/// Every command in its form.
+pub const ALLOWED: &str = "status, tare [poses=N] [save], tare clear [save], loop on|off|shadow, \
+    setpoint X_UM Y_UM, gains KP KI_PER_S, reload";
+
+impl FromStr for Command {
+    type Err = NoCommand;
+
+    fn from_str(line: &str) -> Result<Self, NoCommand> {
+        let words: Vec<_> = line.split_ascii_whitespace().collect();
+        let word = words.first().map(|word| word.to_ascii_lowercase()).unwrap_or_default();
+        parse(&word, words.get(1..).unwrap_or_default())
+            .ok_or_else(|| NoCommand { found: line.trim().chars().take(60).collect() })
+    }
+}
+
+fn parse(word: &str, rest: &[&str]) -> Option<Command> {
+    Some(match (word, rest) {
+        ("status", []) => Command::Status,
+        ("reload", []) => Command::Reload,
+        ("loop", ["on"]) => Command::Loop(LoopMode::On),
+        ("loop", ["off"]) => Command::Loop(LoopMode::Off),
+        ("loop", ["shadow"]) => Command::Loop(LoopMode::Shadow),
+        ("setpoint", [x, y]) => Command::Setpoint([number(x)?, number(y)?]),
+        ("gains", [kp, ki]) => Command::Gains { kp: number(kp)?, ki_per_s: number(ki)? },
+        ("tare", ["clear"]) => Command::ClearTare { save: false },
+        ("tare", ["clear", "save"]) => Command::ClearTare { save: true },
+        ("tare", options) => {
+            let (options, save) = match options {
+                [options @ .., "save"] => (options, true),
+                options => (options, false),
+            };
+            let poses = match options {
+                [] => None,
+                [poses] => Some(poses.strip_prefix("poses=")?.parse().ok().filter(|n| *n > 0)?),
+                _ => return None,
+            };
+            Command::Tare { poses, save }
+        }
+        _ => return None,
+    })
+}
+
+fn number(text: &str) -> Option<f64> {
+    text.parse().ok().filter(|x: &f64| x.is_finite())
+}
+
+/// As it is said.
+impl fmt::Display for Command {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let save = |save: bool| if save { " save" } else { "" };
+        match *self {
+            Command::Status => f.write_str("status"),
+            Command::Tare { poses: None, save: s } => write!(f, "tare{}", save(s)),
+            Command::Tare { poses: Some(n), save: s } => write!(f, "tare poses={n}{}", save(s)),
+            Command::ClearTare { save: s } => write!(f, "tare clear{}", save(s)),
+            Command::Loop(mode) => write!(f, "loop {}", mode.name()),
+            Command::Setpoint([x, y]) => write!(f, "setpoint {x:?} {y:?}"),
+            Command::Gains { kp, ki_per_s } => write!(f, "gains {kp:?} {ki_per_s:?}"),
+            Command::Reload => f.write_str("reload"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_said_is_understood() {
+        let commands = [
+            Command::Status,
+            Command::Tare { poses: None, save: false },
+            Command::Tare { poses: Some(250), save: true },
+            Command::ClearTare { save: false },
+            Command::ClearTare { save: true },
+            Command::Loop(LoopMode::On),
+            Command::Loop(LoopMode::Off),
+            Command::Loop(LoopMode::Shadow),
+            Command::Setpoint([-1.5, 1e-3]),
+            Command::Gains { kp: 0.1, ki_per_s: 200.0 },
+            Command::Reload,
+        ];
+        for command in commands {
+            assert_eq!(command.to_string().parse(), Ok(command));
+        }
+        assert_eq!(" LOOP  on\r".parse(), Ok(Command::Loop(LoopMode::On)));
+    }
+
+    #[test]
+    fn what_is_no_command_is_refused_with_what_is_one() {
+        let bad = [
+            "",
+            "statuss",
+            "status now",
+            "tare 100",
+            "tare poses=0",
+            "tare poses=-3",
+            "tare poses=1e3",
+            "tare save poses=5",
+            "tare clear all",
+            "loop",
+            "loop maybe",
+            "setpoint 1",
+            "setpoint 1 2 3",
+            "setpoint nan 0",
+            "gains 0.1",
+            "gains inf 1",
+            "gains 0,1 200",
+            "reload /etc/passwd",
+            "\u{fc}",
+        ];
+        for line in bad {
+            let error = line.parse::<Command>().unwrap_err().to_string();
+            assert!(error.contains("setpoint X_UM Y_UM"), "{line}: {error}");
+        }
+    }
+}

@@ -1,0 +1,279 @@
+//! The configuration of a running daemon, and how it changes.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use serde_json::{Value, json};
+use tokio::sync::{mpsc, oneshot, watch};
+use tokio::time::timeout;
+
+use super::{Command, ToFast};
+use crate::acquisition::{Channels, task::Change};
+use crate::centering::{Tuning, Xy, task::Order};
+use crate::clock::{Clock, Mono, SystemClock};
+use crate::config::edit::{self, Edit};
+use crate::config::reload::reload;
+use crate::config::{self, Config, FramesConfig, TransformConfig};
+use crate::estimation::{self, Frames, task::Question};
+use crate::exit::{self, Failure};
+use crate::logging::Logging;
+use crate::monitor::Counters;
+use crate::optics::Pose;
+use crate::publishing::{Descriptor, descriptor::StreamFacts};
+
+/// How long the fast side may take to answer.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// What a tare averages over, seconds: by default, and at most.
+const TARE_S: [f64; 2] = [0.1, 10.0];
+
+/// What is known of a running daemon, and the ways to change it.
+#[derive(Debug)]
+pub struct Live {
+    /// What it was started with.
+    pub file: Option<PathBuf>,
+    /// What holds at present.
+    pub running: Config,
+    /// The file as far as it was taken over.
+    pub taken: Config,
+    /// Fingerprint of the calibration in force, as in [`Config::calibration_id`].
+    pub calibration: u32,
+    /// What the descriptor says.
+    pub facts: StreamFacts,
+    /// Where TCP clients find it.
+    pub descriptor: watch::Sender<Descriptor>,
+    /// The ways to the fast side.
+    pub fast: ToFast,
+    /// The log.
+    pub log: Arc<Logging>,
+    /// Every counter.
+    pub counters: Arc<Counters>,
+    /// When the daemon started.
+    pub started: Mono,
+}
+
+impl Live {
+    /// Does what a command says. What it answers is a JSON object; with an `error` in it if not all was done.
+    pub async fn obey(&mut self, command: Command) -> Value {
+        let answer = match command {
+            Command::Status => self.status().await,
+            Command::Tare { poses, save } => self.tare(poses, save).await,
+            Command::ClearTare { save } => self.set_tare(TransformConfig::default(), save).await,
+            Command::Loop(mode) => self.tune(|config| config.centering.mode = mode).await,
+            Command::Setpoint(um) => self.tune(|config| config.centering.setpoint_um = um).await,
+            Command::Gains { kp, ki_per_s } => {
+                let gains = (Some(kp), Some(ki_per_s));
+                self.tune(|config| (config.centering.kp, config.centering.ki_per_s) = gains).await
+            }
+            Command::Reload => self.reload().await,
+        };
+        answer.unwrap_or_else(|failure| error(&failure))
+    }
+
+    async fn tune(&mut self, change: impl FnOnce(&mut Config)) -> Result<Value, Failure> {
+        let mut next = self.running.clone();
+        change(&mut next);
+        next.verify().map_err(|wrong| Failure::new(exit::USAGE, wrong))?;
+        self.go_on_with(next, None).await?;
+        Ok(json!({ "loop": self.loop_now().await? }))
+    }
+
+    /// Reads the file again and takes over what can be.
+    async fn reload(&mut self) -> Result<Value, Failure> {
+        let wrong = |message: String| Failure::new(exit::CONFIG, format!("nothing is changed: {message}"));
+        let Some(file) = &self.file else {
+            return Err(wrong("the daemon was started without a configuration file".into()));
+        };
+        let file = config::load(Some(file)).map_err(|e| wrong(e.to_string()))?;
+        let mut plan = reload(&self.running, &self.taken, &file).map_err(wrong)?;
+        // A correction table may have changed, too.
+        let id = plan.running.calibration_id().map_err(|e| wrong(format!("a correction table: {e}")))?;
+        let mut channels = None;
+        if plan.running.channels != self.running.channels || id != self.calibration {
+            channels = Some((Channels::load(&plan.running).map_err(|e| wrong(e.message))?, id));
+            if plan.running.channels == self.running.channels {
+                plan.changed.push("channels (the contents of a correction table)".into());
+            }
+        }
+        self.go_on_with(plan.running, channels).await?;
+        self.taken = plan.taken;
+        let mut answer = json!({
+            "changed": plan.changed, "refused": plan.refused, "config": self.id()
+        });
+        if !plan.refused.is_empty() {
+            answer["error"] =
+                format!("not taken over, it needs a restart: {}", plan.refused.join(", ")).into();
+            answer["code"] = exit::DATA.into();
+        }
+        Ok(answer)
+    }
+
+    async fn tare(&mut self, poses: Option<u32>, save: bool) -> Result<Value, Failure> {
+        if save {
+            self.file_to_save()?;
+        }
+        let rate_hz = self.running.acquisition.rate_hz / f64::from(self.running.estimation.average);
+        let [usual, most] = TARE_S.map(|seconds| ((seconds * rate_hz).ceil() as u32).max(1));
+        let poses = poses.unwrap_or(usual);
+        if poses > most {
+            let why = format!("poses={poses}: allowed is 1 to {most}, {} s at {rate_hz} Hz", TARE_S[1]);
+            return Err(Failure::new(exit::USAGE, why));
+        }
+        let no_tare = |why: String| Failure::new(exit::DATA, format!("the tare is as it was: {why}"));
+        let patience = PATIENCE + Duration::from_secs_f64(2.0 * f64::from(poses) / rate_hz);
+        let mean = ask(&self.fast.questions, patience, |reply| Question::Mean(poses, reply)).await?;
+        let mean = mean.map_err(|status| {
+            no_tare(format!("no valid pose: {}", status.names().collect::<Vec<_>>().join(", ")))
+        })?;
+        let untared = FramesConfig { tare: TransformConfig::default(), ..self.running.frames };
+        let pose = Frames::new(&untared).pose(&mean).ok_or_else(|| {
+            no_tare("the pitch is within a degree of 90 degrees: turn [frames.base] or [frames.tool]".into())
+        })?;
+        let mut answer = self.set_tare(TransformConfig::of(&pose), save).await?;
+        answer["poses"] = poses.into();
+        Ok(answer)
+    }
+
+    async fn set_tare(&mut self, tare: TransformConfig, save: bool) -> Result<Value, Failure> {
+        let mut next = self.running.clone();
+        next.frames.tare = tare;
+        next.verify().map_err(|wrong| Failure::new(exit::DATA, wrong))?;
+        if save {
+            let file = self.file_to_save()?;
+            let edit = |key, values| Edit { section: ["frames", "tare"], key, values };
+            let edits =
+                [edit("translation_mm", tare.translation_mm), edit("rotation_deg", tare.rotation_deg)];
+            edit::write(file, &edits).map_err(|e| {
+                let why = format!("the tare is as it was: cannot write it into {}: {e:#}", file.display());
+                Failure::new(exit::IO, why)
+            })?;
+            self.taken.frames.tare = tare;
+        }
+        self.go_on_with(next, None).await?;
+        Ok(json!({ "tare": self.running.frames.tare, "saved": save, "config": self.id() }))
+    }
+
+    fn file_to_save(&self) -> Result<&PathBuf, Failure> {
+        self.file.as_ref().ok_or_else(|| {
+            Failure::new(exit::CONFIG, "cannot save: the daemon was started without a configuration file")
+        })
+    }
+
+    /// Goes on with another configuration, which differs only where it may; `channels` if they, or their
+    /// tables, have changed, with the fingerprint of the calibration.
+    async fn go_on_with(&mut self, next: Config, channels: Option<(Channels, u32)>) -> Result<(), Failure> {
+        if next.log.level != self.running.log.level {
+            self.log.set_level(&next.log.level)?;
+        }
+        if next.frames != self.running.frames
+            || next.estimation != self.running.estimation
+            || channels.is_some()
+        {
+            self.change_meaning(&next, channels).await?;
+        }
+        if next.centering != self.running.centering || next.steering != self.running.steering {
+            let tuning = Box::new(Tuning::new(&next));
+            ask(&self.fast.orders, PATIENCE, |done| Order::Retune(tuning, done)).await?;
+        }
+        self.running = next;
+        Ok(())
+    }
+
+    /// From one sample to the next, poses mean something else.
+    async fn change_meaning(
+        &mut self,
+        next: &Config,
+        channels: Option<(Channels, u32)>,
+    ) -> Result<(), Failure> {
+        let mut facts = self.facts;
+        let (channels, calibration) = channels.map_or((None, self.calibration), |(c, id)| (Some(c), id));
+        if let Some(channels) = &channels {
+            facts.calibrated = channels.calibrated();
+        }
+        facts.id.config = next.frames.id(calibration);
+        let settings = estimation::Settings::new(next, facts.calibrated, facts.id.config)
+            .map_err(|e| Failure::new(exit::SOFTWARE, format!("the head cannot be built: {e}")))?;
+        ask(&self.fast.changes, PATIENCE, |done| Change { channels, settings, done }).await?;
+        if facts.id.config != self.facts.id.config {
+            tracing::info!(
+                config = format!("{:08x}", facts.id.config),
+                "poses have another meaning from now on"
+            );
+        }
+        (self.facts, self.calibration) = (facts, calibration);
+        self.descriptor.send_replace(Descriptor::new(facts));
+        Ok(())
+    }
+
+    fn id(&self) -> String {
+        format!("{:08x}", self.facts.id.config)
+    }
+
+    async fn status(&self) -> Result<Value, Failure> {
+        let last = ask(&self.fast.questions, PATIENCE, Question::Last).await?;
+        let now = SystemClock.now();
+        let pose = last.map(|report| {
+            let numbers = report.pose.map(Pose::to_array);
+            json!({
+                "valid": report.pose.is_some(),
+                "age_s": now.seconds_since(report.time),
+                "sample_index": report.index,
+                "status": report.status.names().collect::<Vec<_>>(),
+                "tx_ty_tz_m": numbers.as_ref().map(|n| &n[..3]),
+                "roll_pitch_yaw_rad": numbers.as_ref().map(|n| &n[3..]),
+            })
+        });
+        let counters: serde_json::Map<_, _> =
+            self.counters.list().into_iter().map(|(name, n)| (name.to_owned(), n.into())).collect();
+        Ok(json!({
+            "version": env!("CARGO_PKG_VERSION"),
+            "pid": std::process::id(),
+            "uptime_s": now.seconds_since(self.started),
+            "file": self.file,
+            "session": format!("{:08x}", self.facts.id.session),
+            "config": self.id(),
+            "loop": self.loop_now().await?,
+            "pose": pose,
+            "frames": self.running.frames,
+            "counters": counters,
+        }))
+    }
+
+    async fn loop_now(&self) -> Result<Value, Failure> {
+        let view = ask(&self.fast.orders, PATIENCE, Order::View).await?;
+        let um = |xy: Xy| xy.map(|m| m * 1e6);
+        let centering = &self.running.centering;
+        let gains = centering.gains(self.running.acquisition.rate_hz);
+        Ok(json!({
+            "mode": view.mode.name(),
+            "lock": view.lock.name(),
+            "offset_um": view.offset.map(um),
+            "setpoint_um": centering.setpoint_um,
+            "commanded_um": view.commanded.map(um),
+            "shadow": view.shadow.map(|(at, to)| json!({ "stands_at_um": um(at), "would_go_to_um": um(to) })),
+            "kp": gains.kp,
+            "ki_per_s": gains.ki_per_s,
+        }))
+    }
+}
+
+/// An answer that says what went wrong.
+pub fn error(failure: &Failure) -> Value {
+    json!({ "error": failure.message, "code": failure.code })
+}
+
+/// Asks a task of the fast side, and waits for its answer.
+async fn ask<Q, A>(
+    to: &mpsc::Sender<Q>,
+    patience: Duration,
+    question: impl FnOnce(oneshot::Sender<A>) -> Q,
+) -> Result<A, Failure> {
+    let unavailable = |why: &str| Failure::new(exit::UNAVAILABLE, why);
+    let (reply, answer) = oneshot::channel();
+    to.try_send(question(reply)).map_err(|_| unavailable("the daemon is ending, or too busy to listen"))?;
+    match timeout(patience, answer).await {
+        Ok(Ok(answer)) => Ok(answer),
+        Ok(Err(_)) => Err(unavailable("the daemon is ending")),
+        Err(_) => Err(unavailable("the fast side of the daemon does not answer")),
+    }
+}

@@ -1,0 +1,55 @@
+//! Telling a running daemon what to do: over a Unix socket, and by SIGHUP.
+//!
+//! - [`command`]: what can be said, in one line; pure.
+//! - [`live`]: the configuration as it is at present, and how it changes.
+//! - [`server`]: the socket. [`client`]: the other end of it.
+//!
+//! All this stands on the main thread. The fast side is told through bounded channels and answers through
+//! a channel of the question's own; neither waits for the other.
+
+pub mod client;
+pub mod command;
+pub mod live;
+pub mod server;
+
+use tokio::sync::mpsc;
+
+use crate::acquisition::task::Change;
+use crate::centering::task::Order;
+use crate::estimation::task::Question;
+
+pub use command::Command;
+pub use live::Live;
+
+/// Orders that may wait on each way. They come one at a time, so there is always room.
+const QUEUE: usize = 4;
+
+/// The ways to the tasks of the fast side.
+#[derive(Debug)]
+pub struct ToFast {
+    changes: mpsc::Sender<Change>,
+    questions: mpsc::Sender<Question>,
+    orders: mpsc::Sender<Order>,
+}
+
+/// Their ends there.
+#[derive(Debug)]
+pub struct AtFast {
+    /// For acquisition.
+    pub changes: mpsc::Receiver<Change>,
+    /// For estimation.
+    pub questions: mpsc::Receiver<Question>,
+    /// For centering.
+    pub orders: mpsc::Receiver<Order>,
+}
+
+/// The ways between the main thread and the fast side.
+pub fn ways() -> (ToFast, AtFast) {
+    let (changes, changes_end) = mpsc::channel(QUEUE);
+    let (questions, questions_end) = mpsc::channel(QUEUE);
+    let (orders, orders_end) = mpsc::channel(QUEUE);
+    (
+        ToFast { changes, questions, orders },
+        AtFast { changes: changes_end, questions: questions_end, orders: orders_end },
+    )
+}

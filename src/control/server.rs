@@ -1,0 +1,168 @@
+//! The socket: one line in, one line of JSON out.
+
+use std::fs;
+use std::io;
+use std::os::unix::fs::FileTypeExt;
+use std::os::unix::net as blocking;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use rustix::fs::Mode;
+use rustix::process::umask;
+use serde_json::Value;
+use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
+use tokio::net::{UnixListener, UnixStream, unix::OwnedReadHalf};
+use tokio::sync::Mutex;
+use tokio::task::JoinSet;
+use tokio::time::{sleep, timeout};
+
+use super::{Command, Live, live::error};
+use crate::config::ControlConfig;
+use crate::exit::{self, Failure};
+
+/// Most bytes of a line, its end included.
+const LINE: u64 = 256;
+/// Most clients at a time.
+const CLIENTS: usize = 16;
+/// A client that says nothing, or takes no answer, for so long is dropped.
+const PATIENCE: Duration = Duration::from_mins(1);
+
+/// The socket; its file goes with it.
+#[derive(Debug)]
+pub struct Socket {
+    listener: UnixListener,
+    path: PathBuf,
+}
+
+impl Socket {
+    /// Opens the socket that the configuration names. A file that a dead daemon left there is replaced.
+    ///
+    /// Must be called before other threads make files: for a moment the process makes them with the
+    /// permissions of the socket.
+    ///
+    /// # Errors
+    /// [`exit::IN_USE`] if another daemon listens there, [`exit::IO`] if it cannot be opened.
+    pub fn open(config: &ControlConfig) -> Result<Option<Self>, Failure> {
+        let Some(path) = config.socket.clone() else { return Ok(None) };
+        clear(&path)?;
+        let fail = |e: io::Error| {
+            Failure::new(exit::IO, format!("cannot open the control socket {}: {e}", path.display()))
+        };
+        let before = umask(Mode::from_raw_mode(!config.mode & 0o777));
+        let bound = blocking::UnixListener::bind(&path);
+        umask(before);
+        let listener = bound.and_then(|listener| {
+            listener.set_nonblocking(true)?;
+            UnixListener::from_std(listener)
+        });
+        let listener = listener.map_err(fail)?;
+        tracing::info!(socket = %path.display(), mode = format!("{:04o}", config.mode), "control socket is open");
+        Ok(Some(Self { listener, path }))
+    }
+
+    /// Serves clients for ever, each at its own pace; their commands one after the other.
+    pub async fn serve(self, live: Arc<Mutex<Live>>) {
+        let mut clients = JoinSet::new();
+        loop {
+            match self.listener.accept().await {
+                Ok((stream, _)) => {
+                    while clients.try_join_next().is_some() {}
+                    if clients.len() < CLIENTS {
+                        clients.spawn(client(stream, Arc::clone(&live)));
+                    } else {
+                        tracing::warn!("control: refused a client, {CLIENTS} are connected already");
+                    }
+                }
+                Err(e) => {
+                    tracing::warn!("control: cannot accept a client: {e}");
+                    sleep(Duration::from_millis(100)).await;
+                }
+            }
+        }
+    }
+}
+
+impl Drop for Socket {
+    fn drop(&mut self) {
+        let _ = fs::remove_file(&self.path); // whoever starts next replaces it
+    }
+}
+
+/// Removes a socket on which nobody listens any more; anything else stays.
+fn clear(path: &Path) -> Result<(), Failure> {
+    let is_socket = fs::symlink_metadata(path).is_ok_and(|file| file.file_type().is_socket());
+    if !is_socket {
+        return Ok(()); // if there is something else, opening says so
+    }
+    match blocking::UnixStream::connect(path) {
+        Ok(_) => {
+            let why = format!("the control socket {} is in use by another daemon", path.display());
+            Err(Failure::new(exit::IN_USE, why))
+        }
+        Err(e) if e.kind() == io::ErrorKind::ConnectionRefused => {
+            let _ = fs::remove_file(path); // if not, opening says so
+            Ok(())
+        }
+        Err(_) => Ok(()),
+    }
+}
+
+async fn client(stream: UnixStream, live: Arc<Mutex<Live>>) {
+    let uid = stream.peer_cred().map(|peer| peer.uid()).ok();
+    let (read, mut write) = stream.into_split();
+    let mut lines = BufReader::new(read);
+    loop {
+        let line = match timeout(PATIENCE, next_line(&mut lines)).await {
+            Ok(Ok(Some(line))) => line,
+            Ok(Ok(None)) | Err(_) => return,
+            Ok(Err(why)) => {
+                let refusal = error(&Failure::new(exit::USAGE, why.to_string()));
+                let _ = timeout(PATIENCE, write.write_all(&encode(refusal))).await;
+                return;
+            }
+        };
+        let answer = match line.parse::<Command>() {
+            Ok(command) => {
+                let answer = live.lock().await.obey(command).await;
+                note(&command, uid, &answer);
+                answer
+            }
+            Err(refusal) => error(&Failure::new(exit::USAGE, refusal.to_string())),
+        };
+        match timeout(PATIENCE, write.write_all(&encode(answer))).await {
+            Ok(Ok(())) => {}
+            _ => return,
+        }
+    }
+}
+
+/// The next whole line; none at the end. A line without its end is none: half a number is another number.
+async fn next_line(lines: &mut BufReader<OwnedReadHalf>) -> io::Result<Option<String>> {
+    let mut line = Vec::new();
+    lines.take(LINE).read_until(b'\n', &mut line).await?;
+    if line.last() == Some(&b'\n') {
+        return Ok(Some(String::from_utf8_lossy(&line).into_owned()));
+    }
+    let whole = line.len() as u64 == LINE;
+    let too_long = || io::Error::other(format!("a line has at most {LINE} bytes, its end included"));
+    if whole { Err(too_long()) } else { Ok(None) }
+}
+
+/// Whoever changes something is in the log, with what came of it.
+pub fn note(command: &Command, uid: Option<u32>, answer: &Value) {
+    if *command == Command::Status {
+        return;
+    }
+    match answer["error"].as_str() {
+        None => tracing::info!(%command, uid, %answer, "control"),
+        Some(error) => tracing::warn!(%command, uid, "control: {error}"),
+    }
+}
+
+fn encode(mut answer: Value) -> Vec<u8> {
+    answer["ok"] = answer["error"].is_null().into();
+    let mut line = answer.to_string().into_bytes();
+    line.push(b'\n');
+    line
+}
