@@ -18,7 +18,7 @@ fn every_sample_becomes_a_frame_on_both_ways_with_a_true_pose() {
     let locked = stream.locked();
     let frames = stream.take(2000);
     let always = Status::POSE_VALID | Status::SIMULATED | Status::UNCALIBRATED | Status::STEERING_MEASURED;
-    for frame in frames.iter().filter(Frame::of_samples) {
+    for frame in frames.iter().filter(|f| f.of_samples()) {
         assert_eq!(frame.status.0 & always.0, always.0, "{frame:?}");
         assert_eq!(
             frame.status.0 & !(always | Status::NOT_LOCKED | Status::CLOCK_UNSYNCED).0,
