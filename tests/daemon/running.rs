@@ -34,7 +34,7 @@ fn every_sample_becomes_a_frame_on_both_ways_with_a_true_pose() {
 
     // The twin samples at k / rate from its start on, and nobody knows that better than the frames.
     assert!(first.time_ns > begin_ns && locked.arrived_ns < now_ns());
-    for frame in sent.iter().filter(Frame::of_samples) {
+    for frame in sent.iter().filter(|f| f.of_samples()) {
         let due_ns = first.time_ns + frame.sample_index as i64 * 1_000_000;
         // What the offset to UTC may slew in these seconds, and no jitter at all.
         assert!((frame.time_ns - due_ns).abs() < 100_000, "{first:?} {frame:?}");
@@ -68,7 +68,7 @@ fn averages_are_means_with_their_time() {
         assert!((pair[1].time_ns - pair[0].time_ns - 10_000_000).abs() < 20_000);
     }
     // The mean of ten times lies 4.5 ms before the last of them; the quickest frame is sent soon after that.
-    let quickest = frames.iter().filter(Frame::of_samples).map(|f| f.send_delay_ns).min().unwrap();
+    let quickest = frames.iter().filter(|f| f.of_samples()).map(|f| f.send_delay_ns).min().unwrap();
     assert!((4_500_000..6_500_000).contains(&quickest), "{quickest} ns");
     let sd = f64::from(frames[50].deviations[5]);
     assert!((0.6e-6..1.0e-6).contains(&sd), "2.5 urad over the root of ten: {sd}");
