@@ -39,9 +39,9 @@ pub struct LoopView {
 /// What follows from a sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// The command for the stage, unless the loop is off or the sample came too late.
+    /// The command for the stage, unless the loop is off.
     pub command: Option<OutputCommand>,
-    /// The sample came too late to act on it.
+    /// The sample came too late to act on it: the command holds.
     pub late: bool,
     /// The lock state has changed.
     pub transition: Option<Transition>,
@@ -206,12 +206,17 @@ impl Centering {
                 let late = now.seconds_since(sample.time) > self.tuning.fresh_s;
                 self.late_s = if late { self.late_s + dt } else { 0.0 };
                 let offset = self.offset(sample, pose);
-                if late { self.wait(sample, offset, dt) } else { self.steer(sample, offset, dt, output_bits) }
+                let patient = self.late_s <= self.tuning.patience_s;
+                // What is late is looked at, and not acted upon. The stage still gets its command: that
+                // renews the lease, which is for a daemon that is dead.
+                let command = self.steer(sample, if late { Err(TOO_LATE) } else { offset }, dt, output_bits);
+                let transition = self.judge(sample, if patient { offset } else { Err(TOO_LATE) }, dt);
+                Outcome { command: Some(command), late, transition }
             }
         }
     }
 
-    fn steer(&mut self, sample: &Sample, offset: Result<Xy, &'static str>, dt: f64, bits: u8) -> Outcome {
+    fn steer(&mut self, sample: &Sample, offset: Result<Xy, &str>, dt: f64, bits: u8) -> OutputCommand {
         let memory = match self.memory {
             Some(memory) if !self.apart => memory,
             _ => self.take_over(sample, dt),
@@ -223,15 +228,7 @@ impl Centering {
             Err(_) => controller.hold(&memory, dt),
         };
         self.memory = Some(next);
-        let transition = self.judge(sample, offset, dt);
-        Outcome { command: Some(self.command(next.position, bits)), late: false, transition }
-    }
-
-    /// A sample that came too late is looked at, and not acted upon.
-    fn wait(&mut self, sample: &Sample, offset: Result<Xy, &'static str>, dt: f64) -> Outcome {
-        let hiccup = self.late_s <= self.tuning.patience_s;
-        let transition = self.judge(sample, if hiccup { offset } else { Err(TOO_LATE) }, dt);
-        Outcome { command: None, late: true, transition }
+        self.command(next.position, bits)
     }
 
     /// What the lock makes of an offset.

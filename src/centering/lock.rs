@@ -38,9 +38,10 @@ impl LockState {
         LockState::Held,
     ];
 
-    /// What may be claimed of this state once samples have stopped coming, before the loop has noticed.
+    /// What may be claimed of this state on a frame without samples or without light. The loop may have
+    /// said it a moment before, or after.
     #[must_use]
-    pub fn without_samples(self) -> LockState {
+    pub fn unseen(self) -> LockState {
         match self {
             LockState::Acquiring | LockState::Locked | LockState::Railed => LockState::Held,
             other => other,

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::sync::{mpsc, oneshot, watch};
+use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 
@@ -85,6 +86,11 @@ pub async fn run<C: Clock>(
                 }
             }
             () = sleep(PATIENCE) => {
+                // The whole thread may have slept: what has come in the meantime has its turn first.
+                yield_now().await;
+                if edges.newest.has_changed().unwrap_or(true) {
+                    continue;
+                }
                 let now = clock.now();
                 say(centering.silence(now.seconds_since(heard)));
                 heard = now;

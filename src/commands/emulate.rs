@@ -13,6 +13,7 @@ use anyhow::Context;
 use tokio::{
     signal::unix::{Signal, SignalKind, signal},
     sync::mpsc,
+    task::yield_now,
     time::{Instant, sleep_until},
 };
 use trifacet::{
@@ -24,6 +25,9 @@ use trifacet::{
 use super::{ConfigArg, written};
 use link::Link;
 use order::Order;
+
+/// Most samples taken at once: much less than the board's buffer holds.
+const PORTION: u64 = 16;
 
 /// Play an acquisition board on a pseudo-terminal, with the digital twin behind it.
 #[derive(Debug, clap::Args)]
@@ -64,13 +68,17 @@ impl Bench {
         let mut ends = [signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?];
         let mut orders = lines_of_stdin();
         self.plug_in()?;
-        let mut sampled = 0;
+        let (mut sampled, mut due) = (0, 0);
         loop {
             tokio::select! {
-                due = self.pace.due() => {
-                    for _ in 0..due? {
+                more = self.pace.due() => due += more?,
+                // After a pause of the machine there are many: in portions, so that the line carries
+                // some before the board's buffer is full.
+                () = yield_now(), if due > 0 => {
+                    for _ in 0..due.min(PORTION) {
                         self.board.sample(self.pace.schedule().time(sampled));
                         sampled += 1;
+                        due -= 1;
                     }
                 }
                 carried = carry(&mut self.port, &mut self.board) => carried.context("the pseudo-terminal failed")?,

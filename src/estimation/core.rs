@@ -141,7 +141,7 @@ impl Estimation {
             steering: None,
             output_railed: false,
         };
-        let steering = LoopState { lock: steering.lock.without_samples(), ..*steering };
+        let steering = LoopState { lock: steering.lock.unseen(), ..*steering };
         let mut report = self.blank(&Mean { sample: nothing, count: 0, gap: false }, &steering);
         report.status |= Status::SOURCE_DOWN;
         report
@@ -149,8 +149,12 @@ impl Estimation {
 
     fn report(&mut self, mean: &Mean, steering: &LoopState) -> PoseReport {
         let mut report = self.blank(mean, steering);
-        let fatal = self.light(mean, &mut report.status) || mean.gap;
-        if fatal {
+        if self.light(mean, &mut report.status) {
+            report.lock = report.lock.unseen();
+            report.status.set(Status::NOT_LOCKED, true);
+            return report;
+        }
+        if mean.gap {
             return report;
         }
         let signals = Signals { spots: mean.sample.spots, powers: mean.sample.powers };

@@ -1,0 +1,329 @@
+"""Reads the pose stream of a trifacet daemon. Python 3.9 or later, standard library only.
+
+    import trifacet
+
+    for frame in trifacet.udp(7362):
+        if frame.usable(max_age=0.02):
+            print(frame.position, frame.rotation)
+
+A number that is not known is NaN. docs/stream.md describes every field, docs/clients.md how to use them.
+"""
+
+import json
+import math
+import socket
+import struct
+import time
+import zlib
+from typing import NamedTuple, Tuple
+
+MAJOR = 1
+FRAME_SIZE = 192
+CLOCK_UNKNOWN = 65535
+
+STATUS_BITS = (
+    "POSE_VALID", "PSD_A_LOW", "PSD_B_LOW", "PSD_C_LOW", "PSD_A_CLIPPED", "PSD_B_CLIPPED", "PSD_C_CLIPPED",
+    "PSD_A_EDGE", "PSD_B_EDGE", "PSD_C_EDGE", "UNBALANCED", "NOT_LOCKED", "STEERING_RAILED", "NOT_CONVERGED",
+    "OUT_OF_RANGE", "SAMPLE_GAP", "SOURCE_DOWN", "CLOCK_UNSYNCED", "UNCALIBRATED", "INCONSISTENT", "SIMULATED",
+    "REPLAYED", "POSE_HELD", "STEERING_MEASURED", "RECORDING_FAULT",
+)  # from bit 0
+LOCK_STATES = ("off", "manual", "searching", "acquiring", "locked", "railed", "lost", "held")  # from 0
+
+POSE_VALID = 1 << STATUS_BITS.index("POSE_VALID")
+SIMULATED = 1 << STATUS_BITS.index("SIMULATED")
+REPLAYED = 1 << STATUS_BITS.index("REPLAYED")
+
+_HEADER = struct.Struct("<4sBBH")  # magic, major, minor, size: the beginning of every message
+_BODY = struct.Struct("<IIQQqIIIHBB 3d3d 3f3f 2ff HH 2f2f2f 3f2f")
+_CRC = struct.Struct("<I")
+_RECEIVE_BUFFER = 1 << 20  # the default of Linux holds 256 frames, which 10 kHz fill in 26 ms
+
+
+class FrameError(ValueError):
+    """Bytes that are no pose frame, or a damaged one."""
+
+
+class VersionError(FrameError):
+    """The daemon speaks another major version: no frame of it can be read."""
+
+
+class Silence(TimeoutError):
+    """No frame came in time. The stream may be read on."""
+
+
+class Closed(ConnectionError):
+    """The daemon ended the stream, or never began it. The reason is in the message."""
+
+
+class Frame(NamedTuple):
+    """A pose frame. Metres, radians, watts, nanoseconds."""
+
+    session: int
+    config: int
+    sequence: int
+    sample_index: int
+    time_ns: int
+    solve_delay_ns: int
+    send_delay_ns: int
+    status: int
+    clock_quality: int
+    lock: int
+    iterations: int
+    position: Tuple[float, float, float]
+    rotation: Tuple[float, float, float]
+    sd_position: Tuple[float, float, float]
+    sd_rotation: Tuple[float, float, float]
+    beam_offset: Tuple[float, float]
+    steering_residual: float
+    averaged: int
+    lost: int
+    spot_a: Tuple[float, float]
+    spot_b: Tuple[float, float]
+    spot_c: Tuple[float, float]
+    power_a: float
+    power_b: float
+    power_c: float
+    steering_x: float
+    steering_y: float
+
+    @classmethod
+    def decode(cls, data):
+        """The frame in these 192 bytes. Raises FrameError if they are none, or damaged."""
+        if len(data) < _HEADER.size:
+            raise FrameError(f"a pose frame has {FRAME_SIZE} bytes, not {len(data)}")
+        magic, major, minor, size = _HEADER.unpack_from(data)
+        if magic != b"TFP1":
+            raise FrameError(f"a pose frame starts with b'TFP1', not {magic!r}")
+        if major != MAJOR:
+            raise VersionError(f"the frame has layout version {major}.{minor}; this program reads {MAJOR}.x")
+        if len(data) != FRAME_SIZE or size != FRAME_SIZE:
+            raise FrameError(f"a pose frame has {FRAME_SIZE} bytes, not {len(data)} that call themselves {size}")
+        (crc,) = _CRC.unpack_from(data, FRAME_SIZE - _CRC.size)
+        if zlib.crc32(data[:-_CRC.size]) != crc:
+            raise FrameError("wrong CRC: the frame was damaged on its way")
+        v = _BODY.unpack_from(data, _HEADER.size)
+        if v[9] >= len(LOCK_STATES):
+            raise FrameError(f"{v[9]} is no lock state; they go from 0 to {len(LOCK_STATES) - 1}")
+        return cls(*v[:11], v[11:14], v[14:17], v[17:20], v[20:23], v[23:25], v[25], v[26], v[27],
+                   v[28:30], v[30:32], v[32:34], *v[34:])
+
+    @property
+    def valid(self):
+        """Whether there is a pose in this frame at all. See `usable`."""
+        return bool(self.status & POSE_VALID)
+
+    @property
+    def status_names(self):
+        return [name for bit, name in enumerate(STATUS_BITS) if self.status >> bit & 1]
+
+    @property
+    def lock_name(self):
+        return LOCK_STATES[self.lock]
+
+    @property
+    def clock_sigma(self):
+        """1 sigma of `time_ns` on the daemon's clock, seconds; NaN if unknown."""
+        return math.nan if self.clock_quality == CLOCK_UNKNOWN else self.clock_quality * 1e-7
+
+    def age(self):
+        """Seconds since the light was measured. Only as right as the clocks of both machines agree."""
+        return (time.time_ns() - self.time_ns) * 1e-9
+
+    def usable(self, max_age, simulated=False):
+        """Whether a machine may act on this pose: valid, no older than `max_age` seconds, and of real
+        light unless `simulated` is allowed. A frame from the future means clocks that do not agree.
+        """
+        computed = self.status & (SIMULATED | REPLAYED)
+        return self.valid and abs(self.age()) <= max_age and (simulated or not computed)
+
+
+class Losses:
+    """What went missing on the way, counted by the reader itself."""
+
+    def __init__(self, divider=1):
+        self.divider = divider  # frames whose sequence it divides are sent
+        self.missed = 0   # frames missing in the sequence
+        self.late = 0     # frames that came after a younger one, or twice; never handed out
+        self.damaged = 0  # bytes that belonged to no undamaged message
+        self._last = None
+
+    def in_order(self, frame):
+        """Counts. False if a younger frame has been seen."""
+        if self._last is not None and self._last[0] == frame.session:
+            gap = frame.sequence // self.divider - self._last[1]
+            if gap <= 0:
+                self.late += 1
+                return False
+            self.missed += gap - 1
+        self._last = (frame.session, frame.sequence // self.divider)  # another session: the daemon was restarted
+        return True
+
+    def __repr__(self):
+        return f"missed={self.missed} late={self.late} damaged={self.damaged}"
+
+
+class _Stream:
+    """Iterates over frames. `losses` counts; Silence is raised, and can be read past."""
+
+    def __init__(self, sock, divider):
+        self.socket = sock
+        self.losses = Losses(divider)
+
+    def __iter__(self):
+        return self
+
+    def __next__(self):
+        while True:
+            frame = self._next_frame()
+            if self.losses.in_order(frame):
+                return frame
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+    def close(self):
+        self.socket.close()
+
+
+class udp(_Stream):
+    """Frames that a daemon sends to this port. Raises Silence if none comes for `silence` seconds.
+
+    `divider` is that of this target in the daemon's configuration, so that losses are counted right.
+    """
+
+    def __init__(self, port, host="0.0.0.0", divider=1, silence=1.0):
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        sock = socket.socket(family, socket.SOCK_DGRAM)
+        # The system grants no more than net.core.rmem_max, and says nothing about it.
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+        sock.bind((host, port))
+        super().__init__(sock, divider)
+        self.silence = silence
+        self.port = sock.getsockname()[1]
+
+    def _next_frame(self):
+        deadline = time.monotonic() + self.silence
+        while True:
+            left = deadline - time.monotonic()
+            if left <= 0:
+                raise Silence(f"no frame on UDP port {self.port} for {self.silence} s: does the daemon run, and is "
+                              "this address among its [publishing] udp targets?")
+            self.socket.settimeout(left)
+            try:
+                data = self.socket.recv(FRAME_SIZE + 1)  # a longer datagram must not look like a frame
+            except socket.timeout:
+                continue
+            try:
+                return Frame.decode(data)
+            except VersionError:
+                raise
+            except FrameError:
+                self.losses.damaged += len(data)
+
+
+class tcp(_Stream):
+    """Frames from a daemon's TCP server, every `divider`-th one.
+
+    `descriptor` and `heartbeat` are what the daemon last said of itself and of this client; frames that it
+    dropped because this client was too slow are in heartbeat["dropped"].
+    Raises Silence if not even a heartbeat comes for `silence` seconds, Closed at the end.
+    """
+
+    def __init__(self, host="127.0.0.1", port=7361, divider=1, silence=3.0):
+        super().__init__(socket.create_connection((host, port), timeout=silence), divider)
+        self.descriptor = None
+        self.heartbeat = None
+        self.silence = silence
+        self._buffer = bytearray()
+        self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.socket.sendall(f"stream format=binary divider={divider}\n".encode("ascii"))
+
+    def _next_frame(self):
+        while True:
+            message = self._next_message()
+            kind = message[:4]
+            if kind == b"TFP1":
+                return Frame.decode(message)
+            if kind == b"TFD1":
+                self.descriptor = _json(message)
+            elif kind == b"TFH1":
+                self.heartbeat = _json(message)
+            elif kind == b"TFE1":
+                raise Closed(_json(message)["error"])
+
+    def _next_message(self):
+        """The next undamaged message. Steps over bytes that belong to none."""
+        while True:
+            if len(self._buffer) < _HEADER.size:
+                self._receive()
+                continue
+            magic, major, minor, size = _HEADER.unpack_from(self._buffer)
+            if magic == b"erro":
+                self._refused()
+            pose = magic == b"TFP1" and major == MAJOR
+            if not magic.startswith(b"TF") or size < _HEADER.size + _CRC.size or (pose and size != FRAME_SIZE):
+                self._skip()
+                continue
+            if len(self._buffer) < size:
+                self._receive()
+                continue
+            message = bytes(self._buffer[:size])
+            (crc,) = _CRC.unpack_from(message, size - _CRC.size)
+            if zlib.crc32(message[:-_CRC.size]) != crc:
+                self._skip()
+                continue
+            del self._buffer[:size]
+            if major != MAJOR:
+                raise VersionError(f"the daemon speaks version {major}.{minor}; this program reads {MAJOR}.x")
+            return message
+
+    def _receive(self):
+        try:
+            data = self.socket.recv(1 << 16)
+        except socket.timeout:
+            raise Silence(f"not even a heartbeat for {self.silence} s: is the network up, is it a trifacet daemon "
+                          "that listens there?") from None
+        if not data:
+            raise Closed("the daemon closed the stream")
+        self._buffer += data
+
+    def _refused(self):
+        """The daemon says in a line of text why it does not serve this client."""
+        while b"\n" not in self._buffer:
+            self._receive()
+        raise Closed(self._buffer.split(b"\n")[0].decode("ascii", "replace").strip())
+
+    def _skip(self):
+        place = self._buffer.find(b"T", 1)
+        place = len(self._buffer) if place < 0 else place
+        self.losses.damaged += place
+        del self._buffer[:place]
+
+
+def _json(message):
+    return json.loads(message[_HEADER.size:-_CRC.size])
+
+
+def dtype():
+    """The layout of a frame for NumPy: `numpy.frombuffer(data, trifacet.dtype())["position"]`.
+
+    For recordings of many frames: it looks at no CRC, and at no status bit.
+    """
+    import numpy
+
+    layout = numpy.dtype([
+        ("magic", "S4"), ("major", "u1"), ("minor", "u1"), ("size", "<u2"),
+        ("session", "<u4"), ("config", "<u4"), ("sequence", "<u8"), ("sample_index", "<u8"), ("time_ns", "<i8"),
+        ("solve_delay_ns", "<u4"), ("send_delay_ns", "<u4"), ("status", "<u4"), ("clock_quality", "<u2"),
+        ("lock", "u1"), ("iterations", "u1"),
+        ("position", "<f8", 3), ("rotation", "<f8", 3), ("sd_position", "<f4", 3), ("sd_rotation", "<f4", 3),
+        ("beam_offset", "<f4", 2), ("steering_residual", "<f4"), ("averaged", "<u2"), ("lost", "<u2"),
+        ("spot_a", "<f4", 2), ("spot_b", "<f4", 2), ("spot_c", "<f4", 2),
+        ("power_a", "<f4"), ("power_b", "<f4"), ("power_c", "<f4"), ("steering_x", "<f4"), ("steering_y", "<f4"),
+        ("crc", "<u4"),
+    ])
+    assert layout.itemsize == FRAME_SIZE
+    return layout
