@@ -41,7 +41,7 @@ fn every_sample_becomes_a_frame_on_both_ways_with_a_true_pose() {
         assert!(frame.sent_ns() < frame.arrived_ns + 1_000_000, "{frame:?}");
     }
 
-    let samples: Vec<_> = frames.into_iter().filter(|f| f.of_samples()).collect();
+    let samples: Vec<_> = frames.into_iter().filter(Frame::of_samples).collect();
     let truth = truth("", samples.last().unwrap().sample_index as usize + 1);
     let (offset, scatter) = errors(&samples, &truth);
     for axis in 0..6 {
