@@ -111,7 +111,8 @@ fn light_that_fails_is_told_psd_by_psd_and_comes_back() {
             assert!(dark.iter().filter(|f| f.of_samples()).all(|f| fatal(f, bits)), "{order}");
             let lasted = light.sample_index - first.sample_index;
             assert!((245..=251).contains(&lasted), "{order}: {lasted} ms");
-            assert!(dark.iter().any(|f| f.lock == LockState::Lost), "{order}");
+            let blind = |f: &&Frame| matches!(f.lock, LockState::Held | LockState::Lost);
+            assert!(dark.iter().filter(blind).count() > 10, "{order}");
             bench.recovers();
             delay
         });
