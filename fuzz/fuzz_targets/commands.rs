@@ -24,7 +24,18 @@ fuzz_target!(|bytes: &[u8]| {
         }
     }
     subscribe(bytes);
+    control(bytes);
 });
+
+/// Lines on the control socket.
+fn control(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    for line in text.lines() {
+        if let Err(refusal) = line.parse::<trifacet::control::Command>() {
+            assert!(refusal.to_string().len() < 1000, "a short answer");
+        }
+    }
+}
 
 fn understand(line: &[u8]) {
     match Command::parse(line) {

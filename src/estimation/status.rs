@@ -56,7 +56,7 @@ bits! {
     CLOCK_UNSYNCED = 17,
     /// Warning: a PSD has no correction table.
     UNCALIBRATED = 18,
-    /// Warning: the steering position contradicts the pose.
+    /// Warning: the steering position contradicts the pose. Reserved: nothing sets it yet.
     INCONSISTENT = 19,
     /// The light is computed, not measured.
     SIMULATED = 20,
