@@ -9,6 +9,9 @@ use std::path::Path;
 /// By so much a table may end before the edge, metres: that is rounding.
 const SLACK: f64 = 1e-9;
 
+/// The largest correction, relative to half the side: twenty times what a lateral-effect PSD needs.
+const LARGEST: f64 = 0.4;
+
 /// A correction table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Correction {
@@ -39,6 +42,23 @@ pub enum CorrectionError {
         rows: usize,
         /// Rows in the file.
         points: usize,
+    },
+    /// A number that no PSD has: most likely another unit.
+    #[error(
+        "row {row}: {value} m is no {what} of a PSD with +-{:.3} mm, allowed is +-{:.3} mm; the columns are in metres",
+        half_size * 1e3, limit * 1e3
+    )]
+    Unit {
+        /// Counted from 1, without the header.
+        row: usize,
+        /// "place" or "correction".
+        what: &'static str,
+        /// What was found, metres.
+        value: f64,
+        /// What is allowed, metres.
+        limit: f64,
+        /// Half the side of the area, metres.
+        half_size: f64,
     },
     /// The grid leaves parts of the area out.
     #[error("the grid must cover +-{:.3} mm in u and v", half_size * 1e3)]
@@ -71,6 +91,16 @@ impl Correction {
         let finite = |r: &Row| [r.u_m, r.v_m, r.du_m, r.dv_m].iter().all(|x| x.is_finite());
         if let Some(i) = rows.iter().position(|r| !finite(r)) {
             return Err(CorrectionError::NotFinite { row: i + 1 });
+        }
+        for (i, r) in rows.iter().enumerate() {
+            let within = |what, values: [f64; 2], limit: f64| {
+                let wrong = values.into_iter().find(|value| value.abs() > limit);
+                wrong.map_or(Ok(()), |value| {
+                    Err(CorrectionError::Unit { row: i + 1, what, value, limit, half_size })
+                })
+            };
+            within("place", [r.u_m, r.v_m], 2.0 * half_size)?;
+            within("correction", [r.du_m, r.dv_m], LARGEST * half_size)?;
         }
         let (u, v) = (places(rows.iter().map(|r| r.u_m)), places(rows.iter().map(|r| r.v_m)));
         let no_grid = CorrectionError::NoGrid { columns: u.len(), rows: v.len(), points: rows.len() };
@@ -153,5 +183,9 @@ mod tests {
         assert!(say(&rows, 6e-3).contains("24 points"));
         rows[3].dv_m = f64::NAN;
         assert!(say(&rows, 6e-3).contains("row 4"));
+        rows[3].dv_m = 0.07;
+        assert!(say(&rows, 6.5e-3).contains("row 4: 0.07 m is no correction"));
+        rows[0].u_m = -6.5;
+        assert!(say(&rows, 6.5e-3).contains("row 1: -6.5 m is no place"));
     }
 }

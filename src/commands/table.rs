@@ -164,7 +164,7 @@ impl<'c> Table<'c> {
         while self
             .reader
             .read_byte_record(&mut self.record)
-            .with_context(|| format!("cannot read {}", self.name))?
+            .map_err(|error| Failure::new(exit::IO, format!("cannot read {}: {error}", self.name)))?
         {
             if self.record.len() > 1 || self.record.get(0).is_some_and(|field| !field.is_empty()) {
                 let within = self.record.iter().flatten().filter(|byte| **byte == b'\n').count() as u64;

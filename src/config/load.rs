@@ -28,6 +28,13 @@ fn read(text: &str, file: Option<&Path>) -> Result<Config, Vec<Problem>> {
     let located = DeValue::Table(table.get_ref().clone());
     let mut config = Config::deserialize(toml::Deserializer::from(table))
         .map_err(|e| vec![shape_problem(text, &located, &e)])?;
+    let mut surplus = Vec::new();
+    if let Ok(taken) = toml::Value::try_from(&config) {
+        find_surplus(&located, &taken, "", text, &mut surplus);
+    }
+    if !surplus.is_empty() {
+        return Err(surplus);
+    }
     resolve_paths(&mut config, file);
     let mut report = Report::default();
     config.check(&mut Checker::root(&mut report));
@@ -50,6 +57,24 @@ impl Config {
         let wrong = |f: &Finding| format!("{} = {}: allowed is {}", f.keys[0], f.found, f.allowed);
         let wrong: Vec<_> = report.findings.iter().map(wrong).collect();
         if wrong.is_empty() { Ok(()) } else { Err(wrong.join("; ")) }
+    }
+}
+
+/// Arrays with more numbers than were taken: serde drops the rest without a word.
+fn find_surplus(file: &DeValue<'_>, taken: &toml::Value, path: &str, text: &str, to: &mut Vec<Problem>) {
+    let DeValue::Table(table) = file else { return };
+    for (name, value) in table {
+        let Some(taken) = taken.get(name.get_ref().as_ref()) else { continue };
+        let dot = if path.is_empty() { "" } else { "." };
+        let key = format!("{path}{dot}{}", name.get_ref());
+        match (value.get_ref(), taken) {
+            (DeValue::Array(written), toml::Value::Array(taken)) if written.len() > taken.len() => {
+                let (found, allowed) = (written.len(), taken.len());
+                let message = format!("{key} has {found} values: allowed are {allowed}");
+                to.push(Problem { place: Some(place(text, value.span().start)), message });
+            }
+            (file, taken) => find_surplus(file, taken, &key, text, to),
+        }
     }
 }
 

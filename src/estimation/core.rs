@@ -144,6 +144,8 @@ impl Estimation {
         let steering = LoopState { lock: steering.lock.unseen(), ..*steering };
         let mut report = self.blank(&Mean { sample: nothing, count: 0, gap: false }, &steering);
         report.status |= Status::SOURCE_DOWN;
+        // A command is no news of the stage any more: its lease runs out, and the board acts by itself.
+        report.steering = None;
         report
     }
 
