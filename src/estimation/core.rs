@@ -151,7 +151,8 @@ impl Estimation {
 
     fn report(&mut self, mean: &Mean, steering: &LoopState) -> PoseReport {
         let mut report = self.blank(mean, steering);
-        if self.light(mean, &mut report.status) {
+        let noise = self.stated_noise(mean);
+        if self.light(mean, &noise, &mut report.status) {
             report.lock = report.lock.unseen();
             report.status.set(Status::NOT_LOCKED, true);
             return report;
@@ -161,7 +162,7 @@ impl Estimation {
         }
         let signals = Signals { spots: mean.sample.spots, powers: mean.sample.powers };
         let solved = self.settings.estimator.solve(&signals, self.warm.as_ref());
-        if let Err(error) = solved.and_then(|solution| self.solved(solution, mean, &mut report)) {
+        if let Err(error) = solved.and_then(|solution| self.solved(solution, mean, &noise, &mut report)) {
             self.warm = None;
             report.iterations = error.iterations();
             report.status |= reason(&error);
@@ -201,9 +202,8 @@ impl Estimation {
     }
 
     /// Notes what the light is like; true if no pose can come of it.
-    fn light(&self, mean: &Mean, status: &mut Status) -> bool {
+    fn light(&self, mean: &Mean, noise: &Noise, status: &mut Status) -> bool {
         let sample = &mean.sample;
-        let noise = self.stated_noise(mean);
         let mut fatal = false;
         for i in 0..3 {
             let clipped = sample.psds[i] == PsdState::Clipped;
@@ -233,10 +233,15 @@ impl Estimation {
         }
     }
 
-    fn solved(&mut self, solution: Solution, mean: &Mean, report: &mut PoseReport) -> Result<(), SolveError> {
+    fn solved(
+        &mut self,
+        solution: Solution,
+        mean: &Mean,
+        noise: &Noise,
+        report: &mut PoseReport,
+    ) -> Result<(), SolveError> {
         let estimator = &self.settings.estimator;
-        let noise = self.stated_noise(mean);
-        let covariance: Matrix6<f64> = estimator.sensitivity(&solution)?.pose_covariance(&noise);
+        let covariance: Matrix6<f64> = estimator.sensitivity(&solution)?.pose_covariance(noise);
         report.status |= Status::POSE_VALID;
         report.pose = Some(solution.pose);
         report.covariance = Some(covariance);
