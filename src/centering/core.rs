@@ -197,7 +197,7 @@ impl Centering {
         }
         self.last = Some((sample.index, sample.time));
         match self.tuning.mode {
-            LoopMode::Off => Outcome::default(),
+            LoopMode::Off | LoopMode::Manual => Outcome::default(),
             LoopMode::Shadow => {
                 self.watch(sample, pose, dt);
                 Outcome::default()

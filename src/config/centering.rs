@@ -24,6 +24,8 @@ pub enum LoopMode {
     Off,
     /// It computes what it would do, reports it, and moves nothing: for the first contact with hardware.
     Shadow,
+    /// The stage stands where a person puts it.
+    Manual,
 }
 
 impl LoopMode {
@@ -33,6 +35,7 @@ impl LoopMode {
             LoopMode::On => "on",
             LoopMode::Off => "off",
             LoopMode::Shadow => "shadow",
+            LoopMode::Manual => "manual",
         }
     }
 }
@@ -55,6 +58,14 @@ pub struct CenteringConfig {
     pub kp: Option<f64>,
     /// Integral gain, if not from the delay.
     pub ki_per_s: Option<f64>,
+    /// The stage moves with the apex, by its tracked velocity, and does not wait for an error.
+    pub feed_forward: bool,
+    /// Bandwidth of the tracking filter, if not from the delay.
+    pub tracking_hz: Option<f64>,
+    /// Without light, or with too little of it, the loop looks for the apex.
+    pub search: bool,
+    /// After so many searches in vain it holds, and waits for a person or for light.
+    pub search_attempts: u32,
     /// Locked while offset and its rms stay within this.
     pub lock_limit_um: f64,
     /// ... for this long.
@@ -82,6 +93,10 @@ impl Default for CenteringConfig {
             lag_ms: 0.5,
             kp: None,
             ki_per_s: None,
+            feed_forward: true,
+            tracking_hz: None,
+            search: true,
+            search_attempts: 3,
             lock_limit_um: 3.0,
             lock_time_ms: 50.0,
             lost_time_ms: 50.0,
@@ -110,6 +125,8 @@ impl CenteringConfig {
         at.number("lag_ms", self.lag_ms, 0.0..=10_000.0);
         at.optional("kp", self.kp, 0.0..=10.0);
         at.optional("ki_per_s", self.ki_per_s, 0.0..=100_000.0);
+        at.optional("tracking_hz", self.tracking_hz, 0.01..=10_000.0);
+        at.number("search_attempts", self.search_attempts, 1.0..=1000.0);
         at.number("lock_limit_um", self.lock_limit_um, above_zero(1000.0));
         at.number("lock_time_ms", self.lock_time_ms, 0.0..=60_000.0);
         at.number("lost_time_ms", self.lost_time_ms, 0.0..=60_000.0);

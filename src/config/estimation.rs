@@ -36,6 +36,8 @@ pub struct EstimationConfig {
     pub spot_noise_um: f64,
     /// One standard deviation of each power, relative to it.
     pub power_noise: f64,
+    /// The steering position by its readback counts as two more signals.
+    pub fuse_steering: bool,
     /// Width of the margin on a PSD in which a spot is flagged.
     pub edge_margin_mm: f64,
     /// Largest difference of a power from a third of the sum, relative to the sum, before UNBALANCED.
@@ -49,6 +51,7 @@ impl Default for EstimationConfig {
             average: 1,
             spot_noise_um: 1.08,
             power_noise: 1e-3,
+            fuse_steering: false,
             edge_margin_mm: 0.5,
             balance_limit: 0.05,
         }

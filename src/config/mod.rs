@@ -49,7 +49,7 @@ pub use motion::{Axis, Motion, MotionKind};
 pub use network::Network;
 pub use publishing::{PublishingConfig, UdpTarget};
 pub use realtime::RealtimeConfig;
-pub use steering::{OnExit, SteeringConfig};
+pub use steering::{OnExit, SteeringConfig, SteeringKind};
 pub use twin::{TwinConfig, TwinSteering};
 
 /// The whole file.

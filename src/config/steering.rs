@@ -14,10 +14,27 @@ pub enum OnExit {
     Park,
 }
 
+/// What moves the laser.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SteeringKind {
+    /// The two outputs of the board, or of the twin.
+    Outputs,
+}
+
 /// `[steering]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SteeringConfig {
+    /// What moves the laser.
+    pub kind: SteeringKind,
+    /// How far the beam moves across its direction (rows: x, y) per length that each axis of the stage
+    /// moves (columns).
+    pub matrix: [[f64; 2]; 2],
+    /// Where the beam crosses the plane of the apex while the stage stands at zero.
+    pub origin_um: [f64; 2],
+    /// One standard deviation of where the beam is by the stage's readback, its pointing drift included.
+    pub deviation_um: f64,
     /// Position at the full-scale output code.
     pub full_scale_um: f64,
     /// The command never leaves plus/minus this.
@@ -37,6 +54,10 @@ pub struct SteeringConfig {
 impl Default for SteeringConfig {
     fn default() -> Self {
         Self {
+            kind: SteeringKind::Outputs,
+            matrix: [[1.0, 0.0], [0.0, 1.0]],
+            origin_um: [0.0; 2],
+            deviation_um: 1.5,
             full_scale_um: 500.0,
             limit_um: 400.0,
             slew_mm_per_s: 50.0,
@@ -50,6 +71,9 @@ impl Default for SteeringConfig {
 
 impl SteeringConfig {
     pub(super) fn check(&self, mut at: Checker<'_>) {
+        self.check_matrix(&mut at);
+        at.numbers("origin_um", &self.origin_um, -100_000.0..=100_000.0);
+        at.number("deviation_um", self.deviation_um, above_zero(1000.0));
         at.number("full_scale_um", self.full_scale_um, 1.0..=100_000.0);
         at.number("limit_um", self.limit_um, 1.0..=100_000.0);
         at.number("slew_mm_per_s", self.slew_mm_per_s, above_zero(10_000.0));
@@ -71,5 +95,16 @@ impl SteeringConfig {
                 format_args!("within plus/minus steering.limit_um, {}", self.limit_um),
             );
         }
+    }
+
+    /// Two axes that move the beam in two directions.
+    fn check_matrix(&self, at: &mut Checker<'_>) {
+        let [[a, b], [c, d]] = self.matrix;
+        at.numbers("matrix[0]", &self.matrix[0], -100.0..=100.0);
+        at.numbers("matrix[1]", &self.matrix[1], -100.0..=100.0);
+        let size = a.hypot(c) * b.hypot(d);
+        let apart = (a * d - b * c).abs() >= 0.1 * size && size >= 1e-6;
+        let allowed = "columns that are not zero, and not nearly parallel: the axes must move the beam in two directions";
+        at.demand(apart || size.is_nan(), "matrix", format!("{:?}", self.matrix), allowed);
     }
 }
