@@ -36,6 +36,7 @@ use crate::publishing::{
     Descriptor, PoseFrame, Publisher, PublisherSettings, StreamId, subscribe, subscription, tcp,
 };
 use crate::realtime;
+use crate::steering::{self, Outputs};
 use crate::twin::{Twin, TwinSource};
 
 /// Samples that may wait for estimation.
@@ -188,6 +189,8 @@ async fn fast<S: Source + 'static>(
     let (samples_in, samples) = mpsc::channel(QUEUE);
     let (newest_in, newest) = watch::channel(acquisition::task::Newest::default());
     let (commands_in, commands) = watch::channel(None);
+    let (answers_in, answers) = watch::channel(steering::outputs::Answers::default());
+    let driver = Outputs::new(config.steering.full_scale_um * 1e-6, commands_in, answers);
     let (state_in, steering) = watch::channel(centering.state());
     let (poses_in, poses) = watch::channel(None);
     let stop_acquisition = CancellationToken::new();
@@ -197,14 +200,21 @@ async fn fast<S: Source + 'static>(
         channels,
         SystemClock,
         Arc::clone(&counters),
-        acquisition::task::Edges { samples: samples_in, newest: newest_in, commands, changes },
+        acquisition::task::Edges {
+            samples: samples_in,
+            newest: newest_in,
+            answers: answers_in,
+            commands,
+            changes,
+        },
         stop_acquisition.clone(),
     ));
     let mut centering = tokio::task::spawn_local(centering::task::run(
         centering,
+        driver,
         SystemClock,
         counters,
-        centering::task::Edges { newest, poses, commands: commands_in, state: state_in, orders },
+        centering::task::Edges { newest, poses, state: state_in, orders },
         stop.clone(),
     ));
     let publish = move |report: &_| publisher.publish(report);

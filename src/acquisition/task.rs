@@ -6,10 +6,11 @@ use tokio::sync::mpsc::{self, error::TrySendError};
 use tokio::sync::{oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
-use super::{Ack, ChannelMap, Channels, Down, Event, Identity, OutputCommand, Sample, Source};
+use super::{ChannelMap, Channels, Down, Event, Identity, OutputCommand, Sample, Source};
 use crate::clock::Clock;
 use crate::estimation;
 use crate::monitor::Counters;
+use crate::steering::outputs::Answers;
 
 /// What estimation gets, in order.
 #[derive(Debug)]
@@ -43,8 +44,6 @@ pub struct Newest {
     pub source: Option<Arc<Identity>>,
     /// The last sample.
     pub sample: Option<Sample>,
-    /// The last answer to a steering command.
-    pub ack: Option<Ack>,
 }
 
 /// The edges of the task.
@@ -54,7 +53,9 @@ pub struct Edges {
     pub samples: mpsc::Sender<Acquired>,
     /// The newest, to centering.
     pub newest: watch::Sender<Newest>,
-    /// Steering commands, from centering.
+    /// What the source says of its steering outputs, to their driver.
+    pub answers: watch::Sender<Answers>,
+    /// Steering commands, from there.
     pub commands: watch::Receiver<Option<OutputCommand>>,
     /// Changes of what samples mean, from outside of the fast side.
     pub changes: mpsc::Receiver<Change>,
@@ -69,9 +70,18 @@ pub async fn run<S: Source, C: Clock>(
     edges: Edges,
     stop: CancellationToken,
 ) {
-    let Edges { samples, newest, mut commands, mut changes } = edges;
-    let mut intake =
-        Intake { channels, counters, samples, newest, source: None, up: false, dropped: 0, change: None };
+    let Edges { samples, newest, answers, mut commands, mut changes } = edges;
+    let mut intake = Intake {
+        channels,
+        counters,
+        samples,
+        newest,
+        answers,
+        source: None,
+        up: false,
+        dropped: 0,
+        change: None,
+    };
     loop {
         tokio::select! {
             biased;
@@ -95,6 +105,7 @@ struct Intake {
     counters: Arc<Counters>,
     samples: mpsc::Sender<Acquired>,
     newest: watch::Sender<Newest>,
+    answers: watch::Sender<Answers>,
     /// The source as it last came up, with its channel map.
     source: Option<(Arc<Identity>, ChannelMap)>,
     /// Scans are coming.
@@ -116,6 +127,7 @@ impl Intake {
                     if !std::mem::replace(&mut self.up, true) {
                         tracing::info!("scans come");
                         let identity = Arc::clone(identity);
+                        self.answers.send_modify(|answers| answers.source = Some(Arc::clone(&identity)));
                         self.newest.send_modify(|newest| newest.source = Some(identity));
                     }
                     self.newest.send_modify(|newest| newest.sample = Some(sample));
@@ -126,7 +138,7 @@ impl Intake {
                 if !ack.accepted {
                     self.counters.commands_refused.one();
                 }
-                self.newest.send_modify(|newest| newest.ack = Some(ack));
+                self.answers.send_modify(|answers| answers.ack = Some(ack));
             }
             Event::Down(down) => self.down(down),
         }
@@ -235,6 +247,7 @@ mod tests {
             counters: Arc::default(),
             samples,
             newest: watch::Sender::default(),
+            answers: watch::Sender::default(),
             source: None,
             up: false,
             dropped: 0,

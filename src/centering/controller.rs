@@ -2,9 +2,7 @@
 //! retuning keeps the state.
 
 use crate::config::Config;
-
-/// Two axes, metres.
-pub type Xy = [f64; 2];
+use crate::steering::Xy;
 
 /// Gains and limits.
 #[derive(Clone, Copy, Debug, PartialEq)]

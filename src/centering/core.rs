@@ -1,11 +1,12 @@
 //! The loop: a sample and the last pose in, a steering command out. Pure.
 
-use super::controller::{Controller, Memory, Xy};
+use super::controller::{Controller, Memory};
 use super::lock::{Lock, LockLimits, LockState, Sight, Transition};
-use crate::acquisition::{Expiry, OutputCommand, PsdState, Sample};
+use crate::acquisition::{PsdState, Sample};
 use crate::clock::Mono;
 use crate::config::{Config, LoopMode, OnExit, Target};
 use crate::optics::{HeadError, Optics, Pose};
+use crate::steering::{Command, Expiry, Xy};
 
 /// The time between samples counts as at most so many periods.
 const MOST_PERIODS: f64 = 5.0;
@@ -40,7 +41,7 @@ pub struct LoopView {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
     /// The command for the stage, unless the loop is off.
-    pub command: Option<OutputCommand>,
+    pub command: Option<Command>,
     /// The sample came too late to act on it: the command holds.
     pub late: bool,
     /// The lock state has changed.
@@ -96,8 +97,6 @@ pub struct Centering {
     optics: Optics,
     tuning: Tuning,
     period_s: f64,
-    /// Position of the stage at the full-scale code, metres.
-    full_scale: f64,
     lock: Lock,
     /// Where the stage was sent last.
     memory: Option<Memory>,
@@ -121,7 +120,6 @@ impl Centering {
             optics: Optics::new(&config.head.build()?),
             tuning,
             period_s: 1.0 / config.acquisition.rate_hz,
-            full_scale: config.steering.full_scale_um * 1e-6,
             lock: Lock::new(tuning.limits, tuning.mode == LoopMode::On),
             memory: None,
             apart: true,
@@ -156,7 +154,7 @@ impl Centering {
 
     /// Goes on with another tuning, without a jump of the stage. When the loop lets go of the stage, its
     /// last command is to stay there, whatever the lease would have done.
-    pub fn retune(&mut self, tuning: Tuning, output_bits: Option<u8>) -> Outcome {
+    pub fn retune(&mut self, tuning: Tuning) -> Outcome {
         let old = std::mem::replace(&mut self.tuning, tuning);
         let step = [0, 1].map(|axis| tuning.setpoint[axis] - old.setpoint[axis]);
         self.memory = self.memory.map(|memory| memory.shifted(step));
@@ -164,8 +162,8 @@ impl Centering {
         let mut command = None;
         if tuning.mode != old.mode {
             (self.offset, self.shadow) = (None, None);
-            if let (Some(position), Some(bits)) = (self.commanded(), output_bits) {
-                command = Some(OutputCommand { on_expiry: Expiry::Hold, ..self.command(position, bits) });
+            if let Some(position) = self.commanded() {
+                command = Some(Command { on_expiry: Expiry::Hold, ..self.command(position) });
             }
             self.apart = true;
         }
@@ -188,8 +186,8 @@ impl Centering {
     }
 
     /// Takes a sample, which must be newer than all before, at the moment `now`. `pose` is the last valid
-    /// pose, if it is fresh; `output_bits` the resolution of the stage's outputs.
-    pub fn sample(&mut self, sample: &Sample, pose: Option<&Pose>, now: Mono, output_bits: u8) -> Outcome {
+    /// pose, if it is fresh.
+    pub fn sample(&mut self, sample: &Sample, pose: Option<&Pose>, now: Mono) -> Outcome {
         let dt = self.seconds_since_last(sample);
         let lease_s = f64::from(self.tuning.lease_ms) * 1e-3;
         if self.last.is_some_and(|(_, time)| sample.time.seconds_since(time) >= lease_s) {
@@ -209,14 +207,14 @@ impl Centering {
                 let patient = self.late_s <= self.tuning.patience_s;
                 // What is late is looked at, and not acted upon. The stage still gets its command: that
                 // renews the lease, which is for a daemon that is dead.
-                let command = self.steer(sample, if late { Err(TOO_LATE) } else { offset }, dt, output_bits);
+                let command = self.steer(sample, if late { Err(TOO_LATE) } else { offset }, dt);
                 let transition = self.judge(sample, if patient { offset } else { Err(TOO_LATE) }, dt);
                 Outcome { command: Some(command), late, transition }
             }
         }
     }
 
-    fn steer(&mut self, sample: &Sample, offset: Result<Xy, &str>, dt: f64, bits: u8) -> OutputCommand {
+    fn steer(&mut self, sample: &Sample, offset: Result<Xy, &str>, dt: f64) -> Command {
         let memory = match self.memory {
             Some(memory) if !self.apart => memory,
             _ => self.take_over(sample, dt),
@@ -228,7 +226,7 @@ impl Centering {
             Err(_) => controller.hold(&memory, dt),
         };
         self.memory = Some(next);
-        self.command(next.position, bits)
+        self.command(next.position)
     }
 
     /// What the lock makes of an offset.
@@ -268,13 +266,13 @@ impl Centering {
     }
 
     /// The last command: hold or park. `None` if the stage is not the loop's.
-    pub fn finish(&mut self, output_bits: u8) -> Option<OutputCommand> {
+    pub fn finish(&mut self) -> Option<Command> {
         let commanded = self.commanded()?;
         let position = match self.tuning.on_exit {
             OnExit::Hold => commanded,
             OnExit::Park => self.tuning.park,
         };
-        Some(self.command(position, output_bits))
+        Some(self.command(position))
     }
 
     /// The stage as it stands: as it says itself, or where it was sent last. If nothing but this loop has
@@ -316,12 +314,9 @@ impl Centering {
         offset.map(Into::into).map_err(|_| "the powers give no offset")
     }
 
-    fn command(&mut self, position: Xy, output_bits: u8) -> OutputCommand {
-        let full = f64::from(1_i32 << (output_bits - 1));
-        let code = |p: f64| (p / self.full_scale * full).round().clamp(-full, full - 1.0) as i32;
-        let codes = position.map(code);
+    fn command(&mut self, position: Xy) -> Command {
         self.commands = self.commands.wrapping_add(1);
         let Tuning { lease_ms, on_lease, .. } = self.tuning;
-        OutputCommand { id: self.commands, codes, lease_ms, on_expiry: on_lease }
+        Command { id: self.commands, position, lease_ms, on_expiry: on_lease }
     }
 }

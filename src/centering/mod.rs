@@ -13,5 +13,4 @@ pub mod task;
 mod tests;
 
 pub use self::core::{Centering, LoopState, LoopView, Tuning};
-pub use controller::Xy;
 pub use lock::LockState;

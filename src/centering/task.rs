@@ -10,11 +10,12 @@ use tokio_util::sync::CancellationToken;
 
 use super::core::{Centering, LoopState, LoopView, Tuning};
 use super::lock::Transition;
-use crate::acquisition::{Identity, OutputCommand, Sample, task::Newest};
+use crate::acquisition::{Sample, task::Newest};
 use crate::clock::{Clock, Mono};
 use crate::estimation::PoseReport;
 use crate::monitor::Counters;
 use crate::optics::Pose;
+use crate::steering::{Ack, Command, Driver, Event};
 
 /// A pose older than this says nothing of the wedges now. Seconds.
 const FRESH_S: f64 = 0.1;
@@ -26,12 +27,10 @@ const PATIENCE: Duration = Duration::from_millis(20);
 /// The edges of the task.
 #[derive(Debug)]
 pub struct Edges {
-    /// The newest sample and answer, from acquisition.
+    /// The newest sample, from acquisition.
     pub newest: watch::Receiver<Newest>,
     /// The newest report, from estimation.
     pub poses: watch::Receiver<Option<PoseReport>>,
-    /// Commands, back to acquisition.
-    pub commands: watch::Sender<Option<OutputCommand>>,
     /// What the loop does, to estimation.
     pub state: watch::Sender<LoopState>,
     /// Orders from outside of the fast side.
@@ -49,86 +48,115 @@ pub enum Order {
 
 /// Runs until `stop`; then sends the last command and waits for its acknowledgement.
 pub async fn run<C: Clock>(
-    mut centering: Centering,
+    centering: Centering,
+    driver: impl Driver,
     clock: C,
     counters: Arc<Counters>,
-    mut edges: Edges,
+    edges: Edges,
     stop: CancellationToken,
 ) {
-    let mut source: Option<Arc<Identity>> = None;
+    let Edges { mut newest, poses, state, mut orders } = edges;
+    let mut side = Side { centering, driver, counters, poses };
     let mut heard = clock.now();
     loop {
         tokio::select! {
             biased;
             () = stop.cancelled() => break,
-            Some(order) = edges.orders.recv() => {
-                let output_bits = source.as_ref().map(|identity| identity.output_bits);
-                obey(&mut centering, order, output_bits, &edges);
-            }
-            changed = edges.newest.changed() => {
+            Some(order) = orders.recv() => side.obey(order),
+            event = side.driver.next() => side.hear(&event),
+            changed = newest.changed() => {
                 if changed.is_err() {
                     break; // acquisition has ended; the daemon sees that
                 }
-                let newest = edges.newest.borrow_and_update().clone();
-                if let Some(now) = newest.source
-                    && !source.as_ref().is_some_and(|before| Arc::ptr_eq(before, &now))
-                {
-                    source = Some(now);
-                    centering.source_changed();
-                }
-                if let (Some(identity), Some(sample)) = (&source, &newest.sample)
-                    && let Some(skipped) = centering.skipped(sample)
-                {
-                    counters.centering_skips.add(skipped);
+                let Some(sample) = newest.borrow_and_update().sample else { continue };
+                if let Some(skipped) = side.centering.skipped(&sample) {
+                    side.counters.centering_skips.add(skipped);
                     heard = clock.now();
-                    let late = act(&mut centering, sample, heard, identity.output_bits, &edges);
-                    counters.centering_skips.add(u64::from(late));
+                    side.act(&sample, heard);
                 }
             }
             () = sleep(PATIENCE) => {
                 // The whole thread may have slept: what has come in the meantime has its turn first.
                 yield_now().await;
-                if edges.newest.has_changed().unwrap_or(true) {
+                if newest.has_changed().unwrap_or(true) {
                     continue;
                 }
                 let now = clock.now();
-                say(centering.silence(now.seconds_since(heard)));
+                say(side.centering.silence(now.seconds_since(heard)));
                 heard = now;
             }
         }
-        edges.state.send_if_modified(|state| std::mem::replace(state, centering.state()) != *state);
+        state.send_if_modified(|state| std::mem::replace(state, side.centering.state()) != *state);
     }
-    if let Some(identity) = source
-        && let Some(last) = centering.finish(identity.output_bits)
-    {
-        finish(last, &mut edges).await;
-    }
+    side.finish().await;
 }
 
-fn obey(centering: &mut Centering, order: Order, output_bits: Option<u8>, edges: &Edges) {
-    // Who does not wait for the answer any more does not need it.
-    match order {
-        Order::Retune(tuning, done) => {
-            let outcome = centering.retune(*tuning, output_bits);
-            if let Some(command) = outcome.command {
-                edges.commands.send_replace(Some(command));
+/// The loop with its stage.
+struct Side<D> {
+    centering: Centering,
+    driver: D,
+    counters: Arc<Counters>,
+    poses: watch::Receiver<Option<PoseReport>>,
+}
+
+impl<D: Driver> Side<D> {
+    fn obey(&mut self, order: Order) {
+        // Who does not wait for the answer any more does not need it.
+        match order {
+            Order::Retune(tuning, done) => {
+                let outcome = self.centering.retune(*tuning);
+                self.send(outcome.command);
+                say(outcome.transition);
+                let _ = done.send(());
             }
-            say(outcome.transition);
-            let _ = done.send(());
+            Order::View(reply) => drop(reply.send(self.centering.view())),
         }
-        Order::View(reply) => drop(reply.send(centering.view())),
     }
-}
 
-/// Acts on a sample, unless it comes too late: says whether it does.
-fn act(centering: &mut Centering, sample: &Sample, now: Mono, output_bits: u8, edges: &Edges) -> bool {
-    let pose = fresh_pose(&edges.poses, sample);
-    let outcome = centering.sample(sample, pose.as_ref(), now, output_bits);
-    if let Some(command) = outcome.command {
-        edges.commands.send_replace(Some(command));
+    fn hear(&mut self, event: &Event) {
+        if *event == Event::Up {
+            self.centering.source_changed();
+        }
     }
-    say(outcome.transition);
-    outcome.late
+
+    /// Acts on a sample, unless it comes too late.
+    fn act(&mut self, sample: &Sample, now: Mono) {
+        let pose = fresh_pose(&self.poses, sample);
+        let outcome = self.centering.sample(sample, pose.as_ref(), now);
+        self.counters.centering_skips.add(u64::from(outcome.late));
+        self.send(outcome.command);
+        say(outcome.transition);
+    }
+
+    fn send(&mut self, command: Option<Command>) {
+        if let Some(command) = command {
+            self.driver.steer(command);
+        }
+    }
+
+    /// Sends the last command, and waits for its acknowledgement.
+    async fn finish(mut self) {
+        let Some(last) = self.centering.finish() else { return };
+        self.driver.steer(last);
+        let answer = async {
+            loop {
+                if let Event::Ack(Ack { id, accepted }) = self.driver.next().await
+                    && id == last.id
+                {
+                    return accepted;
+                }
+            }
+        };
+        let complaint = match timeout(LAST_ACK, answer).await {
+            Ok(true) => {
+                tracing::info!(position_um = ?last.position.map(|p| p * 1e6), "steering acknowledged its last command");
+                return;
+            }
+            Ok(false) => "steering refused its last command; the lease of the one before will end it",
+            Err(_) => "steering did not acknowledge its last command; its lease will end it",
+        };
+        tracing::warn!(lease_ms = last.lease_ms, "{complaint}");
+    }
 }
 
 fn fresh_pose(poses: &watch::Receiver<Option<PoseReport>>, sample: &Sample) -> Option<Pose> {
@@ -141,21 +169,4 @@ fn say(transition: Option<Transition>) {
     if let Some(Transition { from, to, cause }) = transition {
         tracing::info!(from = from.name(), to = to.name(), cause, "lock");
     }
-}
-
-async fn finish(last: OutputCommand, edges: &mut Edges) {
-    edges.commands.send_replace(Some(last));
-    let mine = |newest: &Newest| newest.ack.is_some_and(|ack| ack.id == last.id);
-    let answered = timeout(LAST_ACK, edges.newest.wait_for(mine)).await;
-    let accepted = answered.ok().and_then(Result::ok).and_then(|newest| newest.ack).map(|ack| ack.accepted);
-    let lease_ms = last.lease_ms;
-    let complaint = match accepted {
-        Some(true) => {
-            tracing::info!(codes = ?last.codes, "steering acknowledged its last command");
-            return;
-        }
-        Some(false) => "steering refused its last command; the lease of the one before will end it",
-        None => "steering did not acknowledge its last command; its lease will end it",
-    };
-    tracing::warn!(lease_ms, "{complaint}");
 }

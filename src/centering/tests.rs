@@ -2,15 +2,13 @@
 
 use super::core::{Centering, Outcome, TOO_LATE, Tuning};
 use super::lock::LockState;
-use crate::acquisition::{Expiry, PsdState, Sample};
+use crate::acquisition::{PsdState, Sample};
 use crate::clock::Mono;
 use crate::config::{Config, LoopMode, OnExit};
 use crate::optics::{Model, Optics, Pose, Vec2};
+use crate::steering::Expiry;
 
-const BITS: u8 = 16;
 const DT_NS: i64 = 1_000_000;
-/// One code of the stage, micrometres.
-const STEP_UM: f64 = 500.0 / 32768.0;
 
 struct Bench {
     config: Config,
@@ -66,11 +64,11 @@ impl Bench {
     /// Moves the stage as told; it never goes faster than its limit, nor beyond it.
     fn obey(&mut self, outcome: Outcome) -> bool {
         let Some(command) = outcome.command else { return false };
-        let to = command.codes.map(|code| f64::from(code) * STEP_UM);
+        let to = command.position.map(|metres| metres * 1e6);
         for (axis, to) in to.into_iter().enumerate() {
             let step = (to - self.stage_um[axis]).abs();
-            assert!(step <= 50.0 + STEP_UM, "a jump of {step} um");
-            assert!(to.abs() <= 400.0 + STEP_UM, "at {to} um");
+            assert!(step <= 50.0 + 1e-6, "a jump of {step} um");
+            assert!(to.abs() <= 400.0 + 1e-6, "at {to} um");
         }
         self.stage_um = to;
         self.expiry = Some(command.on_expiry);
@@ -82,7 +80,7 @@ impl Bench {
         let mut commands = 0;
         for _ in 0..samples {
             let sample = self.sample();
-            let outcome = self.centering.sample(&sample, None, sample.time, BITS);
+            let outcome = self.centering.sample(&sample, None, sample.time);
             commands += usize::from(self.obey(outcome));
         }
         commands
@@ -90,7 +88,7 @@ impl Bench {
 
     fn retune(&mut self, change: impl FnOnce(&mut Config)) -> bool {
         change(&mut self.config);
-        let outcome = self.centering.retune(Tuning::new(&self.config), Some(BITS));
+        let outcome = self.centering.retune(Tuning::new(&self.config));
         let before = self.stage_um;
         let commanded = self.obey(outcome);
         assert_eq!(self.stage_um, before, "a change by itself moves nothing");
@@ -124,7 +122,7 @@ fn in_the_shadow_it_says_what_it_would_do_and_does_nothing() {
     // off is seen somewhat nearer or farther than it is).
     let step = [0, 1].map(|i| (to[i] - at[i]) * 1e6);
     assert!((-30.0..-18.0).contains(&step[0]) && (8.0..14.0).contains(&step[1]), "{step:?}");
-    assert_eq!(bench.centering.finish(BITS), None, "what it never had it does not park");
+    assert_eq!(bench.centering.finish(), None, "what it never had it does not park");
     assert!(!bench.retune(|config| config.centering.mode = LoopMode::On));
     assert_eq!(bench.run(500), 500);
     assert_eq!(bench.lock(), LockState::Locked);
@@ -141,7 +139,7 @@ fn it_lets_go_where_the_stage_is_and_takes_over_where_it_finds_it() {
         assert!(bench.retune(|config| config.centering.mode = LoopMode::Off));
         assert_eq!(bench.expiry, Some(Expiry::Hold));
         assert_eq!((bench.run(500), bench.lock()), (0, LockState::Off));
-        assert_eq!(bench.centering.finish(BITS), None);
+        assert_eq!(bench.centering.finish(), None);
         bench.laser_um = [130.0, -60.0];
         bench.retune(|config| config.centering.mode = LoopMode::On);
         let before = bench.stage_um;
@@ -186,15 +184,14 @@ fn gains_change_without_a_step() {
     bench.laser_um = [30.0, 0.0];
     bench.run(3);
     let sample = bench.sample();
-    let next = |centering: &mut Centering| {
-        centering.sample(&sample, None, sample.time, BITS).command.unwrap().codes[0]
-    };
+    let next =
+        |centering: &mut Centering| centering.sample(&sample, None, sample.time).command.unwrap().position[0];
     let unchanged = next(&mut bench.centering.clone());
     // Ten times the proportional gain acts on what the error has changed since the last sample, about 6 um,
     // and not on the 18 um that are left.
     bench.retune(|config| (config.centering.kp, config.centering.ki_per_s) = (Some(1.0), Some(200.0)));
     let changed = next(&mut bench.centering);
-    let step_um = f64::from(changed - unchanged) * STEP_UM;
+    let step_um = (changed - unchanged) * 1e6;
     assert!((3.0..8.0).contains(&step_um), "{step_um} um");
 }
 
@@ -212,7 +209,7 @@ fn nearer_limits_are_gone_to_in_steps_seeing_and_blind() {
         if sees > 200.0 {
             sample.psds = [PsdState::Low; 3];
         }
-        let outcome = bench.centering.sample(&sample, None, sample.time, BITS);
+        let outcome = bench.centering.sample(&sample, None, sample.time);
         bench.obey(outcome);
     }
     assert!((bench.stage_um[0] - 100.0).abs() < 0.1, "{:?}", bench.stage_um);
@@ -228,7 +225,7 @@ fn no_nonsense_reaches_the_stage() {
         sample.powers = [nonsense, 1e-4, 1e-4];
         sample.steering = Some([nonsense; 2]);
         let pose = Pose::from_array([f64::NAN; 6]);
-        let outcome = bench.centering.sample(&sample, Some(&pose), sample.time, BITS);
+        let outcome = bench.centering.sample(&sample, Some(&pose), sample.time);
         bench.obey(outcome);
         assert!(near(bench.stage_um, at), "{nonsense}: {:?}", bench.stage_um);
     }
@@ -237,7 +234,7 @@ fn no_nonsense_reaches_the_stage() {
     bench.retune(|config| config.centering.mode = LoopMode::On);
     let mut sample = bench.sample();
     sample.steering = Some([f64::NAN, f64::INFINITY]);
-    let outcome = bench.centering.sample(&sample, None, sample.time, BITS);
+    let outcome = bench.centering.sample(&sample, None, sample.time);
     bench.obey(outcome);
     assert!(near(bench.stage_um, at), "{:?}", bench.stage_um);
 }
@@ -249,13 +246,13 @@ fn what_was_late_is_not_acted_upon_again_and_again() {
     let outcomes: Vec<_> = (0..=50)
         .map(|_| {
             let sample = bench.beside_the_point();
-            bench.centering.sample(&sample, None, now, BITS)
+            bench.centering.sample(&sample, None, now)
         })
         .collect();
     // After a pause of 50 ms only what is younger than the loop delay of 2.5 ms counts.
     for (k, outcome) in outcomes.iter().enumerate() {
         assert_eq!(outcome.late, k < 48);
-        let still = outcome.command.is_some_and(|command| command.codes == [0, 0]);
+        let still = outcome.command.is_some_and(|command| command.position == [0.0; 2]);
         assert_eq!(still, outcome.late, "late ones hold, and renew the lease");
     }
     let [x, _] = bench.centering.state().position.unwrap();
@@ -268,12 +265,12 @@ fn a_source_that_is_always_late_is_said_to_be() {
     let mut transitions = Vec::new();
     for _ in 0..200 {
         let sample = bench.beside_the_point();
-        let outcome = bench.centering.sample(&sample, None, sample.time + 10 * DT_NS, BITS);
-        assert!(outcome.late && outcome.command.is_some_and(|command| command.codes == [0, 0]));
+        let outcome = bench.centering.sample(&sample, None, sample.time + 10 * DT_NS);
+        assert!(outcome.late && outcome.command.is_some_and(|command| command.position == [0.0; 2]));
         transitions.extend(outcome.transition.map(|t| (t.to, t.cause)));
     }
     assert_eq!(transitions, [(LockState::Held, TOO_LATE), (LockState::Lost, TOO_LATE)]);
     let sample = bench.beside_the_point();
-    bench.centering.sample(&sample, None, sample.time, BITS);
+    bench.centering.sample(&sample, None, sample.time);
     assert_eq!(bench.centering.state().lock, LockState::Acquiring);
 }

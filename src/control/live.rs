@@ -10,7 +10,7 @@ use tokio::time::timeout;
 
 use super::{Command, ToFast};
 use crate::acquisition::{Channels, task::Change};
-use crate::centering::{Tuning, Xy, task::Order};
+use crate::centering::{Tuning, task::Order};
 use crate::clock::{Clock, Mono, SystemClock};
 use crate::config::edit::{self, Edit};
 use crate::config::reload::reload;
@@ -21,6 +21,7 @@ use crate::logging::Logging;
 use crate::monitor::Counters;
 use crate::optics::Pose;
 use crate::publishing::{Descriptor, descriptor::StreamFacts};
+use crate::steering::Xy;
 
 /// How long the fast side may take to answer.
 const PATIENCE: Duration = Duration::from_secs(5);

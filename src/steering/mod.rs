@@ -1,0 +1,53 @@
+//! What moves the laser: stages of two axes, behind one trait.
+//!
+//! - [`Driver`]: takes the newest command, tells what the stage says.
+//! - [`outputs`]: the two outputs of the board, or of the twin, which go the way of the samples back.
+//!
+//! Positions are those of the stage's axes, metres. What they do to the beam is the business of the
+//! steering matrix, in `centering`.
+
+pub mod outputs;
+
+use std::future::Future;
+
+pub use crate::acquisition::{Ack, Expiry};
+pub use outputs::Outputs;
+
+/// Two axes, metres.
+pub type Xy = [f64; 2];
+
+/// Where the stage shall go.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Command {
+    /// Counts the commands of a daemon; the acknowledgement repeats it.
+    pub id: u32,
+    /// Of both axes, metres. Always finite and within the limits of the configuration.
+    pub position: Xy,
+    /// How long the command is good for, milliseconds, if the stage knows leases.
+    pub lease_ms: u16,
+    /// What happens then.
+    pub on_expiry: Expiry,
+}
+
+/// What a driver reports.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Event {
+    /// The stage is there, perhaps again, or another one: it may stand anywhere.
+    Up,
+    /// The stage's answer to a command.
+    Ack(Ack),
+    /// Where the stage says that it stands, metres. Stages whose position comes with the samples do
+    /// not report it.
+    At(Xy),
+    /// The stage does not take commands, for this reason. The driver keeps trying by itself.
+    Down(String),
+}
+
+/// A stage that takes positions.
+pub trait Driver {
+    /// Takes the newest command; an older one not yet sent is dropped. Never waits.
+    fn steer(&mut self, command: Command);
+
+    /// The next thing to know. Cancel-safe: dropping the future loses nothing.
+    fn next(&mut self) -> impl Future<Output = Event>;
+}

@@ -1,0 +1,117 @@
+//! The two steering outputs of the board or the twin: commands become codes, and go back the way the
+//! samples come.
+//!
+//! The lease is the board's: it holds or parks by itself when commands cease. The readback comes with
+//! the samples.
+
+use std::sync::Arc;
+
+use tokio::sync::watch;
+
+use super::{Command, Driver, Event};
+use crate::acquisition::{Ack, Identity, OutputCommand};
+
+/// What the source says of its outputs.
+#[derive(Clone, Debug, Default)]
+pub struct Answers {
+    /// The source, as it last came up.
+    pub source: Option<Arc<Identity>>,
+    /// Its last answer to a command.
+    pub ack: Option<Ack>,
+}
+
+/// The driver of the source's own outputs.
+#[derive(Debug)]
+pub struct Outputs {
+    /// Position at the full-scale code, metres.
+    full_scale: f64,
+    commands: watch::Sender<Option<OutputCommand>>,
+    answers: watch::Receiver<Answers>,
+    /// What was told of the answers.
+    source: Option<Arc<Identity>>,
+    ack: Option<Ack>,
+}
+
+impl Outputs {
+    /// For outputs whose full-scale code is at `full_scale` metres.
+    pub fn new(
+        full_scale: f64,
+        commands: watch::Sender<Option<OutputCommand>>,
+        answers: watch::Receiver<Answers>,
+    ) -> Self {
+        Self { full_scale, commands, answers, source: None, ack: None }
+    }
+
+    /// What is new, the source first.
+    fn news(&mut self) -> Option<Event> {
+        let answers = self.answers.borrow_and_update();
+        if let Some(source) = &answers.source
+            && !self.source.as_ref().is_some_and(|told| Arc::ptr_eq(told, source))
+        {
+            self.source = Some(Arc::clone(source));
+            return Some(Event::Up);
+        }
+        if answers.ack != self.ack {
+            self.ack = answers.ack;
+            return self.ack.map(Event::Ack);
+        }
+        None
+    }
+}
+
+impl Driver for Outputs {
+    /// Without a source there are no outputs, and nothing goes out.
+    fn steer(&mut self, command: Command) {
+        let Some(source) = &self.source else { return };
+        let full = f64::from(1_i32 << (source.output_bits - 1));
+        let code = |p: f64| (p / self.full_scale * full).round().clamp(-full, full - 1.0) as i32;
+        self.commands.send_replace(Some(OutputCommand {
+            id: command.id,
+            codes: command.position.map(code),
+            lease_ms: command.lease_ms,
+            on_expiry: command.on_expiry,
+        }));
+    }
+
+    async fn next(&mut self) -> Event {
+        loop {
+            if let Some(event) = self.news() {
+                return event;
+            }
+            if self.answers.changed().await.is_err() {
+                std::future::pending::<()>().await; // acquisition has ended; the daemon sees that
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::acquisition::Expiry;
+    use crate::config::Config;
+    use crate::twin::Twin;
+
+    #[tokio::test]
+    async fn commands_become_codes_within_range_and_only_news_is_told() {
+        let (commands, sent) = watch::channel(None);
+        let (answers, answered) = watch::channel(Answers::default());
+        let mut outputs = Outputs::new(500e-6, commands, answered);
+        let command = |position| Command { id: 7, position, lease_ms: 200, on_expiry: Expiry::Park };
+        outputs.steer(command([1e-6, 0.0]));
+        assert_eq!(*sent.borrow(), None, "there is nothing to steer yet");
+
+        let identity = Arc::new(Twin::new(&Config::default()).unwrap().identity().clone());
+        answers.send_modify(|a| a.source = Some(identity));
+        assert_eq!(outputs.next().await, Event::Up);
+        for (position, codes) in [([250e-6, -125e-6], [16384, -8192]), ([500e-6, -1.0], [32767, -32768])] {
+            outputs.steer(command(position));
+            assert_eq!(sent.borrow().unwrap().codes, codes);
+        }
+        let ack = Ack { id: 7, accepted: true };
+        answers.send_modify(|a| a.ack = Some(ack));
+        assert_eq!(outputs.next().await, Event::Ack(ack));
+        answers.send_modify(|_| {});
+        assert_eq!(outputs.news(), None);
+    }
+}
