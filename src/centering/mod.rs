@@ -9,6 +9,7 @@ pub mod controller;
 pub mod core;
 pub mod lock;
 pub mod task;
+pub mod tracking;
 #[cfg(test)]
 mod tests;
 

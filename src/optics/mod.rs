@@ -6,6 +6,7 @@
 //! - [`beam`]: how a Gaussian beam splits on the mirror: powers and centroids, with derivatives.
 //! - [`model`]: the whole path, from pose and beam offset to signals.
 //! - [`estimate`]: the way back, from signals to pose and beam offset.
+//! - [`glimpse`]: where the beam is when a single PSD sees light.
 //! - [`covariance`]: how the noise of the signals shows in the result.
 //!
 //! The paper is: *Measurement of 3-D position and orientation of rigid bodies using a 3-facet mirror*.
@@ -16,6 +17,7 @@ mod balance;
 pub mod beam;
 pub mod covariance;
 pub mod estimate;
+pub mod glimpse;
 pub mod head;
 mod linear;
 pub mod model;
@@ -25,6 +27,7 @@ mod slopes;
 
 pub use covariance::{Noise, Sensitivity};
 pub use estimate::{Estimator, Signals, Solution, SolveError};
+pub use glimpse::Glimpse;
 pub use head::{Head, HeadError, Psd};
 pub use model::{Model, Optics, Reading, TraceError};
 pub use pose::{Pose, Rigid};

@@ -1,16 +1,18 @@
 //! What moves the laser: stages of two axes, behind one trait.
 //!
 //! - [`Driver`]: takes the newest command, tells what the stage says.
+//! - [`map`]: the steering matrix, what a movement of the stage does to the beam.
 //! - [`outputs`]: the two outputs of the board, or of the twin, which go the way of the samples back.
 //!
-//! Positions are those of the stage's axes, metres. What they do to the beam is the business of the
-//! steering matrix, in `centering`.
+//! Positions are those of the stage's axes, metres.
 
+pub mod map;
 pub mod outputs;
 
 use std::future::Future;
 
 pub use crate::acquisition::{Ack, Expiry};
+pub use map::BeamMap;
 pub use outputs::Outputs;
 
 /// Two axes, metres.
