@@ -30,6 +30,7 @@ pub mod monitor;
 pub mod optics;
 pub mod publishing;
 pub mod realtime;
+pub mod rig;
 pub mod steering;
 pub mod twin;
 

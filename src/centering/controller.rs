@@ -52,19 +52,20 @@ impl Controller {
         }
     }
 
-    /// The next command for an error (where the beam shall be, less where it is), `dt` seconds after the
-    /// last one.
+    /// The next command for an error (where the beam shall be, less where it is, in lengths of the stage),
+    /// `dt` seconds after the last one. `velocity` is what the stage shall do anyway, metres per second: that
+    /// of the apex, with feed-forward.
     ///
-    /// The limits act on the sum of both parts, from which the next step goes on: nothing winds up.
+    /// The limits act on the sum of all parts, from which the next step goes on: nothing winds up.
     #[must_use]
-    pub fn update(&self, memory: &Memory, error: Xy, dt: f64) -> Memory {
-        if !error.iter().all(|e| e.is_finite()) {
+    pub fn update(&self, memory: &Memory, error: Xy, velocity: Xy, dt: f64) -> Memory {
+        if !error.iter().chain(&velocity).all(|x| x.is_finite()) {
             return self.hold(memory, dt); // no reason to move
         }
         let before = memory.error.unwrap_or(error);
         let mut next = Memory { position: memory.position, error: Some(error) };
         for (axis, error) in error.into_iter().enumerate() {
-            let step = self.kp * (error - before[axis]) + self.ki_per_s * dt * error;
+            let step = self.kp * (error - before[axis]) + (self.ki_per_s * error + velocity[axis]) * dt;
             next.position[axis] = self.permitted(memory.position[axis], memory.position[axis] + step, dt);
         }
         next
@@ -73,8 +74,19 @@ impl Controller {
     /// The next command when nothing is seen: the last one, or towards it if the limits have come closer.
     #[must_use]
     pub fn hold(&self, memory: &Memory, dt: f64) -> Memory {
-        let position = memory.position.map(|p| self.permitted(p, p, dt));
+        self.go(memory, memory.position, dt)
+    }
+
+    /// The next command on the way to `target`, whatever is seen.
+    #[must_use]
+    pub fn go(&self, memory: &Memory, target: Xy, dt: f64) -> Memory {
+        let position = [0, 1].map(|axis| self.permitted(memory.position[axis], target[axis], dt));
         Memory { position, error: None }
+    }
+
+    /// As near to a position as the limits allow.
+    pub fn within(&self, position: Xy) -> Xy {
+        position.map(|p| p.clamp(-self.limit, self.limit))
     }
 
     /// As near to `wanted` as the limits allow. A stage outside of its limits goes back at its speed.
@@ -96,6 +108,7 @@ mod tests {
 
     const CONTROLLER: Controller = Controller { kp: 0.1, ki_per_s: 200.0, limit: 400e-6, slew: 0.05 };
     const DT: f64 = 1e-3;
+    const STILL: Xy = [0.0; 2];
 
     /// Steers a stage that follows after two samples; the mirror stands at `apex`.
     fn settle(controller: &Controller, apex: f64, steps: usize) -> Vec<Memory> {
@@ -103,7 +116,7 @@ mod tests {
         for k in 2..steps {
             let beam = run[k - 2].position[0];
             let memory = run[k];
-            run.push(controller.update(&memory, [apex - beam, 0.0], DT));
+            run.push(controller.update(&memory, [apex - beam, 0.0], STILL, DT));
         }
         run
     }
@@ -123,7 +136,7 @@ mod tests {
         assert!(run.iter().all(|m| m.position[0].abs() <= 400e-6));
         let railed = *run.last().unwrap();
         assert!(CONTROLLER.railed(railed.position));
-        let next = CONTROLLER.update(&railed, [-10e-6, 0.0], DT);
+        let next = CONTROLLER.update(&railed, [-10e-6, 0.0], STILL, DT);
         assert!(next.position[0] < 400e-6, "no windup");
     }
 
@@ -140,31 +153,31 @@ mod tests {
         let memory = Memory::at([1e-5, -2e-5]);
         for nonsense in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             for error in [[nonsense, nonsense], [nonsense, 1e-6], [1e-6, nonsense]] {
-                let next = CONTROLLER.update(&memory, error, DT);
+                let next = CONTROLLER.update(&memory, error, STILL, DT);
                 assert_eq!(next.position, memory.position);
             }
         }
         let wild = Controller { kp: f64::MAX, ki_per_s: f64::MAX, ..CONTROLLER };
-        let next = wild.update(&wild.update(&memory, [1.0; 2], 1.0), [-1e300; 2], DT);
+        let next = wild.update(&wild.update(&memory, [1.0; 2], STILL, 1.0), [-1e300; 2], STILL, DT);
         assert!(next.position.iter().all(|p| p.abs() <= 400e-6), "{next:?}");
     }
 
     #[test]
     fn no_change_of_gains_setpoint_or_limits_makes_it_jump() {
-        let memory = CONTROLLER.update(&Memory::at([100e-6, 0.0]), [5e-6, 0.0], DT);
-        let next = CONTROLLER.update(&memory, [5e-6, 0.0], DT).position[0];
+        let memory = CONTROLLER.update(&Memory::at([100e-6, 0.0]), [5e-6, 0.0], STILL, DT);
+        let next = CONTROLLER.update(&memory, [5e-6, 0.0], STILL, DT).position[0];
         // Three times the proportional gain: the same next step, since the error has not moved.
         let retuned = Controller { kp: 0.3, ..CONTROLLER };
-        assert_eq!(retuned.update(&memory, [5e-6, 0.0], DT).position[0], next);
+        assert_eq!(retuned.update(&memory, [5e-6, 0.0], STILL, DT).position[0], next);
         // A setpoint 20 um away moves it by the integral alone.
-        let moved = CONTROLLER.update(&memory.shifted([20e-6, 0.0]), [25e-6, 0.0], DT).position[0];
+        let moved = CONTROLLER.update(&memory.shifted([20e-6, 0.0]), [25e-6, 0.0], STILL, DT).position[0];
         assert!((moved - memory.position[0] - 0.2 * 25e-6).abs() < 1e-12, "{moved}");
         // Limits that have come closer are reached at the slew limit, seeing or blind.
         let tight = Controller { limit: 20e-6, ..CONTROLLER };
         let mut memory = memory;
         for step in 0..3 {
             let blind = tight.hold(&memory, DT);
-            let next = if step == 0 { blind } else { tight.update(&memory, [1e-3, 0.0], DT) };
+            let next = if step == 0 { blind } else { tight.update(&memory, [1e-3, 0.0], STILL, DT) };
             assert!((memory.position[0] - next.position[0]) <= 50.001e-6, "{next:?}");
             memory = next;
         }
@@ -172,8 +185,30 @@ mod tests {
     }
 
     #[test]
+    fn feed_forward_goes_with_the_apex_within_the_limits() {
+        let memory = CONTROLLER.update(&Memory::at([10e-6, 0.0]), STILL, [2e-3, -5e-3], DT);
+        assert!((memory.position[0] - 12e-6).abs() < 1e-12 && (memory.position[1] + 5e-6).abs() < 1e-12);
+        let wild = CONTROLLER.update(&memory, STILL, [1e9, f64::NAN], DT);
+        assert_eq!(wild.position, memory.position);
+        let fast = CONTROLLER.update(&memory, STILL, [1e9, 0.0], DT);
+        assert!((fast.position[0] - memory.position[0] - 50e-6).abs() < 1e-12, "at the slew limit");
+    }
+
+    #[test]
+    fn a_target_is_gone_to_at_the_slew_limit_and_no_farther_than_the_range() {
+        let mut memory = Memory::at([0.0; 2]);
+        let mut steps = 0;
+        while memory.position != [400e-6, -120e-6] {
+            let next = CONTROLLER.go(&memory, [1e-3, -120e-6], DT);
+            assert!((0..2).all(|i| (next.position[i] - memory.position[i]).abs() <= 50.001e-6));
+            (memory, steps) = (next, steps + 1);
+        }
+        assert_eq!(steps, 8);
+    }
+
+    #[test]
     fn taking_over_makes_no_proportional_kick() {
-        let next = CONTROLLER.update(&Memory::at([0.0; 2]), [100e-6, 0.0], DT);
+        let next = CONTROLLER.update(&Memory::at([0.0; 2]), [100e-6, 0.0], STILL, DT);
         assert!((next.position[0] - 0.2 * 100e-6).abs() < 1e-12, "{next:?}");
     }
 }

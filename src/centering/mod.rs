@@ -1,17 +1,27 @@
-//! Task 2: keeps the beam on the apex.
+//! Task 2: finds the apex, brings the beam onto it, and keeps it there.
 //!
 //! - [`core`]: a sample and the last pose in, a steering command out; pure.
-//! - [`controller`]: the PI controller with its limits.
-//! - [`lock`]: what the loop may claim of itself.
+//! - [`sight`]: what a sample says of the beam.
+//! - [`lock`]: what the loop may claim of itself, and what it does next.
+//! - [`controller`], [`tracking`]: the PI controller with its limits, and its feed-forward.
+//! - [`guide`], [`search`]: where the stage goes while the apex is not in sight.
+//! - [`trail`]: where the stage was sent lately, and whether it follows.
+//! - [`tuning`]: how all this shall work.
 //! - [`task`]: the loop around it.
 
 pub mod controller;
 pub mod core;
+pub mod guide;
 pub mod lock;
+pub mod search;
+pub mod sight;
 pub mod task;
-pub mod tracking;
 #[cfg(test)]
 mod tests;
+pub mod tracking;
+pub mod trail;
+pub mod tuning;
 
-pub use self::core::{Centering, LoopState, LoopView, Tuning};
+pub use self::core::{Centering, LoopState, LoopView, Outcome, TimedPose};
 pub use lock::LockState;
+pub use tuning::Tuning;

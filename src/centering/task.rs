@@ -8,14 +8,14 @@ use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 
-use super::core::{Centering, LoopState, LoopView, Tuning};
+use super::core::{Centering, LoopState, LoopView, TimedPose};
 use super::lock::Transition;
+use super::tuning::Tuning;
 use crate::acquisition::{Sample, task::Newest};
 use crate::clock::{Clock, Mono};
 use crate::estimation::PoseReport;
 use crate::monitor::Counters;
-use crate::optics::Pose;
-use crate::steering::{Ack, Command, Driver, Event};
+use crate::steering::{Ack, Command, Driver, Event, Xy};
 
 /// A pose older than this says nothing of the wedges now. Seconds.
 const FRESH_S: f64 = 0.1;
@@ -42,6 +42,10 @@ pub struct Edges {
 pub enum Order {
     /// To go on with another tuning; the answer says that it does.
     Retune(Box<Tuning>, oneshot::Sender<()>),
+    /// To send the stage to a place, metres; the answer may be a refusal.
+    Move(Xy, oneshot::Sender<Result<(), &'static str>>),
+    /// To look for the apex now.
+    Search(oneshot::Sender<Result<(), &'static str>>),
     /// What it is doing.
     View(oneshot::Sender<LoopView>),
 }
@@ -109,13 +113,21 @@ impl<D: Driver> Side<D> {
                 say(outcome.transition);
                 let _ = done.send(());
             }
+            Order::Move(to, reply) => drop(reply.send(self.centering.move_to(to))),
+            Order::Search(reply) => drop(reply.send(self.centering.search())),
             Order::View(reply) => drop(reply.send(self.centering.view())),
         }
     }
 
     fn hear(&mut self, event: &Event) {
-        if *event == Event::Up {
-            self.centering.source_changed();
+        match event {
+            Event::Up => self.centering.stage_up(),
+            Event::At(position) => self.centering.stage_at(*position),
+            Event::Down(reason) => {
+                tracing::warn!(reason, "the stage takes no commands");
+                self.centering.stage_down();
+            }
+            Event::Ack(_) => {}
         }
     }
 
@@ -159,10 +171,10 @@ impl<D: Driver> Side<D> {
     }
 }
 
-fn fresh_pose(poses: &watch::Receiver<Option<PoseReport>>, sample: &Sample) -> Option<Pose> {
-    let report = (*poses.borrow())?;
-    let fresh = sample.time.seconds_since(report.time).abs() <= FRESH_S;
-    report.pose.filter(|_| fresh)
+fn fresh_pose(poses: &watch::Receiver<Option<PoseReport>>, sample: &Sample) -> Option<TimedPose> {
+    let PoseReport { pose, time, .. } = (*poses.borrow())?;
+    let fresh = sample.time.seconds_since(time).abs() <= FRESH_S;
+    pose.filter(|_| fresh).map(|pose| TimedPose { pose, time })
 }
 
 fn say(transition: Option<Transition>) {

@@ -1,7 +1,8 @@
 //! The loop with a stage that does at once what it is told, and a mirror at rest.
 
-use super::core::{Centering, Outcome, TOO_LATE, Tuning};
+use super::core::{Centering, Outcome, TOO_LATE, TimedPose};
 use super::lock::LockState;
+use super::tuning::Tuning;
 use crate::acquisition::{PsdState, Sample};
 use crate::clock::Mono;
 use crate::config::{Config, LoopMode, OnExit};
@@ -224,7 +225,7 @@ fn no_nonsense_reaches_the_stage() {
         let mut sample = bench.sample();
         sample.powers = [nonsense, 1e-4, 1e-4];
         sample.steering = Some([nonsense; 2]);
-        let pose = Pose::from_array([f64::NAN; 6]);
+        let pose = TimedPose { pose: Pose::from_array([f64::NAN; 6]), time: sample.time };
         let outcome = bench.centering.sample(&sample, Some(&pose), sample.time);
         bench.obey(outcome);
         assert!(near(bench.stage_um, at), "{nonsense}: {:?}", bench.stage_um);

@@ -119,6 +119,12 @@ impl CenteringConfig {
         Gains { kp: self.kp.unwrap_or(self.lag_ms * 1e-3 * ki_per_s), ki_per_s }
     }
 
+    /// Bandwidth of the tracking filter: unless the file sets it, that of the loop, `1/(2 pi delay)`. What is
+    /// faster the stage could not follow anyway.
+    pub fn tracking_hz(&self, rate_hz: f64) -> f64 {
+        self.tracking_hz.unwrap_or(1.0 / (std::f64::consts::TAU * self.loop_delay_s(rate_hz)))
+    }
+
     pub(super) fn check(&self, mut at: Checker<'_>) {
         at.numbers("setpoint_um", &self.setpoint_um, -100.0..=100.0);
         at.number("loop_delay_ms", self.loop_delay_ms, above_zero(10_000.0));

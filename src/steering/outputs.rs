@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use tokio::sync::watch;
 
-use super::{Command, Driver, Event};
+use super::{Command, Driver, Event, Xy};
 use crate::acquisition::{Ack, Identity, OutputCommand};
 
 /// What the source says of its outputs.
@@ -59,15 +59,19 @@ impl Outputs {
     }
 }
 
+/// The codes, of so many bits, nearest to a position; `full_scale` is that of the full-scale code, metres.
+pub fn codes(position: Xy, full_scale: f64, bits: u8) -> [i32; 2] {
+    let full = f64::from(1_i32 << (bits - 1));
+    position.map(|p| (p / full_scale * full).round().clamp(-full, full - 1.0) as i32)
+}
+
 impl Driver for Outputs {
     /// Without a source there are no outputs, and nothing goes out.
     fn steer(&mut self, command: Command) {
         let Some(source) = &self.source else { return };
-        let full = f64::from(1_i32 << (source.output_bits - 1));
-        let code = |p: f64| (p / self.full_scale * full).round().clamp(-full, full - 1.0) as i32;
         self.commands.send_replace(Some(OutputCommand {
             id: command.id,
-            codes: command.position.map(code),
+            codes: codes(command.position, self.full_scale, source.output_bits),
             lease_ms: command.lease_ms,
             on_expiry: command.on_expiry,
         }));

@@ -1,0 +1,75 @@
+//! Where the stage is led while the error is not known: straight to a place, or along a spiral.
+
+use super::search::Spiral;
+use super::tuning::Tuning;
+use crate::steering::Xy;
+
+/// A movement that does not depend on what is seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Guide {
+    /// None.
+    Still,
+    /// Straight to a place.
+    Jump {
+        /// Metres.
+        to: Xy,
+        /// For so long it is waited there, seconds: the samples are to show that place.
+        left_s: f64,
+    },
+    /// Along a spiral; `at` is its last point, none at the start and at the end.
+    Search {
+        /// The rest of the way.
+        spiral: Spiral,
+        /// Metres.
+        at: Xy,
+        /// All of the range was passed.
+        over: bool,
+    },
+}
+
+impl Guide {
+    /// To a place, and waits there.
+    pub fn jump(to: Xy, wait_s: f64) -> Self {
+        Guide::Jump { to, left_s: wait_s }
+    }
+
+    /// From a place over all of the range, for a beam of this radius in lengths of the stage.
+    pub fn search(centre: Xy, radius: f64, tuning: &Tuning) -> Self {
+        let centre = tuning.controller.within(centre);
+        let slew = tuning.controller.slew;
+        let spiral = Spiral::new(centre, radius, tuning.loop_delay_s, tuning.controller.limit, slew);
+        Guide::Search { spiral, at: centre, over: false }
+    }
+
+    /// Whether it has come to its end.
+    pub fn arrived(&self) -> bool {
+        match *self {
+            Guide::Still => true,
+            Guide::Jump { left_s, .. } => left_s <= 0.0,
+            Guide::Search { over, .. } => over,
+        }
+    }
+
+    /// Where to go next, with the stage sent to `from` last, `dt` seconds ago. It does not go on before the
+    /// stage is there: the slew limit may be slower than the way.
+    pub fn next(&mut self, from: Xy, dt: f64) -> Option<Xy> {
+        match self {
+            Guide::Still => None,
+            Guide::Jump { to, left_s } => {
+                if from == *to {
+                    *left_s -= dt;
+                }
+                Some(*to)
+            }
+            Guide::Search { spiral, at, over } => {
+                if from == *at {
+                    match spiral.next(dt) {
+                        Some(next) => *at = next,
+                        None => *over = true,
+                    }
+                }
+                Some(*at)
+            }
+        }
+    }
+}

@@ -1,0 +1,146 @@
+//! The state machine, fed with what may be seen.
+
+use super::*;
+
+const LIMITS: LockLimits = LockLimits { offset: 3e-6, lock_s: 0.05, lost_s: 0.05, search: true, attempts: 2 };
+const DT: f64 = 1e-3;
+const COVERED_ONE: Seen = Seen::Some { elsewhere: false, covered: true };
+const ELSEWHERE: Seen = Seen::Some { elsewhere: true, covered: false };
+const HERE: Seen = Seen::Some { elsewhere: false, covered: false };
+
+fn new() -> Lock {
+    Lock::new(LIMITS, LoopMode::On)
+}
+
+fn feed(lock: &mut Lock, seen: Seen, n: usize) -> LockState {
+    for _ in 0..n {
+        let _ = lock.update(seen, false, DT);
+    }
+    lock.state()
+}
+
+fn off_by(size: f64) -> Seen {
+    Seen::Error { size, railed: false }
+}
+
+/// What it does, one after the other, while it sees the same for so many samples.
+fn course(lock: &mut Lock, seen: Seen, n: usize) -> Vec<(Doing, LockState)> {
+    let mut course: Vec<_> = (0..n).map(|_| (lock.update(seen, false, DT).doing, lock.state())).collect();
+    course.dedup();
+    course
+}
+
+#[test]
+fn locked_only_after_the_confirmation_time_within_limits() {
+    let mut lock = new();
+    assert_eq!(feed(&mut lock, off_by(1e-6), 48), LockState::Acquiring);
+    assert_eq!(feed(&mut lock, off_by(1e-6), 3), LockState::Locked);
+    assert_eq!(feed(&mut lock, off_by(4e-6), 1), LockState::Acquiring);
+    assert_eq!(feed(&mut lock, off_by(f64::NAN), 1000), LockState::Acquiring);
+}
+
+#[test]
+fn a_large_rms_is_not_locked_even_if_samples_in_between_are_small() {
+    let mut lock = new();
+    feed(&mut lock, off_by(100e-6), 10);
+    assert_eq!(feed(&mut lock, off_by(1e-6), 60), LockState::Acquiring);
+    assert_eq!(feed(&mut lock, off_by(1e-6), 400), LockState::Locked);
+}
+
+#[test]
+fn railed_is_not_locked() {
+    let mut lock = new();
+    feed(&mut lock, off_by(0.0), 60);
+    let railed = Seen::Error { size: 0.0, railed: true };
+    assert_eq!(feed(&mut lock, railed, 1), LockState::Railed);
+    assert_eq!(feed(&mut lock, off_by(0.0), 10), LockState::Acquiring);
+}
+
+#[test]
+fn a_loss_is_confirmed_twice_before_the_search() {
+    let mut lock = new();
+    feed(&mut lock, off_by(0.0), 60);
+    let expected = [
+        (Doing::Holding, LockState::Held),
+        (Doing::Holding, LockState::Lost),
+        (Doing::Searching, LockState::Searching),
+    ];
+    assert_eq!(course(&mut lock, Seen::Dark, 49), expected[..1]);
+    assert_eq!(course(&mut lock, Seen::Dark, 50), expected[1..2]);
+    assert_eq!(course(&mut lock, Seen::Dark, 1), expected[2..]);
+    assert_eq!(feed(&mut lock, off_by(0.0), 10), LockState::Acquiring, "light ends it");
+}
+
+#[test]
+fn what_is_unclear_is_held_and_never_searched() {
+    let mut lock = new();
+    let held = [(Doing::Holding, LockState::Held), (Doing::Holding, LockState::Lost)];
+    assert_eq!(course(&mut lock, Seen::Unclear("clipped"), 10_000), held);
+    let mut forbidden = Lock::new(LockLimits { search: false, ..LIMITS }, LoopMode::On);
+    for seen in [Seen::Dark, ELSEWHERE, HERE] {
+        feed(&mut forbidden, off_by(0.0), 60);
+        assert_eq!(course(&mut forbidden, seen, 10_000), held);
+    }
+}
+
+#[test]
+fn with_some_light_it_jumps_after_one_confirmation_and_searches_when_that_does_not_help() {
+    let mut lock = new();
+    feed(&mut lock, off_by(0.0), 60);
+    assert_eq!(feed(&mut lock, ELSEWHERE, 49), LockState::Held);
+    let mut jumps = 0;
+    while lock.state() != LockState::Searching {
+        let verdict = lock.update(ELSEWHERE, true, DT);
+        jumps += u32::from(verdict.doing == Doing::Jumping && verdict.begins);
+    }
+    assert_eq!(jumps, MOST_JUMPS);
+    // Where it arrives and the apex is not, at once.
+    let mut lock = new();
+    feed(&mut lock, ELSEWHERE, 60);
+    assert_eq!(lock.update(HERE, false, DT).doing, Doing::Jumping);
+    assert_eq!(lock.update(HERE, true, DT).doing, Doing::Searching);
+}
+
+#[test]
+fn a_covered_psd_has_more_patience() {
+    let mut lock = new();
+    feed(&mut lock, off_by(0.0), 60);
+    assert_eq!(feed(&mut lock, COVERED_ONE, 990), LockState::Lost);
+    assert_eq!(feed(&mut lock, COVERED_ONE, 20), LockState::Searching);
+    assert_eq!(feed(&mut lock, HERE, 1000), LockState::Searching);
+}
+
+#[test]
+fn after_so_many_searches_in_vain_it_waits_for_light_or_a_person() {
+    let mut lock = new();
+    let searched = |lock: &mut Lock| {
+        feed(lock, Seen::Dark, 110);
+        let mut starts = 1;
+        while lock.state() == LockState::Searching {
+            starts += u32::from(lock.update(Seen::Dark, true, DT).begins);
+        }
+        starts
+    };
+    assert_eq!(searched(&mut lock), 2);
+    assert_eq!(course(&mut lock, Seen::Dark, 10_000), [(Doing::Waiting, LockState::Held)]);
+    lock.search();
+    assert_eq!(searched(&mut lock), 2, "a person");
+    assert_eq!(lock.update(ELSEWHERE, false, DT).doing, Doing::Jumping, "light");
+    feed(&mut lock, off_by(0.0), 60);
+    assert_eq!((lock.state(), lock.attempts()), (LockState::Locked, 0));
+}
+
+#[test]
+fn off_and_manual_stay_until_they_are_switched() {
+    for (mode, state) in [(LoopMode::Off, LockState::Off), (LoopMode::Manual, LockState::Manual)] {
+        let mut lock = Lock::new(LIMITS, mode);
+        for seen in [off_by(0.0), Seen::Dark, ELSEWHERE] {
+            assert_eq!(course(&mut lock, seen, 1000), [(Doing::Holding, state)]);
+        }
+        assert_eq!(lock.switch(LoopMode::On).unwrap().to, LockState::Acquiring);
+        assert_eq!(feed(&mut lock, off_by(0.0), 60), LockState::Locked);
+        lock.retune(LockLimits { offset: 1e-6, ..LIMITS });
+        assert_eq!(feed(&mut lock, off_by(2e-6), 1), LockState::Acquiring, "the new limit counts");
+        assert_eq!(lock.switch(mode).unwrap().to, state);
+    }
+}

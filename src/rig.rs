@@ -1,0 +1,160 @@
+//! The house without clocks: the twin, and behind it the cores of all three tasks, scan after scan, as fast
+//! as they are asked. The same configuration gives the same results, bit by bit.
+//!
+//! A scan is mapped, centering acts on it, estimation solves it, as in the daemon; the command takes effect
+//! after the delay of the twin's stage, and computing takes no time.
+
+use crate::acquisition::{ChannelMap, Channels, Expiry, OutputCommand, Sample};
+use crate::centering::lock::Transition;
+use crate::centering::{Centering, LoopState, Outcome, TimedPose};
+use crate::clock::{Mono, NS_PER_S};
+use crate::config::{Config, FaultKind};
+use crate::estimation::{Estimation, PoseReport, Settings};
+use crate::exit::{self, Failure};
+use crate::steering::{Command, outputs};
+use crate::twin::{OUTPUT_BITS, Outputs, Twin, TwinError, TwinScan};
+
+/// Silence is noticed after this time, and again after each half of it, as in the daemon.
+const PATIENCE_S: f64 = 0.02;
+
+/// The twin with the daemon's cores.
+#[derive(Clone, Debug)]
+pub struct Rig {
+    twin: Twin,
+    outputs: Outputs,
+    channels: ChannelMap,
+    centering: Centering,
+    estimation: Estimation,
+    /// Position of the stage at the full-scale code, metres.
+    full_scale: f64,
+    pose: Option<TimedPose>,
+    lost: u32,
+    /// When silence is noticed, seconds, and since when it counts.
+    silence_s: [f64; 2],
+}
+
+/// One scan, and all that follows from it.
+#[derive(Clone, Copy, Debug)]
+pub struct Turn {
+    /// The scan with the truth behind it.
+    pub scan: TwinScan,
+    /// What arrived of it.
+    pub sample: Option<Sample>,
+    /// The command for the stage.
+    pub command: Option<Command>,
+    /// The lock state has changed.
+    pub transition: Option<Transition>,
+    /// What the loop is doing after this.
+    pub state: LoopState,
+    /// The report that the daemon would publish now.
+    pub report: Option<PoseReport>,
+}
+
+impl Rig {
+    /// All of it at rest.
+    ///
+    /// # Errors
+    /// What would keep the daemon from starting.
+    pub fn new(config: &Config) -> Result<Self, Failure> {
+        let wrong = |message: String| Failure::new(exit::CONFIG, message);
+        let channels = Channels::load(config)?;
+        let calibrated = channels.calibrated();
+        let id = config.config_id().map_err(|e| wrong(format!("cannot read a correction table: {e}")))?;
+        let settings = Settings::new(config, calibrated, id).map_err(|e| wrong(e.to_string()))?;
+        let twin = Twin::new(config).map_err(|e| wrong(e.to_string()))?;
+        let mut estimation = Estimation::new(settings);
+        estimation.source(true);
+        Ok(Self {
+            outputs: twin.outputs().clone(),
+            channels: channels.map(twin.identity()).map_err(wrong)?,
+            twin,
+            centering: Centering::new(config).map_err(|e| wrong(e.to_string()))?,
+            estimation,
+            full_scale: config.steering.full_scale_um * 1e-6,
+            pose: None,
+            lost: 0,
+            silence_s: [PATIENCE_S, 0.0],
+        })
+    }
+
+    /// The loop, to give it orders.
+    pub fn centering(&mut self) -> &mut Centering {
+        &mut self.centering
+    }
+
+    /// Lets something go wrong from the next scan on, for so many seconds or for good.
+    ///
+    /// # Errors
+    /// It is no fault that can be.
+    pub fn inject(&mut self, kind: FaultKind, for_s: Option<f64>) -> Result<(), TwinError> {
+        self.twin.inject(kind, for_s)
+    }
+
+    /// Takes the next scan, and does what the daemon would do.
+    pub fn turn(&mut self) -> Turn {
+        let time = Mono((self.twin.next_s() * NS_PER_S as f64).round() as i64);
+        if self.outputs.expire(time) == Some(Expiry::Park) {
+            self.twin.steer(self.outputs.park(), self.twin.next_s());
+        }
+        let scan = self.twin.next_scan();
+        match scan.arrived(time, self.lost) {
+            Some(arrived) => {
+                self.lost = 0;
+                self.silence_s = [scan.t_s + PATIENCE_S, scan.t_s];
+                let sample = self.channels.sample(&arrived);
+                self.sample(scan, &sample)
+            }
+            None => {
+                self.lost += 1;
+                self.silence(scan, time)
+            }
+        }
+    }
+
+    fn sample(&mut self, scan: TwinScan, sample: &Sample) -> Turn {
+        let Outcome { command, transition, .. } =
+            self.centering.sample(sample, self.pose.as_ref(), sample.time);
+        if let Some(command) = command {
+            self.steer(command, scan.t_s, sample.time);
+        }
+        let state = self.centering.state();
+        let report = self.estimation.sample(sample, &state);
+        if let Some(PoseReport { pose, time, .. }) = report {
+            self.pose = pose.map(|pose| TimedPose { pose, time });
+        }
+        Turn { scan, sample: Some(*sample), command, transition, state, report: self.published(report) }
+    }
+
+    fn silence(&mut self, scan: TwinScan, time: Mono) -> Turn {
+        let [due, since] = self.silence_s;
+        let mut turn = Turn {
+            scan,
+            sample: None,
+            command: None,
+            transition: None,
+            state: self.centering.state(),
+            report: None,
+        };
+        if scan.t_s >= due {
+            self.silence_s = [scan.t_s + PATIENCE_S / 2.0, scan.t_s];
+            self.pose = None;
+            turn.transition = self.centering.silence(scan.t_s - since);
+            turn.state = self.centering.state();
+            let report = self.estimation.silence(time, &turn.state);
+            turn.report = self.published(Some(report));
+        }
+        turn
+    }
+
+    fn published(&self, report: Option<PoseReport>) -> Option<PoseReport> {
+        report.map(|report| self.estimation.in_user_frame(&report))
+    }
+
+    fn steer(&mut self, command: Command, t_s: f64, time: Mono) {
+        let codes = outputs::codes(command.position, self.full_scale, OUTPUT_BITS);
+        let Command { id, lease_ms, on_expiry, .. } = command;
+        if self.outputs.take(&OutputCommand { id, codes, lease_ms, on_expiry }, time) {
+            self.twin.steer(codes, t_s);
+        }
+    }
+}
