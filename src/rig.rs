@@ -97,21 +97,18 @@ impl Rig {
             self.twin.steer(self.outputs.park(), self.twin.next_s());
         }
         let scan = self.twin.next_scan();
-        match scan.arrived(time, self.lost) {
-            Some(arrived) => {
-                self.lost = 0;
-                self.silence_s = [scan.t_s + PATIENCE_S, scan.t_s];
-                let sample = self.channels.sample(&arrived);
-                self.sample(scan, &sample)
-            }
-            None => {
-                self.lost += 1;
-                self.silence(scan, time)
-            }
+        if let Some(arrived) = scan.arrived(time, self.lost) {
+            self.lost = 0;
+            self.silence_s = [scan.t_s + PATIENCE_S, scan.t_s];
+            let sample = self.channels.sample(&arrived);
+            self.sample(&scan, &sample)
+        } else {
+            self.lost += 1;
+            self.silence(&scan, time)
         }
     }
 
-    fn sample(&mut self, scan: TwinScan, sample: &Sample) -> Turn {
+    fn sample(&mut self, scan: &TwinScan, sample: &Sample) -> Turn {
         let Outcome { command, transition, .. } =
             self.centering.sample(sample, self.pose.as_ref(), sample.time);
         if let Some(command) = command {
@@ -122,13 +119,20 @@ impl Rig {
         if let Some(PoseReport { pose, time, .. }) = report {
             self.pose = pose.map(|pose| TimedPose { pose, time });
         }
-        Turn { scan, sample: Some(*sample), command, transition, state, report: self.published(report) }
+        Turn {
+            scan: *scan,
+            sample: Some(*sample),
+            command,
+            transition,
+            state,
+            report: report.map(|report| self.published(&report)),
+        }
     }
 
-    fn silence(&mut self, scan: TwinScan, time: Mono) -> Turn {
+    fn silence(&mut self, scan: &TwinScan, time: Mono) -> Turn {
         let [due, since] = self.silence_s;
         let mut turn = Turn {
-            scan,
+            scan: *scan,
             sample: None,
             command: None,
             transition: None,
@@ -141,13 +145,13 @@ impl Rig {
             turn.transition = self.centering.silence(scan.t_s - since);
             turn.state = self.centering.state();
             let report = self.estimation.silence(time, &turn.state);
-            turn.report = self.published(Some(report));
+            turn.report = Some(self.published(&report));
         }
         turn
     }
 
-    fn published(&self, report: Option<PoseReport>) -> Option<PoseReport> {
-        report.map(|report| self.estimation.in_user_frame(&report))
+    fn published(&self, report: &PoseReport) -> PoseReport {
+        self.estimation.in_user_frame(report)
     }
 
     fn steer(&mut self, command: Command, t_s: f64, time: Mono) {

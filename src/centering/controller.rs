@@ -33,6 +33,15 @@ impl Memory {
         Self { position, error: None }
     }
 
+    /// The same state, but no axis farther from `at`, where the stage stands, than it is in `before`: a stage
+    /// that stays behind is waited for, and nothing winds up that would send it far away once it comes free.
+    #[must_use]
+    pub fn no_farther(self, before: &Memory, at: Xy) -> Self {
+        let nearer = |i: usize| (self.position[i] - at[i]).abs() <= (before.position[i] - at[i]).abs();
+        let position = [0, 1].map(|i| if nearer(i) { self.position[i] } else { before.position[i] });
+        Self { position, ..self }
+    }
+
     /// The same state, for a setpoint that has moved by `step`.
     #[must_use]
     pub fn shifted(self, step: Xy) -> Self {
@@ -192,6 +201,15 @@ mod tests {
         assert_eq!(wild.position, memory.position);
         let fast = CONTROLLER.update(&memory, STILL, [1e9, 0.0], DT);
         assert!((fast.position[0] - memory.position[0] - 50e-6).abs() < 1e-12, "at the slew limit");
+    }
+
+    #[test]
+    fn a_stage_that_stays_behind_is_waited_for_and_come_back_to() {
+        let before = Memory::at([50e-6, 0.0]);
+        let next = |error| CONTROLLER.update(&before, error, STILL, DT).no_farther(&before, [10e-6, 0.0]);
+        assert_eq!(next([100e-6, 0.0]).position, before.position);
+        assert!(next([-100e-6, 0.0]).position[0] < 31e-6);
+        assert_eq!(next([0.0, 100e-6]).position, before.position);
     }
 
     #[test]

@@ -1,11 +1,11 @@
 //! Task 2: finds the apex, brings the beam onto it, and keeps it there.
 //!
 //! - [`core`]: a sample and the last pose in, a steering command out; pure.
-//! - [`sight`]: what a sample says of the beam.
+//! - [`sight`], [`lookout`]: what a sample says of the beam, and what is known of the mirror.
+//! - [`stage`], [`trail`]: where the stage was sent, and whether it follows.
 //! - [`lock`]: what the loop may claim of itself, and what it does next.
 //! - [`controller`], [`tracking`]: the PI controller with its limits, and its feed-forward.
 //! - [`guide`], [`search`]: where the stage goes while the apex is not in sight.
-//! - [`trail`]: where the stage was sent lately, and whether it follows.
 //! - [`tuning`]: how all this shall work.
 //! - [`task`]: the loop around it.
 
@@ -13,8 +13,10 @@ pub mod controller;
 pub mod core;
 pub mod guide;
 pub mod lock;
+pub mod lookout;
 pub mod search;
 pub mod sight;
+pub mod stage;
 pub mod task;
 #[cfg(test)]
 mod tests;

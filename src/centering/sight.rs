@@ -1,6 +1,5 @@
 //! What a sample says of the beam and the apex.
 
-use super::lock::Seen;
 use crate::acquisition::{PsdState, Sample};
 use crate::optics::{Optics, Pose, Vec2};
 use crate::steering::Xy;
@@ -58,16 +57,5 @@ impl Sight {
         let expected = optics.fractions(beam - apex, pose);
         let covered = (0..3).any(|i| sample.psds[i] == PsdState::Low && expected[i] > COVERED);
         Sight::Some { apex: apex.into(), covered }
-    }
-
-    /// As the state machine sees it: `error` from where the beam shall be, `railed` at a limit, `elsewhere` for
-    /// what a jump to the apex would change.
-    pub(super) fn seen(&self, error: f64, railed: bool, elsewhere: bool, known: bool) -> Seen {
-        match *self {
-            Sight::Offset(_) => Seen::Error { size: error, railed },
-            Sight::Some { covered, .. } => Seen::Some { elsewhere, covered: covered && known && !elsewhere },
-            Sight::Dark => Seen::Dark,
-            Sight::Unclear(cause) => Seen::Unclear(cause),
-        }
     }
 }

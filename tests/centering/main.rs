@@ -3,4 +3,7 @@
 //!
 //! `cargo test --test centering -- --nocapture` prints the tables.
 
+#![allow(clippy::unwrap_used)]
+
+mod finding;
 mod following;

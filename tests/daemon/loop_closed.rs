@@ -188,11 +188,11 @@ fn a_stage_at_a_limit_of_its_own_is_railed_too() {
     assert!((mean(&frames, |f| f64::from(f.steering[0])) + 60e-6).abs() < 0.1e-6);
 }
 
+const BLOCKED: &str = "twin.fault = [{ at_s = 1.0, for_s = 0.3, kind = \"beam-blocked\" }]";
+
 #[test]
 fn a_blocked_beam_is_held_then_lost_then_acquired_again() {
-    let mut daemon = Daemon::start(&format!(
-        "twin.fault = [{{ at_s = 1.0, for_s = 0.3, kind = \"beam-blocked\" }}]\n{OFF}"
-    ));
+    let mut daemon = Daemon::start(&format!("centering.search = false\n{BLOCKED}\n{OFF}"));
     let mut stream = daemon.client();
     stream.locked();
     stream.until("dark", |f| f.has(Status::PSD_A_LOW));
@@ -207,6 +207,26 @@ fn a_blocked_beam_is_held_then_lost_then_acquired_again() {
     assert!(dark.iter().all(|f| (stage(f) + 70e-6).abs() < 5e-6), "the stage stays where it is");
     let again = stream.through("locked", Frame::locked);
     assert!(states(&again).ends_with(&[LockState::Acquiring, LockState::Locked]), "{:?}", states(&again));
+    stream.samples(100);
+    stays_on_the_apex(&mut stream, 2);
+}
+
+#[test]
+fn a_loss_confirmed_twice_is_searched_for_and_found() {
+    let mut daemon = Daemon::start(&format!("{BLOCKED}\n{OFF}"));
+    let mut stream = daemon.client();
+    stream.locked();
+    stream.until("dark", |f| f.has(Status::PSD_A_LOW));
+    let found = stream.through("locked", Frame::locked);
+    let mut states: Vec<_> = found.iter().map(|f| f.lock).collect();
+    states.dedup();
+    let course = [LockState::Held, LockState::Lost, LockState::Searching];
+    assert_eq!(states[..3], course);
+    assert!(states.ends_with(&[LockState::Acquiring, LockState::Locked]), "{states:?}");
+    let searching = |f: &&Frame| f.lock == LockState::Searching;
+    let away = |f: &Frame| f64::from(f.steering[0]) + 70e-6;
+    let farthest = found.iter().filter(searching).map(|f| away(f).abs()).fold(0.0, f64::max);
+    assert!(farthest > 100e-6, "the stage looks around, as far as {farthest} m");
     stream.samples(100);
     stays_on_the_apex(&mut stream, 2);
 }

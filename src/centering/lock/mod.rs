@@ -28,6 +28,10 @@ const MOST_JUMPS: u32 = 8;
 /// would lose what is there, so it has that many times the patience.
 const COVERED: f64 = 20.0;
 
+/// In its rms an offset counts as at most so many times the limit: one that comes from afar is not held
+/// against the loop for ever.
+const FAR: f64 = 2.0;
+
 /// When the loop may call itself locked, and when it must call itself lost.
 #[derive(Clone, Copy, Debug)]
 pub struct LockLimits {
@@ -231,7 +235,8 @@ impl Lock {
         let fresh = !self.mean_square.is_finite();
         let weight = if fresh { 1.0 } else { dt / (lock_s + dt) };
         let before = if fresh { 0.0 } else { self.mean_square };
-        self.mean_square = before + weight * (size * size - before);
+        let square = size.min(FAR * limit).powi(2);
+        self.mean_square = before + weight * (square - before);
         // Written so that a NaN is outside.
         let within = size <= limit && self.mean_square.sqrt() <= limit;
         let (state, cause) = if railed {

@@ -1,0 +1,141 @@
+//! The stage as the loop knows it: where it was sent, where it stands, whether it follows.
+
+use super::controller::Memory;
+use super::trail::Trail;
+use super::tuning::Tuning;
+use crate::acquisition::Sample;
+use crate::steering::Xy;
+
+/// The stage.
+#[derive(Clone, Debug)]
+pub struct Stage {
+    /// Where it was sent last.
+    memory: Option<Memory>,
+    /// It is to be taken over, where it stands, before it is moved.
+    apart: bool,
+    /// Nothing but the loop has moved it since it was taken over.
+    ours: bool,
+    /// It takes no commands.
+    gone: bool,
+    /// Where it says itself that it stands, if not in the samples.
+    reported: Option<Xy>,
+    trail: Trail,
+    /// For how long it has not followed.
+    stuck_s: f64,
+}
+
+impl Default for Stage {
+    fn default() -> Self {
+        Self {
+            memory: None,
+            apart: true,
+            ours: false,
+            gone: false,
+            reported: None,
+            trail: Trail::default(),
+            stuck_s: 0.0,
+        }
+    }
+}
+
+impl Stage {
+    /// What the controller goes on from; none unless the stage is the loop's, and takes commands.
+    pub fn memory(&self) -> Option<Memory> {
+        self.memory.filter(|_| !self.apart && !self.gone)
+    }
+
+    /// Where it was last commanded to, metres; none unless it is the loop's.
+    pub fn commanded(&self) -> Option<Xy> {
+        self.memory.filter(|_| !self.apart).map(|memory| memory.position)
+    }
+
+    /// It takes no commands until it comes back.
+    pub fn set_gone(&mut self, gone: bool) {
+        self.gone = gone;
+    }
+
+    /// Whether it takes no commands.
+    pub fn is_gone(&self) -> bool {
+        self.gone
+    }
+
+    /// Where it says itself that it stands, metres.
+    pub fn set_reported(&mut self, position: Xy) {
+        self.reported = Some(position).filter(|at| at.iter().all(|p| p.is_finite()));
+    }
+
+    /// For how long it has not followed its commands, seconds.
+    pub fn stuck_s(&self) -> f64 {
+        self.stuck_s
+    }
+
+    /// The setpoint has moved by this, in lengths of the stage.
+    pub fn shift_setpoint(&mut self, step: Xy) {
+        self.memory = self.memory.map(|memory| memory.shifted(step));
+    }
+
+    /// The loop lets go of it.
+    pub fn let_go(&mut self) {
+        self.apart = true;
+    }
+
+    /// It has acted by itself, and gone to `park` if that is what it does. Until a readback says better, it
+    /// stands there.
+    pub fn released(&mut self, park: Option<Xy>) {
+        let park = park.filter(|_| !self.apart);
+        self.memory = self.memory.map(|m| Memory::at(park.unwrap_or(m.position)));
+        (self.apart, self.ours) = (true, false);
+    }
+
+    /// Takes it over where it stands, if it is not the loop's yet; says whether it was not.
+    pub fn take_over(&mut self, sample: &Sample, tuning: &Tuning, dt: f64) -> bool {
+        if !self.apart || self.gone {
+            return false;
+        }
+        let memory = self.found(sample, tuning, dt);
+        self.trail.clear();
+        self.sent(memory, sample, tuning);
+        (self.apart, self.ours, self.stuck_s) = (false, true, 0.0);
+        true
+    }
+
+    /// The stage as it stands: as it says itself, or where it was sent last. If nothing but this loop has
+    /// moved it (`ours`), and it stands there to within a step, the last command is the better number.
+    pub fn found(&self, sample: &Sample, tuning: &Tuning, dt: f64) -> Memory {
+        let reach = tuning.controller.slew * dt;
+        let sent = self.memory.map(|memory| memory.position);
+        let read = read_back(sample).or(self.reported);
+        if let (Some(read), Some(sent), true) = (read, sent, self.ours)
+            && (0..2).all(|axis| (read[axis] - sent[axis]).abs() <= reach)
+        {
+            return Memory::at(sent);
+        }
+        Memory::at(tuning.controller.within(read.or(sent).unwrap_or_default()))
+    }
+
+    /// It was sent there after this sample.
+    pub fn sent(&mut self, memory: Memory, sample: &Sample, tuning: &Tuning) {
+        self.memory = Some(memory);
+        self.trail.push(memory.position, sample.time, tuning.span_s);
+    }
+
+    /// Where it stood when the sample was taken, as well as it is known.
+    pub fn stands_at(&self, sample: &Sample, tuning: &Tuning) -> Xy {
+        let sent = || self.trail.before(sample.time, tuning.loop_delay_s).or(self.commanded());
+        read_back(sample).or_else(sent).or(self.reported).unwrap_or_default()
+    }
+
+    /// Where it stands if it does not follow its commands, as far as its readback in the sample, `dt` seconds
+    /// after the last one, shows.
+    pub fn behind(&mut self, sample: &Sample, tuning: &Tuning, dt: f64) -> Option<Xy> {
+        let behind = read_back(sample).filter(|at| !self.trail.leads_to(*at, tuning.following));
+        // At its own limit it cannot follow, and says so.
+        self.stuck_s = if behind.is_none() || sample.output_railed { 0.0 } else { self.stuck_s + dt };
+        behind
+    }
+}
+
+/// The position of the stage in the sample.
+pub(super) fn read_back(sample: &Sample) -> Option<Xy> {
+    sample.steering.filter(|at| at.iter().all(|p| p.is_finite()))
+}
