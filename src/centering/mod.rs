@@ -7,6 +7,7 @@
 //! - [`controller`], [`tracking`]: the PI controller with its limits, and its feed-forward.
 //! - [`guide`], [`search`]: where the stage goes while the apex is not in sight.
 //! - [`tuning`]: how all this shall work.
+//! - [`stability`]: whether gains and delay go together.
 //! - [`task`]: the loop around it.
 
 pub mod controller;
@@ -16,6 +17,7 @@ pub mod lock;
 pub mod lookout;
 pub mod search;
 pub mod sight;
+pub mod stability;
 pub mod stage;
 pub mod task;
 #[cfg(test)]

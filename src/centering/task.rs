@@ -9,7 +9,7 @@ use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 
 use super::core::{Centering, LoopState, LoopView, TimedPose};
-use super::lock::Transition;
+use super::lock::{LockState, Transition};
 use super::tuning::Tuning;
 use crate::acquisition::{Sample, task::Newest};
 use crate::clock::{Clock, Mono};
@@ -86,7 +86,8 @@ pub async fn run<C: Clock>(
                     continue;
                 }
                 let now = clock.now();
-                say(side.centering.silence(now.seconds_since(heard)));
+                let transition = side.centering.silence(now.seconds_since(heard));
+                side.say(transition);
                 heard = now;
             }
         }
@@ -110,7 +111,7 @@ impl<D: Driver> Side<D> {
             Order::Retune(tuning, done) => {
                 let outcome = self.centering.retune(*tuning);
                 self.send(outcome.command);
-                say(outcome.transition);
+                self.say(outcome.transition);
                 let _ = done.send(());
             }
             Order::Move(to, reply) => drop(reply.send(self.centering.move_to(to))),
@@ -137,7 +138,23 @@ impl<D: Driver> Side<D> {
         let outcome = self.centering.sample(sample, pose.as_ref(), now);
         self.counters.centering_skips.add(u64::from(outcome.late));
         self.send(outcome.command);
-        say(outcome.transition);
+        self.say(outcome.transition);
+    }
+
+    fn say(&self, transition: Option<Transition>) {
+        let Some(Transition { from, to, cause }) = transition else { return };
+        tracing::info!(from = from.name(), to = to.name(), cause, "lock");
+        let counters = &self.counters;
+        let counter = match to {
+            LockState::Acquiring => &counters.lock_acquiring,
+            LockState::Locked => &counters.lock_locked,
+            LockState::Railed => &counters.lock_railed,
+            LockState::Held => &counters.lock_held,
+            LockState::Lost => &counters.lock_lost,
+            LockState::Searching => &counters.lock_searching,
+            LockState::Off | LockState::Manual => &counters.lock_released,
+        };
+        counter.one();
     }
 
     fn send(&mut self, command: Option<Command>) {
@@ -175,10 +192,4 @@ fn fresh_pose(poses: &watch::Receiver<Option<PoseReport>>, sample: &Sample) -> O
     let PoseReport { pose, time, .. } = (*poses.borrow())?;
     let fresh = sample.time.seconds_since(time).abs() <= FRESH_S;
     pose.filter(|_| fresh).map(|pose| TimedPose { pose, time })
-}
-
-fn say(transition: Option<Transition>) {
-    if let Some(Transition { from, to, cause }) = transition {
-        tracing::info!(from = from.name(), to = to.name(), cause, "lock");
-    }
 }

@@ -26,7 +26,7 @@ enum Order {
     Status,
     /// Let the present pose read zero
     Tare(TareArgs),
-    /// Switch the centering loop; in the shadow it computes, and moves nothing
+    /// Switch the centering loop; in the shadow it computes, and moves nothing; manual: see `move`
     Loop {
         /// What it shall do
         #[arg(value_enum)]
@@ -48,6 +48,18 @@ enum Order {
         /// Integral gain, per second
         ki_per_s: f64,
     },
+    /// Send the stage to a place; only while the loop is manual
+    #[command(allow_negative_numbers = true)]
+    Move {
+        /// First axis, micrometres
+        x_um: f64,
+        /// Second axis, micrometres
+        y_um: f64,
+    },
+    /// Take the loop off the stage and park it; the loop is manual then
+    Park,
+    /// Look for the apex now, however often that was in vain
+    Search,
     /// Read the configuration file again, as on SIGHUP
     Reload,
 }
@@ -75,6 +87,7 @@ enum Mode {
     On,
     Off,
     Shadow,
+    Manual,
 }
 
 impl Order {
@@ -86,6 +99,10 @@ impl Order {
             Order::Loop { mode: Mode::On } => Command::Loop(LoopMode::On),
             Order::Loop { mode: Mode::Off } => Command::Loop(LoopMode::Off),
             Order::Loop { mode: Mode::Shadow } => Command::Loop(LoopMode::Shadow),
+            Order::Loop { mode: Mode::Manual } => Command::Loop(LoopMode::Manual),
+            Order::Move { x_um, y_um } => Command::Move([x_um, y_um]),
+            Order::Park => Command::Park,
+            Order::Search => Command::Search,
             Order::Setpoint { x_um, y_um } => Command::Setpoint([x_um, y_um]),
             Order::Gains { kp, ki_per_s } => Command::Gains { kp, ki_per_s },
             Order::Reload => Command::Reload,

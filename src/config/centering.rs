@@ -29,6 +29,9 @@ pub enum LoopMode {
 }
 
 impl LoopMode {
+    /// Every mode.
+    pub const ALL: [LoopMode; 4] = [LoopMode::On, LoopMode::Off, LoopMode::Shadow, LoopMode::Manual];
+
     /// The mode as a word: "on", "shadow".
     pub fn name(self) -> &'static str {
         match self {

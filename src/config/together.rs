@@ -1,9 +1,10 @@
 //! Checks across sections: values that are fine alone and not together.
 
 use super::check::Checker;
-use super::{Config, SourceKind};
+use super::{CenteringConfig, Config, SourceKind};
 use crate::acquisition::board::required_baud;
 use crate::acquisition::scan::SIGNALS;
+use crate::centering::stability::is_stable;
 use crate::optics::{Optics, Pose, Vec2};
 
 /// All of them. Run once every value is in its own range.
@@ -14,6 +15,7 @@ pub(super) fn check(config: &Config, at: &mut Checker<'_>) {
         SourceKind::Serial => serial_speed(config, at),
     }
     edge_margin(config, at);
+    gains(config, at);
 }
 
 /// The head can be built, and with the mirror at rest the light falls on all three PSDs.
@@ -86,6 +88,25 @@ fn serial_speed(config: &Config, at: &mut Checker<'_>) {
         &["acquisition.rate_hz"],
         acquisition.serial.baud,
         format_args!("{needed} or more: nine channels at {} Hz need it", acquisition.rate_hz),
+    );
+}
+
+/// The loop does not ring.
+fn gains(config: &Config, at: &mut Checker<'_>) {
+    let (centering, rate_hz) = (&config.centering, config.acquisition.rate_hz);
+    let (gains, delay_s) = (centering.gains(rate_hz), centering.loop_delay_s(rate_hz));
+    let safe = CenteringConfig { kp: None, ki_per_s: None, ..centering.clone() }.gains(rate_hz);
+    at.agree(
+        is_stable(gains, delay_s, centering.lag_ms * 1e-3, 1.0 / rate_hz),
+        "centering.ki_per_s",
+        &["centering.kp", "centering.loop_delay_ms"],
+        format!("{} with kp = {}", gains.ki_per_s, gains.kp),
+        format_args!(
+            "less: with a loop delay of {} ms the loop would ring ever louder; ki_per_s = {} with kp = {} is calm",
+            delay_s * 1e3,
+            safe.ki_per_s,
+            safe.kp
+        ),
     );
 }
 

@@ -33,6 +33,12 @@ pub enum Command {
         /// Integral, per second.
         ki_per_s: f64,
     },
+    /// Sends the stage to a place, micrometres; only while the loop is manual.
+    Move([f64; 2]),
+    /// Takes the loop off the stage and parks it: from now on the loop is manual.
+    Park,
+    /// Looks for the apex now.
+    Search,
     /// Reads the configuration file again.
     Reload,
 }
@@ -45,8 +51,8 @@ pub struct NoCommand {
 }
 
 /// Every command in its form.
-pub const ALLOWED: &str = "status, tare [poses=N] [save], tare clear [save], loop on|off|shadow, \
-    setpoint X_UM Y_UM, gains KP KI_PER_S, reload";
+pub const ALLOWED: &str = "status, tare [poses=N] [save], tare clear [save], loop on|off|shadow|manual, \
+    setpoint X_UM Y_UM, gains KP KI_PER_S, move X_UM Y_UM, park, search, reload";
 
 impl FromStr for Command {
     type Err = NoCommand;
@@ -63,9 +69,10 @@ fn parse(word: &str, rest: &[&str]) -> Option<Command> {
     Some(match (word, rest) {
         ("status", []) => Command::Status,
         ("reload", []) => Command::Reload,
-        ("loop", ["on"]) => Command::Loop(LoopMode::On),
-        ("loop", ["off"]) => Command::Loop(LoopMode::Off),
-        ("loop", ["shadow"]) => Command::Loop(LoopMode::Shadow),
+        ("loop", [mode]) => Command::Loop(LoopMode::ALL.into_iter().find(|m| m.name() == *mode)?),
+        ("park", []) => Command::Park,
+        ("search", []) => Command::Search,
+        ("move", [x, y]) => Command::Move([number(x)?, number(y)?]),
         ("setpoint", [x, y]) => Command::Setpoint([number(x)?, number(y)?]),
         ("gains", [kp, ki]) => Command::Gains { kp: number(kp)?, ki_per_s: number(ki)? },
         ("tare", ["clear"]) => Command::ClearTare { save: false },
@@ -102,6 +109,9 @@ impl fmt::Display for Command {
             Command::Loop(mode) => write!(f, "loop {}", mode.name()),
             Command::Setpoint([x, y]) => write!(f, "setpoint {x:?} {y:?}"),
             Command::Gains { kp, ki_per_s } => write!(f, "gains {kp:?} {ki_per_s:?}"),
+            Command::Move([x, y]) => write!(f, "move {x:?} {y:?}"),
+            Command::Park => f.write_str("park"),
+            Command::Search => f.write_str("search"),
             Command::Reload => f.write_str("reload"),
         }
     }
@@ -122,6 +132,10 @@ mod tests {
             Command::Loop(LoopMode::On),
             Command::Loop(LoopMode::Off),
             Command::Loop(LoopMode::Shadow),
+            Command::Loop(LoopMode::Manual),
+            Command::Move([-100.5, 0.0]),
+            Command::Park,
+            Command::Search,
             Command::Setpoint([-1.5, 1e-3]),
             Command::Gains { kp: 0.1, ki_per_s: 200.0 },
             Command::Reload,
@@ -146,6 +160,10 @@ mod tests {
             "tare clear all",
             "loop",
             "loop maybe",
+            "park here",
+            "move 1",
+            "move nan 0",
+            "search far",
             "setpoint 1",
             "setpoint 1 2 3",
             "setpoint nan 0",

@@ -14,7 +14,7 @@ use crate::centering::{Tuning, task::Order};
 use crate::clock::{Clock, Mono, SystemClock};
 use crate::config::edit::{self, Edit};
 use crate::config::reload::reload;
-use crate::config::{self, Config, FramesConfig, TransformConfig};
+use crate::config::{self, Config, FramesConfig, LoopMode, TransformConfig};
 use crate::estimation::{self, Frames, task::Question};
 use crate::exit::{self, Failure};
 use crate::logging::Logging;
@@ -66,6 +66,9 @@ impl Live {
                 let gains = (Some(kp), Some(ki_per_s));
                 self.tune(|config| (config.centering.kp, config.centering.ki_per_s) = gains).await
             }
+            Command::Move(um) => self.move_to(um).await,
+            Command::Park => self.park().await,
+            Command::Search => self.search().await,
             Command::Reload => self.reload().await,
         };
         answer.unwrap_or_else(|failure| error(&failure))
@@ -76,6 +79,33 @@ impl Live {
         change(&mut next);
         next.verify().map_err(|wrong| Failure::new(exit::USAGE, wrong))?;
         self.go_on_with(next, None).await?;
+        Ok(json!({ "loop": self.loop_now().await? }))
+    }
+
+    async fn move_to(&mut self, um: Xy) -> Result<Value, Failure> {
+        let limit = self.running.steering.limit_um;
+        if let Some(beyond) = um.iter().find(|p| p.abs() > limit) {
+            let why = format!("{beyond}: allowed is -{limit} to {limit}, steering.limit_um");
+            return Err(Failure::new(exit::USAGE, why));
+        }
+        self.order(|reply| Order::Move(um.map(|um| um * 1e-6), reply)).await
+    }
+
+    async fn park(&mut self) -> Result<Value, Failure> {
+        self.tune(|config| config.centering.mode = LoopMode::Manual).await?;
+        self.move_to(self.running.steering.park_um).await
+    }
+
+    async fn search(&mut self) -> Result<Value, Failure> {
+        self.order(Order::Search).await
+    }
+
+    /// Tells the loop something that it may refuse.
+    async fn order(
+        &self,
+        order: impl FnOnce(oneshot::Sender<Result<(), &'static str>>) -> Order,
+    ) -> Result<Value, Failure> {
+        ask(&self.fast.orders, PATIENCE, order).await?.map_err(|why| Failure::new(exit::USAGE, why))?;
         Ok(json!({ "loop": self.loop_now().await? }))
     }
 
@@ -251,6 +281,8 @@ impl Live {
             "offset_um": view.offset.map(um),
             "setpoint_um": centering.setpoint_um,
             "commanded_um": view.commanded.map(um),
+            "apex_velocity_um_per_s": um(view.velocity),
+            "searches_in_vain": view.attempts,
             "shadow": view.shadow.map(|(at, to)| json!({ "stands_at_um": um(at), "would_go_to_um": um(to) })),
             "kp": gains.kp,
             "ki_per_s": gains.ki_per_s,

@@ -47,6 +47,20 @@ counters! {
     /// Samples the controller did not act on: a newer one was there, or they came later than the loop
     /// delay that its gains are made for.
     centering_skips,
+    /// Times the loop began to acquire.
+    lock_acquiring,
+    /// Times the loop locked.
+    lock_locked,
+    /// Times the stage came to a limit.
+    lock_railed,
+    /// Times the loop began to hold the stage.
+    lock_held,
+    /// Times the beam was lost.
+    lock_lost,
+    /// Times a search began.
+    lock_searching,
+    /// Times the loop was switched off or to manual.
+    lock_released,
     /// Pose frames made.
     frames,
     /// Pose frames without a valid pose.

@@ -79,5 +79,41 @@ fn gains_change_while_locked() {
         assert_eq!(code, i32::from(exit::USAGE), "{bad:?}");
         assert!(errors.contains("allowed is 0 to"), "{errors}");
     }
+    let (_, _, errors) = daemon.ctl(&["gains", "0.1", "3000"]);
+    assert!(errors.contains("ring ever louder") && errors.contains("ki_per_s = 200"), "{errors}");
     assert_eq!(daemon.told(&["status"])["loop"]["kp"], 0.05);
+}
+
+#[test]
+fn by_hand_the_stage_goes_where_it_is_sent_and_parks() {
+    let daemon = Daemon::start(&format!("[steering]\npark_um = [30, -40]\n{AT_REST}"));
+    daemon.until(|status| status["loop"]["lock"] == "locked");
+    let (code, _, errors) = daemon.ctl(&["move", "10", "0"]);
+    assert_eq!(code, i32::from(exit::USAGE));
+    assert!(errors.contains("only while the loop is \"manual\""), "{errors}");
+
+    // From lock to manual nothing moves.
+    assert_eq!(daemon.told(&["loop", "manual"])["loop"]["lock"], "manual");
+    let stays = daemon.frame_with(|frame| frame.lock == LockState::Manual);
+    assert!((stays.steering[0] - 100e-6).abs() < 2e-6, "{stays:?}");
+    let near = |x: f32, y: f64| (f64::from(x) - y).abs() < 1e-6;
+    daemon.told(&["move", "-75.5", "20"]);
+    let moved = daemon.frame_with(|f| near(f.steering[0], -75.5e-6) && near(f.steering[1], 20e-6));
+    assert_eq!(moved.lock, LockState::Manual);
+    let (code, _, errors) = daemon.ctl(&["move", "0", "400.5"]);
+    assert_eq!(code, i32::from(exit::USAGE));
+    assert!(errors.contains("400.5: allowed is -400 to 400"), "{errors}");
+    let (_, _, errors) = daemon.ctl(&["search"]);
+    assert!(errors.contains("only while it is \"on\""), "{errors}");
+
+    daemon.told(&["loop", "on"]);
+    daemon.frame_with(|frame| frame.lock == LockState::Locked);
+    assert_eq!(daemon.told(&["park"])["loop"]["mode"], "manual");
+    daemon.frame_with(|f| near(f.steering[0], 30e-6) && near(f.steering[1], -40e-6));
+    daemon.told(&["loop", "on"]);
+    daemon.frame_with(|frame| frame.lock == LockState::Locked);
+    daemon.told(&["search"]);
+    assert_eq!(daemon.told(&["status"])["loop"]["lock"], "locked", "what is found is not looked for");
+    let counters = &daemon.told(&["status"])["counters"];
+    assert_eq!((&counters["lock_locked"], &counters["lock_released"]), (&json!(3), &json!(2)));
 }
