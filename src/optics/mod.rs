@@ -19,6 +19,7 @@ pub mod covariance;
 pub mod estimate;
 pub mod glimpse;
 pub mod head;
+mod light;
 mod linear;
 pub mod model;
 pub mod pose;
