@@ -169,7 +169,7 @@ fn estimation(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
         powers: rest.powers.map(|power| power * estimation.power_noise),
     };
     let covariance =
-        estimator.sensitivity(&solution)?.pose_covariance(&noise) / f64::from(estimation.average);
+        estimator.sensitivity(&solution)?.spread(&noise).pose_covariance() / f64::from(estimation.average);
     let sigma = deviations(&covariance) * 1e6;
     lines.say(
         "deviations",

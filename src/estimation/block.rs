@@ -15,6 +15,7 @@ pub struct Block {
     psds: [PsdState; 3],
     lost: u32,
     gap: bool,
+    power_step: bool,
     output_railed: bool,
 }
 
@@ -27,18 +28,22 @@ pub struct Mean {
     pub count: u16,
     /// Samples were lost inside the block: it is no mean of equally spaced samples.
     pub gap: bool,
+    /// The power of the laser made a step inside the block, or just before.
+    pub power_step: bool,
 }
 
 impl Block {
-    /// Adds a sample; gives the block when it has `size` samples.
-    pub fn push(&mut self, sample: &Sample, size: u16) -> Option<Mean> {
+    /// Adds a sample, which stands beside a step of the power or not; gives the block when it has `size`
+    /// samples.
+    pub fn push(&mut self, sample: &Sample, power_step: bool, size: u16) -> Option<Mean> {
         if size <= 1 {
-            return Some(Mean { sample: *sample, count: 1, gap: false });
+            return Some(Mean { sample: *sample, count: 1, gap: false, power_step });
         }
         let first = *self.first.get_or_insert(*sample);
         if self.count == 0 {
             self.steering = sample.steering.map(|_| [0.0; 2]);
         }
+        self.power_step |= power_step;
         self.gap |= self.count > 0 && sample.lost > 0;
         self.count += 1;
         self.time += sample.time - first.time;
@@ -69,7 +74,7 @@ impl Block {
             steering: block.steering.map(|sum| sum.map(|s| s / n)),
             output_railed: block.output_railed,
         };
-        Mean { sample, count: block.count, gap: block.gap }
+        Mean { sample, count: block.count, gap: block.gap, power_step: block.power_step }
     }
 
     /// Drops what is there.

@@ -278,7 +278,6 @@ impl Estimator {
             fractions: target.fractions,
         }
     }
-
 }
 
 impl Target {
