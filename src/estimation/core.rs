@@ -48,6 +48,11 @@ impl Estimation {
         self.warm = None;
     }
 
+    /// As [`Settings::fuses`].
+    pub fn fuses(&self) -> bool {
+        self.settings.fuses()
+    }
+
     /// The samples so far, and those to come, do not belong together.
     fn interrupt(&mut self) {
         self.block.clear();

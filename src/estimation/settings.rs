@@ -43,4 +43,9 @@ impl Settings {
             config: id,
         })
     }
+
+    /// Whether the steering position counts as two more signals, where it is read back.
+    pub fn fuses(&self) -> bool {
+        self.fuse
+    }
 }
