@@ -3,12 +3,15 @@
 use super::block::{Block, Mean};
 use super::integrity::Integrity;
 use super::noise::LiveNoise;
-use super::power_step::PowerSteps;
+use super::power_step::{Power, PowerSteps};
 use super::{PoseReport, Settings, Status, light};
 use crate::acquisition::{PsdState, Sample};
 use crate::centering::{LockState, LoopState};
 use crate::clock::Mono;
 use crate::optics::{Innovation, Model, Noise, Signals, Solution, SolveError, Spread};
+
+/// In a mean of so many samples the powers of one that was uneasy do no harm.
+const DILUTED: u16 = 4;
 
 /// Turns samples into reports.
 #[derive(Clone, Debug)]
@@ -90,25 +93,24 @@ impl Estimation {
             self.noise.interrupt();
             self.power_steps.interrupt();
         }
-        let step = good && self.beside_power_step(sample);
-        if step && !self.power_steps.unsteady() {
+        let power = if good { self.power(sample) } else { Power::Steady };
+        if power == Power::Step && !self.power_steps.unsteady() {
             self.noise.interrupt(); // a step is no noise
         } else if good {
             let [a, b, c, d, e, f] = sample.spots;
             let [p, q, r] = sample.powers;
             self.noise.push([a, b, c, d, e, f, p, q, r]);
         }
-        let mean = self.block.push(sample, step, self.settings.average)?;
+        let mean = self.block.push(sample, power, self.settings.average)?;
         Some(self.report(&mean, steering))
     }
 
-    fn beside_power_step(&mut self, sample: &Sample) -> bool {
-        let Self { noise, power_steps, settings, .. } = self;
-        let total_noise = || {
-            let each = (6..).zip(sample.powers).map(|(i, p)| noise.deviation(i, settings.power_noise * p));
-            each.map(|deviation| deviation * deviation).sum::<f64>().sqrt()
-        };
-        power_steps.push(sample.powers.iter().sum(), total_noise)
+    /// What the total power says of a sample, by its deviation as configured, or live where that is larger.
+    fn power(&mut self, sample: &Sample) -> Power {
+        let configured = self.settings.power_noise;
+        let each = (6..).zip(sample.powers).map(|(i, power)| self.noise.deviation(i, configured * power));
+        let deviation = each.map(|deviation| deviation * deviation).sum::<f64>().sqrt();
+        self.power_steps.push(sample.powers.iter().sum(), deviation)
     }
 
     /// What there is to say while no samples come.
@@ -127,7 +129,7 @@ impl Estimation {
         };
         let steering = LoopState { lock: steering.lock.unseen(), ..*steering };
         let mut report =
-            self.blank(&Mean { sample: nothing, count: 0, gap: false, power_step: false }, &steering);
+            self.blank(&Mean { sample: nothing, count: 0, gap: false, power: Power::Steady }, &steering);
         report.status |= Status::SOURCE_DOWN;
         // A command is no news of the stage any more: its lease runs out, and the board acts by itself.
         report.steering = None;
@@ -212,25 +214,25 @@ impl Estimation {
         report.iterations = solution.iterations;
         if estimator.model() == Model::Gaussian {
             report.offset = Some(solution.offset.into());
-            if let Some(stage) = mean.sample.steering {
-                self.sighted(stage, &solution, &spread, report);
-            }
+            self.sighted(mean, &solution, &spread, report);
         }
         self.warm = Some(solution);
         Ok(())
     }
 
-    /// Holds the beam's place by the stage's readback against the solution. What does not fit is not fused.
-    fn sighted(&mut self, stage: [f64; 2], solution: &Solution, spread: &Spread<9>, report: &mut PoseReport) {
+    /// Holds the beam's place by the stage's readback against the solution. What does not fit is not fused,
+    /// nor what rests on powers that change: the fused pose hangs on them more than it states.
+    fn sighted(&mut self, mean: &Mean, solution: &Solution, spread: &Spread<9>, report: &mut PoseReport) {
         let Settings { estimator, readback, fuse, .. } = &self.settings;
-        let sighting = readback.sighting(stage);
+        let Some(sighting) = mean.sample.steering.map(|stage| readback.sighting(stage)) else { return };
         let Some(innovation) = Innovation::new(estimator.optics(), solution, spread, &sighting) else {
             return;
         };
         report.steering_residual = Some(innovation.residual.norm());
-        let fits = self.integrity.judge(innovation.deviations());
+        let fits = self.integrity.judge(&innovation);
         report.status.set(Status::INCONSISTENT, self.integrity.inconsistent());
-        if *fuse && fits {
+        let calm = mean.power == Power::Steady || mean.count >= DILUTED;
+        if *fuse && fits && calm {
             let fused = innovation.fuse(solution);
             report.pose = Some(fused.pose);
             report.covariance = Some(fused.spread.pose_covariance());

@@ -3,12 +3,17 @@
 use nalgebra::Matrix2;
 
 use crate::config::SteeringConfig;
-use crate::optics::{Sighting, Vec2};
+use crate::optics::{Innovation, Sighting, Vec2};
 
 /// A residual of more of its deviations than this does not fit: chance makes one in 270 000.
 const LIMIT: f64 = 5.0;
-/// So many of them in a row, and the steering contradicts the pose.
+/// So many of them in a row, and the steering contradicts the pose. So many that fit, and it may be fused.
 const ROW: u32 = 10;
+/// A beam that is off by less hides in the noise of each single residual, but not in the mean of this many
+/// of them. A fused pose would be off with it by many of its deviations, which the readback makes small.
+const WINDOW: f64 = 100.0;
+/// With a mean of more of its deviations nothing is fused.
+const MEAN_LIMIT: f64 = 3.0;
 
 /// From the stage's readback to where the beam stands.
 #[derive(Clone, Copy, Debug)]
@@ -41,13 +46,29 @@ impl Readback {
 pub struct Integrity {
     /// Residuals in a row that do not fit.
     misfits: u32,
+    /// Mean of those that fit.
+    mean: Vec2,
+    count: f64,
 }
 
 impl Integrity {
-    /// Takes a residual, in deviations; whether it fits.
-    pub fn judge(&mut self, deviations: f64) -> bool {
+    /// Takes a residual; whether the sighting may be fused: it fits, and so does the mean of the last ones,
+    /// which are not just a lucky few.
+    pub fn judge(&mut self, innovation: &Innovation) -> bool {
+        if !self.fits(innovation.deviations()) {
+            return false;
+        }
+        self.count = WINDOW.min(self.count + 1.0);
+        self.mean += (innovation.residual - self.mean) / self.count;
+        self.count >= f64::from(ROW) && innovation.deviations_of_mean(self.mean, self.count) <= MEAN_LIMIT
+    }
+
+    fn fits(&mut self, deviations: f64) -> bool {
         let fits = deviations <= LIMIT;
         self.misfits = if fits { 0 } else { self.misfits.saturating_add(1) };
+        if self.inconsistent() {
+            (self.mean, self.count) = (Vec2::zeros(), 0.0); // what comes after that is another story
+        }
         fits
     }
 
@@ -65,7 +86,7 @@ mod tests {
     fn ten_in_a_row_contradict_and_one_that_fits_ends_it() {
         let mut integrity = Integrity::default();
         let mut seen = |deviations: f64, times: usize| {
-            (0..times).map(|_| (integrity.judge(deviations), integrity.inconsistent())).last().unwrap()
+            (0..times).map(|_| (integrity.fits(deviations), integrity.inconsistent())).last().unwrap()
         };
         assert_eq!(seen(5.1, 9), (false, false));
         assert_eq!(seen(4.9, 1), (true, false));

@@ -1,6 +1,7 @@
 //! What the light says: whether a pose can come of it, and which status bits tell.
 
 use super::block::Mean;
+use super::power_step::Power;
 use super::{Settings, Status};
 use crate::acquisition::PsdState;
 use crate::optics::{Noise, SolveError};
@@ -15,7 +16,7 @@ const EDGE: [Status; 3] = [Status::PSD_A_EDGE, Status::PSD_B_EDGE, Status::PSD_C
 /// Notes what the light is like; true if no pose can come of it.
 pub(super) fn judge(settings: &Settings, mean: &Mean, noise: &Noise, status: &mut Status) -> bool {
     let sample = &mean.sample;
-    let mut fatal = mean.power_step;
+    let mut fatal = mean.power == Power::Step;
     status.set(Status::POWER_STEP, fatal);
     for i in 0..3 {
         let clipped = sample.psds[i] == PsdState::Clipped;

@@ -68,6 +68,14 @@ impl Innovation {
         self.residual.dot(&(self.weight * self.residual)).sqrt()
     }
 
+    /// The length of a mean of so many residuals in its own deviations. What is wrong with a sighting (the
+    /// laser points elsewhere) is taken as the same in all of them, and the noise of the signals as not.
+    pub fn deviations_of_mean(&self, mean: Vec2, count: f64) -> f64 {
+        let own = Matrix2::from_diagonal_element(self.deviation.powi(2));
+        let weight = (self.seen * self.seen.transpose() / count + own).try_inverse();
+        weight.map_or(f64::INFINITY, |weight| mean.dot(&(weight * mean)).sqrt())
+    }
+
     /// The solution with the sighting in it, by weight.
     pub fn fuse(&self, solution: &Solution) -> Fused {
         let gain = self.spread.0 * self.seen.transpose() * self.weight;
