@@ -45,12 +45,9 @@ fn eleven_signals_scatter_as_predicted() {
     }
     let scatter = squares.map(|square| square.sqrt() * 1e6);
     println!("         {:>8} {:>8} {:>8} {:>8} {:>8} {:>8}", "tx", "ty", "tz", "roll", "pitch", "yaw");
-    let row = |name: &str, x: &[f64]| {
-        println!("{name:9}{}", x.iter().map(|x| format!("{x:8.4} ")).collect::<String>());
-    };
-    row("predicted", &PREDICTED);
-    row("stated", &stated);
-    row("scatter", scatter.as_slice());
+    for (name, x) in [("predicted", PREDICTED), ("stated", stated), ("scatter", scatter.into())] {
+        println!("{name:9}{}", x.map(|x| format!("{x:8.4}")).join(" "));
+    }
     println!("um and urad; mean normalised error squared of the six {nees:.4}");
     for axis in 0..6 {
         assert!((stated[axis] - PREDICTED[axis]).abs() < 0.5e-3, "{axis}: {stated:?}");

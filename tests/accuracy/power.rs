@@ -31,8 +31,8 @@ fn a_step_of_the_power_spoils_no_pose() {
             ));
             let samples = bench.with_truth(APART * (2 * count + 1));
             let flagged = |k: usize| samples[k].0.status.has(Status::POWER_STEP);
-            for k in 0..samples.len() {
-                assert_eq!(samples[k].0.pose.is_none(), flagged(k), "{k}");
+            for (k, (report, _)) in samples.iter().enumerate() {
+                assert_eq!(report.pose.is_none(), flagged(k), "{k}");
                 // The scan of a step, and those of which it says something: the others are fine.
                 assert!(k % APART < 4 || !flagged(k), "{factor}: {k}");
                 let must = k >= APART && k % APART == 1 && !(0.95..1.05).contains(&factor);
