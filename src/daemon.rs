@@ -53,7 +53,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let counters = Arc::new(Counters::default());
     let channels = Channels::load(config)?;
     let calibration = config.calibration_id().context("cannot read a correction table")?;
-    let id = StreamId::new(config.frames.id(calibration));
+    let id = StreamId::new(config.id(calibration));
     let facts = StreamFacts {
         id,
         sample_rate_hz: config.acquisition.rate_hz,

@@ -46,6 +46,7 @@
 #define TRIFACET_POSE_HELD         (UINT32_C(1) << 22)
 #define TRIFACET_STEERING_MEASURED (UINT32_C(1) << 23)
 #define TRIFACET_RECORDING_FAULT   (UINT32_C(1) << 24)
+#define TRIFACET_POWER_STEP        (UINT32_C(1) << 25)
 
 /* The light is not measured but computed or recorded: never steer a machine by it. To try a program on the
  * daemon's digital twin, define this as 0 before the header is included. */

@@ -8,7 +8,7 @@ use trifacet::config::{
     Config, FacetConfig, FramesConfig, LogFormat, LoopMode, OnExit, SourceKind, Target, TransformConfig,
 };
 use trifacet::optics::covariance::deviations;
-use trifacet::optics::{Estimator, FACETS, Model, Noise, Optics, Pose, Signals, Vec2};
+use trifacet::optics::{Estimator, FACETS, Innovation, Model, Noise, Optics, Pose, Sighting, Signals, Vec2};
 
 use super::{ConfigArg, written};
 
@@ -153,6 +153,7 @@ fn estimation(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
     let model: Model = estimation.model.into();
     let of = match model {
         Model::Ray => "ray model, six signals",
+        Model::Gaussian if estimation.fuse_steering => "Gaussian beam, eleven signals",
         Model::Gaussian => "Gaussian beam, nine signals",
     };
     let average = match estimation.average {
@@ -164,12 +165,16 @@ fn estimation(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
     let rest = optics.trace(Model::Gaussian, &Pose::default(), Vec2::zeros())?;
     let estimator = Estimator::new(optics, model);
     let solution = estimator.solve(&Signals { spots: rest.spots, powers: rest.powers }, None)?;
+    let quieter = f64::from(estimation.average).sqrt();
     let noise = Noise {
-        spots: [estimation.spot_noise_um * 1e-6; 6],
-        powers: rest.powers.map(|power| power * estimation.power_noise),
+        spots: [estimation.spot_noise_um * 1e-6 / quieter; 6],
+        powers: rest.powers.map(|power| power * estimation.power_noise / quieter),
     };
-    let covariance =
-        estimator.sensitivity(&solution)?.pose_covariance(&noise) / f64::from(estimation.average);
+    let spread = estimator.sensitivity(&solution)?.spread(&noise);
+    let sighting = Sighting { at: Vec2::zeros(), deviation: config.steering.deviation_um * 1e-6 };
+    let covariance = Innovation::new(estimator.optics(), &solution, &spread, &sighting)
+        .filter(|_| estimation.fuse_steering)
+        .map_or(spread.pose_covariance(), |innovation| innovation.fuse(&solution).spread.pose_covariance());
     let sigma = deviations(&covariance) * 1e6;
     lines.say(
         "deviations",

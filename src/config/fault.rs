@@ -38,6 +38,16 @@ pub enum FaultKind {
         /// By this.
         factor: f64,
     },
+    /// The noise of spots and powers is multiplied.
+    NoiseBurst {
+        /// By this.
+        factor: f64,
+    },
+    /// The laser is displaced in its mount: the beam moves, the readback of the stage does not.
+    LaserBump {
+        /// By this along x and y, micrometres.
+        shift_um: [f64; 2],
+    },
 }
 
 /// `[[twin.fault]]`: a fault from `at_s` on, for `for_s` seconds.
@@ -52,7 +62,7 @@ pub struct Fault {
     pub kind: FaultKind,
 }
 
-/// The keys as they stand in the file: which of the last four belong there is up to the kind.
+/// The keys as they stand in the file: which of the last five belong there is up to the kind.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FaultKeys {
@@ -63,6 +73,7 @@ struct FaultKeys {
     channel: Option<u8>,
     fraction: Option<f64>,
     factor: Option<f64>,
+    shift_um: Option<[f64; 2]>,
 }
 
 #[derive(Clone, Copy, Deserialize)]
@@ -76,6 +87,8 @@ enum KindName {
     Stalled,
     SteeringStuck,
     LaserPower,
+    NoiseBurst,
+    LaserBump,
 }
 
 impl TryFrom<FaultKeys> for Fault {
@@ -93,12 +106,17 @@ impl TryFrom<FaultKeys> for Fault {
             KindName::Stalled => FaultKind::Stalled,
             KindName::SteeringStuck => FaultKind::SteeringStuck,
             KindName::LaserPower => FaultKind::LaserPower { factor: needed(keys.factor.take(), "factor")? },
+            KindName::NoiseBurst => FaultKind::NoiseBurst { factor: needed(keys.factor.take(), "factor")? },
+            KindName::LaserBump => {
+                FaultKind::LaserBump { shift_um: needed(keys.shift_um.take(), "shift_um")? }
+            }
         };
         let stray = [
             ("psd", keys.psd.is_some()),
             ("channel", keys.channel.is_some()),
             ("fraction", keys.fraction.is_some()),
             ("factor", keys.factor.is_some()),
+            ("shift_um", keys.shift_um.is_some()),
         ];
         match stray.iter().find(|(_, is_there)| *is_there) {
             Some((key, _)) => Err(format!("`{key}` does not belong to this kind of fault")),
@@ -121,7 +139,10 @@ impl Fault {
             FaultKind::Dropped { fraction } | FaultKind::Corrupted { fraction } => {
                 at.number("fraction", fraction, 0.0..=1.0);
             }
-            FaultKind::LaserPower { factor } => at.number("factor", factor, 0.0..=1000.0),
+            FaultKind::LaserPower { factor } | FaultKind::NoiseBurst { factor } => {
+                at.number("factor", factor, 0.0..=1000.0);
+            }
+            FaultKind::LaserBump { shift_um } => at.numbers("shift_um", &shift_um, -10_000.0..=10_000.0),
             FaultKind::BeamBlocked | FaultKind::Stalled | FaultKind::SteeringStuck => {}
         }
     }

@@ -6,17 +6,34 @@ use std::io;
 use super::{Config, FramesConfig};
 
 impl Config {
-    /// CRC-32 of all that decides which pose belongs to which codes: the head, the channels, the
-    /// contents of the correction tables, and the frames. The same on every machine; equal for files
+    /// CRC-32 of all that decides which pose belongs to which codes: the head, the channels, the contents
+    /// of the correction tables, the frames, and the steering where it counts as a signal. The same on every machine; equal for files
     /// that mean the same.
     ///
     /// # Errors
     /// A correction table cannot be read.
     pub fn config_id(&self) -> io::Result<u32> {
-        Ok(self.frames.id(self.calibration_id()?))
+        Ok(self.id(self.calibration_id()?))
     }
 
-    /// The same without the frames: what decides which pose in the sensor's world belongs to which codes.
+    /// The same, given the fingerprint of the calibration.
+    pub fn id(&self, calibration: u32) -> u32 {
+        self.frames.id(self.fusion_id(calibration))
+    }
+
+    /// The calibration, and where the beam is by the steering, if that counts as two more signals.
+    fn fusion_id(&self, calibration: u32) -> u32 {
+        if !self.estimation.fuse_steering {
+            return calibration;
+        }
+        let matrix = self.steering.matrix.map(plain);
+        let (origin, scale) = (plain(self.steering.origin_um), self.channels.readback_um_per_v);
+        let text = format!("trifacet-fusion-1 {calibration:08x} {matrix:?} {origin:?} um {scale:?} um/V");
+        crc32fast::hash(text.as_bytes())
+    }
+
+    /// The same without frames and steering: what decides which pose of nine signals in the sensor's world
+    /// belongs to which codes.
     ///
     /// # Errors
     /// A correction table cannot be read.
@@ -47,16 +64,43 @@ impl Config {
 impl FramesConfig {
     /// The fingerprint of poses in these frames, given that of the calibration behind them; the same if
     /// the frames change nothing.
-    pub fn id(&self, calibration: u32) -> u32 {
+    fn id(&self, calibration: u32) -> u32 {
         if *self == Self::default() {
             return calibration;
         }
         let mut text = format!("trifacet-frames-1 {calibration:08x}");
         for transform in [self.base, self.tool, self.tare] {
-            // Adding zero makes -0.0 what it means.
-            let [mm, deg] = [transform.translation_mm, transform.rotation_deg].map(|v| v.map(|x| x + 0.0));
+            let [mm, deg] = [transform.translation_mm, transform.rotation_deg].map(plain);
             let _ = write!(text, " {mm:?} {deg:?}");
         }
         crc32fast::hash(text.as_bytes())
+    }
+}
+
+/// With -0.0 as what it means.
+fn plain<const N: usize>(numbers: [f64; N]) -> [f64; N] {
+    numbers.map(|x| x + 0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::config::parse;
+
+    fn id(text: &str) -> u32 {
+        parse(text, None).unwrap().config_id().unwrap()
+    }
+
+    #[test]
+    fn the_steering_counts_only_where_it_decides_the_pose() {
+        let geometries = ["", "steering.matrix = [[0, 1], [-1, 0]]", "steering.origin_um = [1, 0]"];
+        let nine = geometries.map(id);
+        assert_eq!(nine, [nine[0]; 3]);
+        let eleven = geometries.map(|text| id(&format!("{text}\nestimation.fuse_steering = true")));
+        let mut all = vec![nine[0], eleven[0], eleven[1], eleven[2]];
+        all.sort_unstable();
+        all.dedup();
+        assert_eq!(all.len(), 4, "{all:x?}");
+        let zero = id("steering.origin_um = [-0.0, 0]\nestimation.fuse_steering = true");
+        assert_eq!(zero, eleven[0]);
     }
 }

@@ -1,7 +1,7 @@
 //! Checks across sections: values that are fine alone and not together.
 
 use super::check::Checker;
-use super::{CenteringConfig, Config, SourceKind};
+use super::{CenteringConfig, Config, Model, SourceKind};
 use crate::acquisition::board::required_baud;
 use crate::acquisition::scan::SIGNALS;
 use crate::centering::stability::is_stable;
@@ -15,6 +15,7 @@ pub(super) fn check(config: &Config, at: &mut Checker<'_>) {
         SourceKind::Serial => serial_speed(config, at),
     }
     edge_margin(config, at);
+    fusion(config, at);
     gains(config, at);
 }
 
@@ -118,5 +119,26 @@ fn edge_margin(config: &Config, at: &mut Checker<'_>) {
         &["head.psd_size_mm"],
         config.estimation.edge_margin_mm,
         format_args!("less than half of head.psd_size_mm, {half}"),
+    );
+}
+
+/// The steering position can only count as a signal where the model knows the beam's offset, and where it
+/// is read back. Of a board only the board can say that, and the daemon warns.
+fn fusion(config: &Config, at: &mut Checker<'_>) {
+    let fuse = config.estimation.fuse_steering;
+    at.agree(
+        !fuse || config.estimation.model == Model::Gaussian,
+        "estimation.fuse_steering",
+        &["estimation.model"],
+        fuse,
+        "false with estimation.model = \"ray\", which knows no beam offset; or the model \"gaussian\"",
+    );
+    let readback = config.twin.steering.readback_noise_um.is_some();
+    at.agree(
+        !fuse || readback || config.acquisition.source != SourceKind::Twin,
+        "estimation.fuse_steering",
+        &["twin.steering.readback_noise_um"],
+        fuse,
+        "false with twin.steering.readback_noise_um = \"off\", which leaves no position to fuse; or a number there",
     );
 }

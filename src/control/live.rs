@@ -198,6 +198,7 @@ impl Live {
         }
         if next.frames != self.running.frames
             || next.estimation != self.running.estimation
+            || next.steering != self.running.steering
             || channels.is_some()
         {
             self.change_meaning(&next, channels).await?;
@@ -221,7 +222,7 @@ impl Live {
         if let Some(channels) = &channels {
             facts.calibrated = channels.calibrated();
         }
-        facts.id.config = next.frames.id(calibration);
+        facts.id.config = next.id(calibration);
         let settings = estimation::Settings::new(next, facts.calibrated, facts.id.config)
             .map_err(|e| Failure::new(exit::SOFTWARE, format!("the head cannot be built: {e}")))?;
         ask(&self.fast.changes, PATIENCE, |done| Change { channels, settings, done }).await?;

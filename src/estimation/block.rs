@@ -1,5 +1,6 @@
 //! Means over blocks of samples that do not overlap.
 
+use super::power_step::Power;
 use crate::acquisition::{PsdState, Sample};
 
 /// The samples of a block so far.
@@ -15,6 +16,7 @@ pub struct Block {
     psds: [PsdState; 3],
     lost: u32,
     gap: bool,
+    power: Power,
     output_railed: bool,
 }
 
@@ -27,18 +29,21 @@ pub struct Mean {
     pub count: u16,
     /// Samples were lost inside the block: it is no mean of equally spaced samples.
     pub gap: bool,
+    /// What the power of the laser did, at worst.
+    pub power: Power,
 }
 
 impl Block {
-    /// Adds a sample; gives the block when it has `size` samples.
-    pub fn push(&mut self, sample: &Sample, size: u16) -> Option<Mean> {
+    /// Adds a sample, with what the total power says of it; gives the block when it has `size` samples.
+    pub fn push(&mut self, sample: &Sample, power: Power, size: u16) -> Option<Mean> {
         if size <= 1 {
-            return Some(Mean { sample: *sample, count: 1, gap: false });
+            return Some(Mean { sample: *sample, count: 1, gap: false, power });
         }
         let first = *self.first.get_or_insert(*sample);
         if self.count == 0 {
             self.steering = sample.steering.map(|_| [0.0; 2]);
         }
+        self.power = self.power.max(power);
         self.gap |= self.count > 0 && sample.lost > 0;
         self.count += 1;
         self.time += sample.time - first.time;
@@ -69,7 +74,7 @@ impl Block {
             steering: block.steering.map(|sum| sum.map(|s| s / n)),
             output_railed: block.output_railed,
         };
-        Mean { sample, count: block.count, gap: block.gap }
+        Mean { sample, count: block.count, gap: block.gap, power: block.power }
     }
 
     /// Drops what is there.

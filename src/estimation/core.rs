@@ -1,64 +1,25 @@
 //! Samples to reports. Pure: told the time and the state of the loop.
 
-use nalgebra::Matrix6;
-
 use super::block::{Block, Mean};
+use super::integrity::Integrity;
 use super::noise::LiveNoise;
-use super::{Frames, PoseReport, Status};
+use super::power_step::{Power, PowerSteps};
+use super::{PoseReport, Settings, Status, light};
 use crate::acquisition::{PsdState, Sample};
 use crate::centering::{LockState, LoopState};
 use crate::clock::Mono;
-use crate::config::Config;
-use crate::optics::{Estimator, HeadError, Model, Noise, Optics, Signals, Solution, SolveError, Vec3};
+use crate::optics::{Innovation, Model, Noise, Signals, Solution, SolveError, Spread};
 
-/// A power below so many of its deviations is no light to reckon with.
-const LIGHT: f64 = 5.0;
-
-const LOW: [Status; 3] = [Status::PSD_A_LOW, Status::PSD_B_LOW, Status::PSD_C_LOW];
-const CLIPPED: [Status; 3] = [Status::PSD_A_CLIPPED, Status::PSD_B_CLIPPED, Status::PSD_C_CLIPPED];
-const EDGE: [Status; 3] = [Status::PSD_A_EDGE, Status::PSD_B_EDGE, Status::PSD_C_EDGE];
-
-/// What estimation needs to know.
-#[derive(Clone, Debug)]
-pub struct Settings {
-    estimator: Estimator,
-    average: u16,
-    spot_noise: f64,
-    power_noise: f64,
-    edge_margin: f64,
-    balance_limit: f64,
-    /// Bits that are always set.
-    fixed: Status,
-    frames: Frames,
-    config: u32,
-}
-
-impl Settings {
-    /// From a checked configuration; `calibrated` if every PSD has a correction table; `id` is the
-    /// configuration's fingerprint.
-    pub fn new(config: &Config, calibrated: bool, id: u32) -> Result<Self, HeadError> {
-        let estimation = &config.estimation;
-        let mut fixed = Status::default();
-        fixed.set(Status::UNCALIBRATED, !calibrated);
-        Ok(Self {
-            estimator: Estimator::new(Optics::new(&config.head.build()?), estimation.model.into()),
-            average: estimation.average,
-            spot_noise: estimation.spot_noise_um * 1e-6,
-            power_noise: estimation.power_noise,
-            edge_margin: estimation.edge_margin_mm * 1e-3,
-            balance_limit: estimation.balance_limit,
-            fixed,
-            frames: Frames::new(&config.frames),
-            config: id,
-        })
-    }
-}
+/// In a mean of so many samples the powers of one that was uneasy do no harm.
+const DILUTED: u16 = 4;
 
 /// Turns samples into reports.
 #[derive(Clone, Debug)]
 pub struct Estimation {
     settings: Settings,
     noise: LiveNoise,
+    power_steps: PowerSteps,
+    integrity: Integrity,
     block: Block,
     warm: Option<Solution>,
     /// The computed light of a twin, rather than measured light.
@@ -72,6 +33,8 @@ impl Estimation {
         Self {
             settings,
             noise: LiveNoise::default(),
+            power_steps: PowerSteps::default(),
+            integrity: Integrity::default(),
             block: Block::default(),
             warm: None,
             simulated: false,
@@ -83,9 +46,21 @@ impl Estimation {
     /// no common mean.
     pub fn retune(&mut self, settings: Settings) {
         self.settings = settings;
+        self.interrupt();
+        self.integrity = Integrity::default();
+        self.warm = None;
+    }
+
+    /// As [`Settings::fuses`].
+    pub fn fuses(&self) -> bool {
+        self.settings.fuses()
+    }
+
+    /// The samples so far, and those to come, do not belong together.
+    fn interrupt(&mut self) {
         self.block.clear();
         self.noise.interrupt();
-        self.warm = None;
+        self.power_steps.interrupt();
     }
 
     /// A report as it is published: in the user's frame.
@@ -105,8 +80,8 @@ impl Estimation {
     /// A source is up.
     pub fn source(&mut self, simulated: bool) {
         self.simulated = simulated;
-        self.block.clear();
-        self.noise.interrupt();
+        self.interrupt();
+        self.integrity = Integrity::default();
     }
 
     /// Takes a sample; gives a report at the end of each block. The caller stamps it with the time at
@@ -116,20 +91,31 @@ impl Estimation {
         let good = sample.psds.iter().all(|psd| *psd == PsdState::Good);
         if sample.lost > 0 || !good {
             self.noise.interrupt();
+            self.power_steps.interrupt();
         }
-        if good {
+        let power = if good { self.power(sample) } else { Power::Steady };
+        if power == Power::Step && !self.power_steps.unsteady() {
+            self.noise.interrupt(); // a step is no noise
+        } else if good {
             let [a, b, c, d, e, f] = sample.spots;
             let [p, q, r] = sample.powers;
             self.noise.push([a, b, c, d, e, f, p, q, r]);
         }
-        let mean = self.block.push(sample, self.settings.average)?;
+        let mean = self.block.push(sample, power, self.settings.average)?;
         Some(self.report(&mean, steering))
+    }
+
+    /// What the total power says of a sample, by its deviation as configured, or live where that is larger.
+    fn power(&mut self, sample: &Sample) -> Power {
+        let configured = self.settings.power_noise;
+        let each = (6..).zip(sample.powers).map(|(i, power)| self.noise.deviation(i, configured * power));
+        let deviation = each.map(|deviation| deviation * deviation).sum::<f64>().sqrt();
+        self.power_steps.push(sample.powers.iter().sum(), deviation)
     }
 
     /// What there is to say while no samples come.
     pub fn silence(&mut self, now: Mono, steering: &LoopState) -> PoseReport {
-        self.block.clear();
-        self.noise.interrupt();
+        self.interrupt();
         let nothing = Sample {
             index: self.index,
             time: now,
@@ -142,7 +128,8 @@ impl Estimation {
             output_railed: false,
         };
         let steering = LoopState { lock: steering.lock.unseen(), ..*steering };
-        let mut report = self.blank(&Mean { sample: nothing, count: 0, gap: false }, &steering);
+        let mut report =
+            self.blank(&Mean { sample: nothing, count: 0, gap: false, power: Power::Steady }, &steering);
         report.status |= Status::SOURCE_DOWN;
         // A command is no news of the stage any more: its lease runs out, and the board acts by itself.
         report.steering = None;
@@ -152,7 +139,7 @@ impl Estimation {
     fn report(&mut self, mean: &Mean, steering: &LoopState) -> PoseReport {
         let mut report = self.blank(mean, steering);
         let noise = self.stated_noise(mean);
-        if self.light(mean, &noise, &mut report.status) {
+        if light::judge(&self.settings, mean, &noise, &mut report.status) {
             report.lock = report.lock.unseen();
             report.status.set(Status::NOT_LOCKED, true);
             return report;
@@ -165,7 +152,7 @@ impl Estimation {
         if let Err(error) = solved.and_then(|solution| self.solved(solution, mean, &noise, &mut report)) {
             self.warm = None;
             report.iterations = error.iterations();
-            report.status |= reason(&error);
+            report.status |= light::reason(&error);
         }
         report
     }
@@ -201,27 +188,6 @@ impl Estimation {
         }
     }
 
-    /// Notes what the light is like; true if no pose can come of it.
-    fn light(&self, mean: &Mean, noise: &Noise, status: &mut Status) -> bool {
-        let sample = &mean.sample;
-        let mut fatal = false;
-        for i in 0..3 {
-            let clipped = sample.psds[i] == PsdState::Clipped;
-            let faint = sample.powers[i] < LIGHT * noise.powers[i];
-            let low = sample.psds[i] == PsdState::Low || (!clipped && faint);
-            status.set(CLIPPED[i], clipped);
-            status.set(LOW[i], low);
-            let edge = self.settings.estimator.optics().half_sizes()[i] - self.settings.edge_margin;
-            let spot = &sample.spots[2 * i..2 * i + 2];
-            status.set(EDGE[i], spot.iter().any(|s| s.abs() > edge)); // not if it is NaN
-            fatal |= clipped || low;
-        }
-        let total: f64 = sample.powers.iter().sum();
-        let balanced = |p: &f64| (p / total - 1.0 / 3.0).abs() <= self.settings.balance_limit && total > 0.0;
-        status.set(Status::UNBALANCED, !sample.powers.iter().all(balanced));
-        fatal
-    }
-
     /// The deviations of the signals of a block: configured, or live where that is larger.
     fn stated_noise(&self, mean: &Mean) -> Noise {
         let quieter = f64::from(mean.count.max(1)).sqrt();
@@ -241,102 +207,36 @@ impl Estimation {
         report: &mut PoseReport,
     ) -> Result<(), SolveError> {
         let estimator = &self.settings.estimator;
-        let covariance: Matrix6<f64> = estimator.sensitivity(&solution)?.pose_covariance(noise);
+        let spread = estimator.sensitivity(&solution)?.spread(noise);
         report.status |= Status::POSE_VALID;
         report.pose = Some(solution.pose);
-        report.covariance = Some(covariance);
+        report.covariance = Some(spread.pose_covariance());
         report.iterations = solution.iterations;
         if estimator.model() == Model::Gaussian {
             report.offset = Some(solution.offset.into());
-            report.steering_residual = mean.sample.steering.map(|[x, y]| {
-                let t = solution.pose.t;
-                let apex = estimator.optics().across(Vec3::new(t.x - x, t.y - y, t.z));
-                (apex + solution.offset).norm()
-            });
+            self.sighted(mean, &solution, &spread, report);
         }
         self.warm = Some(solution);
         Ok(())
     }
-}
 
-/// The status bit for a refusal of the solver.
-fn reason(error: &SolveError) -> Status {
-    match error {
-        SolveError::OffPsd { .. } | SolveError::OutOfRange { .. } => Status::OUT_OF_RANGE,
-        SolveError::Dark { psd: 'A', .. } => LOW[0],
-        SolveError::Dark { psd: 'B', .. } => LOW[1],
-        SolveError::Dark { .. } => LOW[2],
-        SolveError::NotFinite { .. } | SolveError::Singular { .. } | SolveError::NotConverged { .. } => {
-            Status::NOT_CONVERGED
+    /// Holds the beam's place by the stage's readback against the solution. What does not fit is not fused,
+    /// nor what rests on powers that change: the fused pose hangs on them more than it states.
+    fn sighted(&mut self, mean: &Mean, solution: &Solution, spread: &Spread<9>, report: &mut PoseReport) {
+        let Settings { estimator, readback, fuse, .. } = &self.settings;
+        let Some(sighting) = mean.sample.steering.map(|stage| readback.sighting(stage)) else { return };
+        let Some(innovation) = Innovation::new(estimator.optics(), solution, spread, &sighting) else {
+            return;
+        };
+        report.steering_residual = Some(innovation.residual.norm());
+        let fits = self.integrity.judge(&innovation);
+        report.status.set(Status::INCONSISTENT, self.integrity.inconsistent());
+        let calm = mean.power == Power::Steady || mean.count >= DILUTED;
+        if *fuse && fits && calm {
+            let fused = innovation.fuse(solution);
+            report.pose = Some(fused.pose);
+            report.covariance = Some(fused.spread.pose_covariance());
+            report.offset = Some(fused.offset.into());
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::optics::{Pose, Vec2};
-    use crate::publishing::stamp::tests::report;
-
-    fn estimation(text: &str, id: u32) -> Estimation {
-        let config = crate::config::parse(text, None).unwrap();
-        Estimation::new(Settings::new(&config, true, id).unwrap())
-    }
-
-    /// The light of the mirror at rest.
-    fn sample(index: u64) -> Sample {
-        let optics = Optics::new(&Config::default().head.build().unwrap());
-        let light = optics.trace(Model::Gaussian, &Pose::default(), Vec2::zeros()).unwrap();
-        Sample {
-            index,
-            time: Mono(index as i64 * 1_000_000),
-            time_sigma_ns: None,
-            lost: 0,
-            spots: light.spots,
-            powers: light.powers.map(|fraction| fraction * 1e-3),
-            psds: [PsdState::Good; 3],
-            steering: None,
-            output_railed: false,
-        }
-    }
-
-    #[test]
-    fn only_the_pose_goes_to_the_users_frame() {
-        let estimation = estimation("frames.tool.translation_mm = [0, 0, -40]", 5);
-        let sensor = report();
-        let user = estimation.in_user_frame(&sensor);
-        let pose = user.pose.unwrap();
-        assert!((pose.t.z + 0.04).abs() < 1e-5, "{pose:?}");
-        // 40 mm below, a pitch of -5 urad is 0.2 um along x.
-        assert!((pose.t.x - 1e-6 - 0.2e-6).abs() < 1e-11, "{pose:?}");
-        let sd = user.covariance.unwrap()[(0, 0)].sqrt();
-        assert!((sd - 2e-6 * 1.0016_f64.sqrt()).abs() < 1e-12, "{sd}");
-        assert_eq!(PoseReport { pose: sensor.pose, covariance: sensor.covariance, ..user }, sensor);
-    }
-
-    #[test]
-    fn a_pose_that_has_no_angles_there_has_a_reason_instead() {
-        let estimation = estimation("frames.base.rotation_deg = [0, 90, 0]", 5);
-        let user = estimation.in_user_frame(&report());
-        assert_eq!((user.pose, user.covariance), (None, None));
-        assert!(user.status.has(Status::OUT_OF_RANGE) && !user.status.has(Status::POSE_VALID));
-        let dark = PoseReport { pose: None, covariance: None, status: Status::PSD_A_LOW, ..report() };
-        assert_eq!(estimation.in_user_frame(&dark), dark);
-    }
-
-    #[test]
-    fn a_block_has_samples_of_one_meaning_only() {
-        let mut estimation = estimation("estimation.average = 4", 5);
-        let steering = LoopState::default();
-        let mut reports = Vec::new();
-        for index in 0..12 {
-            if index == 6 {
-                let other = crate::config::parse("estimation.average = 4", None).unwrap();
-                estimation.retune(Settings::new(&other, true, 6).unwrap());
-            }
-            reports.extend(estimation.sample(&sample(index), &steering));
-        }
-        let seen: Vec<_> = reports.iter().map(|r| (r.config, r.index, r.pose.is_some())).collect();
-        assert_eq!(seen, [(5, 3, true), (6, 9, true)]);
     }
 }

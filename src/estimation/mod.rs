@@ -1,6 +1,8 @@
 //! Task 3: [`Sample`](crate::acquisition::Sample)s to [`PoseReport`]s.
 //!
 //! - [`core`]: what a sample (or a mean of several, [`block`]) says; pure.
+//! - [`settings`]: what the configuration says of it.
+//! - [`light`], [`power_step`]: what leaves no pose; [`integrity`]: what makes one doubtful.
 //! - [`frames`]: from the sensor's world to the user's frame.
 //! - [`noise`]: how noisy the signals are at present.
 //! - [`report`], [`status`]: what comes out.
@@ -9,12 +11,20 @@
 pub mod block;
 pub mod core;
 pub mod frames;
+pub mod integrity;
+mod light;
 pub mod noise;
+pub mod power_step;
 pub mod report;
+pub mod settings;
 pub mod status;
 pub mod task;
 
-pub use self::core::{Estimation, Settings};
+pub use self::core::Estimation;
 pub use frames::Frames;
 pub use report::PoseReport;
+pub use settings::Settings;
 pub use status::Status;
+
+#[cfg(test)]
+mod tests;

@@ -28,7 +28,8 @@ pub struct PoseReport {
     pub covariance: Option<Matrix6<f64>>,
     /// Beam centre minus apex, across the beam, metres.
     pub offset: Option<[f64; 2]>,
-    /// Commanded or measured steering position minus what the estimate says, metres.
+    /// How far the beam by the steering position that is read back is from where the nine signals have it,
+    /// metres.
     pub steering_residual: Option<f64>,
     /// Steps that the solver took.
     pub iterations: u8,

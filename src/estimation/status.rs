@@ -56,7 +56,7 @@ bits! {
     CLOCK_UNSYNCED = 17,
     /// Warning: a PSD has no correction table.
     UNCALIBRATED = 18,
-    /// Warning: the steering position contradicts the pose. Reserved: nothing sets it yet.
+    /// Warning: the steering position that is read back contradicts the pose.
     INCONSISTENT = 19,
     /// The light is computed, not measured.
     SIMULATED = 20,
@@ -68,6 +68,8 @@ bits! {
     STEERING_MEASURED = 23,
     /// Warning: the recorder lost data.
     RECORDING_FAULT = 24,
+    /// Fatal: the power of the laser made a step.
+    POWER_STEP = 25,
 }
 
 impl Status {

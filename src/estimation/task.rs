@@ -7,7 +7,7 @@ use tokio::task::yield_now;
 use tokio::time::{Instant, sleep_until};
 
 use super::{Estimation, PoseReport, Status};
-use crate::acquisition::{Identity, task::Acquired};
+use crate::acquisition::{Identity, Role, task::Acquired};
 use crate::centering::LoopState;
 use crate::clock::Clock;
 use crate::optics::Pose;
@@ -53,6 +53,7 @@ pub async fn run<C: Clock>(
     let mut rhythm = Rhythm::new(rate_hz);
     let mut last = None;
     let mut mean: Option<PoseMean> = None;
+    let mut doubts = Doubts::default();
     loop {
         let report = tokio::select! {
             biased;
@@ -68,6 +69,7 @@ pub async fn run<C: Clock>(
                 None => break,
                 Some(Acquired::Up(identity)) => {
                     rhythm = rhythm.of(&identity);
+                    doubts.source(&identity, estimation.fuses());
                     estimation.source(identity.simulated);
                     None
                 }
@@ -78,6 +80,7 @@ pub async fn run<C: Clock>(
                 }
                 Some(Acquired::Changed(change)) => {
                     estimation.retune(change.settings);
+                    doubts.fusion(estimation.fuses());
                     let _ = change.done.send(());
                     None
                 }
@@ -101,11 +104,53 @@ pub async fn run<C: Clock>(
         };
         if let Some(mut report) = report {
             report.solved = clock.now();
+            doubts.report(&report);
             let published = estimation.in_user_frame(&report);
             publish(&published);
             last = Some(published);
             mean = mean.and_then(|mean| mean.push(&report));
             newest.send_replace(Some(report));
+        }
+    }
+}
+
+/// What the log says of the steering position, once each time.
+#[derive(Default)]
+struct Doubts {
+    no_readback: bool,
+    inconsistent: bool,
+}
+
+impl Doubts {
+    fn source(&mut self, identity: &Identity, fuses: bool) {
+        self.no_readback = ![0, 1].iter().all(|axis| identity.roles.contains(&Role::Steering(*axis)));
+        self.fusion(fuses);
+    }
+
+    fn fusion(&self, fuses: bool) {
+        if fuses && self.no_readback {
+            tracing::warn!(
+                "estimation.fuse_steering: the source does not read the steering back, so there is nothing to fuse"
+            );
+        }
+    }
+
+    /// A report without a residual is no news.
+    fn report(&mut self, report: &PoseReport) {
+        let Some(residual) = report.steering_residual else { return };
+        let inconsistent = report.status.has(Status::INCONSISTENT);
+        if inconsistent == self.inconsistent {
+            return;
+        }
+        self.inconsistent = inconsistent;
+        let residual_um = residual * 1e6;
+        if inconsistent {
+            tracing::warn!(
+                residual_um,
+                "steering and pose contradict each other: was the laser or the stage bumped?"
+            );
+        } else {
+            tracing::info!(residual_um, "steering and pose agree again");
         }
     }
 }

@@ -1,6 +1,6 @@
 //! How the noise of the signals shows in the result.
 
-use nalgebra::{Matrix2, Matrix6, SMatrix, SVector, Vector6};
+use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
 
 use super::slopes::Residual;
 use super::{Estimator, Solution, SolveError, Vec2, Vec3};
@@ -20,6 +20,11 @@ pub struct Noise {
 /// Columns: u, v of A, B, C (m), powers of A, B, C (their unit).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sensitivity(pub SMatrix<f64, 8, 9>);
+
+/// What one deviation of each of `N` independent signals does to the result, rows as in
+/// [`Sensitivity`]: a root of its covariance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spread<const N: usize>(pub SMatrix<f64, 8, N>);
 
 impl Estimator {
     /// The sensitivity at a solution. Fails if the equations are singular there.
@@ -60,26 +65,21 @@ impl Solution {
 }
 
 impl Sensitivity {
-    /// Covariance of the pose: tx, ty, tz (m), roll, pitch, yaw (rad).
-    pub fn pose_covariance(&self, noise: &Noise) -> Matrix6<f64> {
-        let scaled = self.scaled(noise);
-        let pose = scaled.fixed_rows::<6>(0);
-        pose * pose.transpose()
-    }
-
-    /// Covariance of the beam offset, square metres.
-    pub fn offset_covariance(&self, noise: &Noise) -> Matrix2<f64> {
-        let scaled = self.scaled(noise);
-        let offset = scaled.fixed_rows::<2>(6);
-        offset * offset.transpose()
-    }
-
-    fn scaled(&self, noise: &Noise) -> SMatrix<f64, 8, 9> {
+    /// What this noise does to the result.
+    pub fn spread(&self, noise: &Noise) -> Spread<9> {
         let mut scaled = self.0;
         for (mut column, sd) in scaled.column_iter_mut().zip(noise.spots.iter().chain(&noise.powers)) {
             column *= *sd;
         }
-        scaled
+        Spread(scaled)
+    }
+}
+
+impl<const N: usize> Spread<N> {
+    /// Covariance of the pose: tx, ty, tz (m), roll, pitch, yaw (rad).
+    pub fn pose_covariance(&self) -> Matrix6<f64> {
+        let pose = self.0.fixed_rows::<6>(0);
+        pose * pose.transpose()
     }
 }
 

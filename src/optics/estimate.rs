@@ -10,11 +10,9 @@ use std::sync::Arc;
 
 use nalgebra::{Quaternion, UnitQuaternion};
 
-use super::beam::{DARK, Split, Wedge};
-use super::model::MIN_FACING;
-use super::ray::Ray;
+use super::light::{Light, State};
 use super::slopes::{Linearised, Residual};
-use super::{FACETS, Mat3, Model, Optics, Pose, Vec2, Vec3};
+use super::{FACETS, Model, Optics, Pose, Vec2, Vec3};
 
 /// The six coordinates and three powers of one moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -108,32 +106,6 @@ pub struct Solution {
     pub(super) fractions: Vec2,
 }
 
-/// The unknowns, in the beam frame.
-#[derive(Clone, Copy, Debug)]
-struct State {
-    t: Vec3,
-    turn: UnitQuaternion<f64>,
-    offset: Vec2,
-}
-
-/// The light as a state has it: what falls on the facets, and where it is reflected to.
-pub(super) struct Light {
-    pub split: Option<Split>,
-    pub reflections: [Reflection; 3],
-    /// Every facet faces the light, is lit, and sends it to its PSD.
-    pub valid: bool,
-}
-
-/// The light of one facet.
-pub(super) struct Reflection {
-    /// Power and moment; with the Gaussian model.
-    pub wedge: Option<Wedge>,
-    /// The point of reflection as seen from the apex.
-    pub arm: Vec3,
-    /// The ray from there.
-    pub ray: Ray,
-}
-
 /// What the solver aims at: spots, and the fractions on A and B.
 struct Target {
     spots: [f64; 6],
@@ -208,8 +180,8 @@ impl Estimator {
     /// The equations at a solution.
     pub(super) fn equations(&self, solution: &Solution) -> Result<Linearised, SolveError> {
         let light = match self.model {
-            Model::Ray => self.light::<false>(&solution.state),
-            Model::Gaussian => self.light::<true>(&solution.state),
+            Model::Ray => Light::new::<false>(&self.optics, &solution.state),
+            Model::Gaussian => Light::new::<true>(&self.optics, &solution.state),
         };
         Linearised::new(&self.optics, &light).ok_or(SolveError::Singular { iterations: solution.iterations })
     }
@@ -251,7 +223,7 @@ impl Estimator {
         let limit = *count + MAX_STEPS;
         while *count < limit {
             let iterations = *count;
-            let light = self.light::<GAUSSIAN>(&state);
+            let light = Light::new::<GAUSSIAN>(&self.optics, &state);
             if !light.valid {
                 return Err(SolveError::OutOfRange { iterations });
             }
@@ -305,30 +277,6 @@ impl Estimator {
             slopes,
             fractions: target.fractions,
         }
-    }
-
-    /// The light as the state has it.
-    #[inline(always)]
-    fn light<const GAUSSIAN: bool>(&self, state: &State) -> Light {
-        let r: Mat3 = state.turn.to_rotation_matrix().into_inner();
-        let facets = &self.optics.facets;
-        let normals = [r * facets[0], r * facets[1], r * facets[2]];
-        let split = GAUSSIAN.then(|| Split::new(&normals, state.offset / self.optics.sigma));
-        let reflect = |facet| self.reflect(facet, normals[facet], state, split.as_ref());
-        let reflections = [reflect(0), reflect(1), reflect(2)];
-        let valid = normals.iter().all(|n| n.z > MIN_FACING)
-            && reflections.iter().all(|r| r.ray.reaches() && r.wedge.is_none_or(|w| w.power > DARK));
-        Light { split, reflections, valid }
-    }
-
-    #[inline(always)]
-    fn reflect(&self, facet: usize, normal: Vec3, state: &State, split: Option<&Split>) -> Reflection {
-        let wedge = split.map(|split| split.wedge(facet));
-        let arm = match &wedge {
-            Some(wedge) => self.optics.arm(wedge, normal, state.offset),
-            None => Vec3::zeros(),
-        };
-        Reflection { wedge, arm, ray: Ray::new(&self.optics.psds[facet], normal, state.t + arm) }
     }
 }
 

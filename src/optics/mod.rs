@@ -8,6 +8,7 @@
 //! - [`estimate`]: the way back, from signals to pose and beam offset.
 //! - [`glimpse`]: where the beam is when a single PSD sees light.
 //! - [`covariance`]: how the noise of the signals shows in the result.
+//! - [`fusion`]: the beam's place by another instrument, as two more signals.
 //!
 //! The paper is: *Measurement of 3-D position and orientation of rigid bodies using a 3-facet mirror*.
 //! Its printed equations 5 to 16 contain misprints (`docs/sensor-model.md`); the model here is derived
@@ -17,16 +18,19 @@ mod balance;
 pub mod beam;
 pub mod covariance;
 pub mod estimate;
+pub mod fusion;
 pub mod glimpse;
 pub mod head;
+mod light;
 mod linear;
 pub mod model;
 pub mod pose;
 pub mod ray;
 mod slopes;
 
-pub use covariance::{Noise, Sensitivity};
+pub use covariance::{Noise, Sensitivity, Spread};
 pub use estimate::{Estimator, Signals, Solution, SolveError};
+pub use fusion::{Fused, Innovation, Sighting};
 pub use glimpse::Glimpse;
 pub use head::{Head, HeadError, Psd};
 pub use model::{Model, Optics, Reading, TraceError};

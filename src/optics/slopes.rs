@@ -3,7 +3,7 @@
 use nalgebra::{Matrix2, Matrix2x3, Matrix3x2};
 
 use super::beam::{Wedge, WedgeSlopes};
-use super::estimate::Light;
+use super::light::Light;
 use super::linear::Factored;
 use super::ray::Row;
 use super::{Mat3, Optics, Vec2, Vec3};

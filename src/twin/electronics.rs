@@ -30,6 +30,13 @@ impl Noise {
         let powers = [0; 3].map(&mut next);
         Self { spots, powers, readback: [0; 2].map(&mut next) }
     }
+
+    /// So many times this noise on the light; the readback has its own.
+    #[must_use]
+    pub fn louder(self, factor: f64) -> Self {
+        let louder = |x| factor * x;
+        Self { spots: self.spots.map(louder), powers: self.powers.map(louder), ..self }
+    }
 }
 
 /// Detectors, amplifiers and converter.

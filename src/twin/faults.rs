@@ -43,6 +43,10 @@ pub struct Active {
     pub stuck: bool,
     /// The laser's power is multiplied by this.
     pub power: f64,
+    /// The noise of spots and powers is multiplied by this.
+    pub noise: f64,
+    /// The laser is displaced by this, x and y, metres.
+    pub shift: [f64; 2],
 }
 
 impl Faults {
@@ -82,6 +86,8 @@ impl Default for Active {
             stalled: false,
             stuck: false,
             power: 1.0,
+            noise: 1.0,
+            shift: [0.0; 2],
         }
     }
 }
@@ -107,6 +113,10 @@ impl Active {
             FaultKind::Stalled => self.stalled = true,
             FaultKind::SteeringStuck => self.stuck = true,
             FaultKind::LaserPower { factor } => self.power *= factor,
+            FaultKind::NoiseBurst { factor } => self.noise *= factor,
+            FaultKind::LaserBump { shift_um: [x, y] } => {
+                self.shift = [self.shift[0] + x * 1e-6, self.shift[1] + y * 1e-6];
+            }
         }
     }
 }
@@ -130,8 +140,11 @@ fn check(fault: &Fault) -> Result<(), (&'static str, &'static str)> {
         FaultKind::Dropped { fraction } | FaultKind::Corrupted { fraction } if !within(fraction, 1.0) => {
             Err(("fraction", "must be from 0 to 1"))
         }
-        FaultKind::LaserPower { factor } if !within(factor, f64::MAX) => {
+        FaultKind::LaserPower { factor } | FaultKind::NoiseBurst { factor } if !within(factor, f64::MAX) => {
             Err(("factor", "must be a finite number, 0 or more"))
+        }
+        FaultKind::LaserBump { shift_um } if !shift_um.iter().all(|um| um.is_finite()) => {
+            Err(("shift_um", "must be two finite numbers"))
         }
         _ => Ok(()),
     }
@@ -188,6 +201,8 @@ mod tests {
             (FaultKind::Dropped { fraction: 1.1 }, "fraction"),
             (FaultKind::Corrupted { fraction: f64::NAN }, "fraction"),
             (FaultKind::LaserPower { factor: -1.0 }, "factor"),
+            (FaultKind::NoiseBurst { factor: f64::INFINITY }, "factor"),
+            (FaultKind::LaserBump { shift_um: [0.0, f64::NAN] }, "shift_um"),
         ] {
             let error = Faults::new(&[fault(0.0, None, kind)]).unwrap_err();
             assert_eq!(error.key, format!("twin.fault[0].{key}"));

@@ -179,15 +179,17 @@ impl Twin {
     pub fn next_scan(&mut self) -> TwinScan {
         let (index, t_s) = (self.index, self.next_s());
         self.index += 1;
-        let faults = self.faults.active(t_s);
-        let noise = Noise::draw(&mut self.noise);
+        let mut faults = self.faults.active(t_s);
+        let noise = Noise::draw(&mut self.noise).louder(faults.noise);
         let fate = faults.fate(self.fates.random(), self.fates.random());
         let mut moment = self.moment(t_s, &faults);
         let truth = moment.0;
         let mut codes = [0; MAX_CHANNELS];
         for (channel, code) in codes.iter_mut().enumerate().take(self.identity.roles.len()) {
             if channel > 0 && self.skew_s > 0.0 {
-                moment = self.moment(t_s + channel as f64 * self.skew_s, &faults);
+                let t_s = t_s + channel as f64 * self.skew_s;
+                faults.power = self.faults.active(t_s).power; // the laser does not wait for the end of a scan
+                moment = self.moment(t_s, &faults);
             }
             *code = self.code(channel, &moment, &faults, &noise);
         }
@@ -197,7 +199,7 @@ impl Twin {
     /// Mirror, laser and light at `t_s`, and where the stage stands.
     fn moment(&mut self, t_s: f64, faults: &Active) -> (Scene, [f64; 2]) {
         let stage = self.stage.advance(t_s, faults.stuck);
-        let laser = [self.laser_rest[0] + stage[0], self.laser_rest[1] + stage[1]];
+        let laser = [0, 1].map(|i| self.laser_rest[i] + faults.shift[i] + stage[i]);
         (self.lighting.scene(self.trajectory.pose(t_s), laser), stage)
     }
 

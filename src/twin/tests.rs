@@ -96,6 +96,15 @@ fn faults_show_in_their_channels_alone_and_leave_later_noise_as_it_was() {
     assert_eq!(changed(&dimmed), [2, 5, 8]);
     assert!((volts(&dimmed[0], 2) / volts(&plain[100], 2) - 0.5).abs() < 1e-4);
 
+    let loud = faulty(FaultKind::NoiseBurst { factor: 10.0 });
+    assert_eq!(changed(&loud), [0, 1, 2, 3, 4, 5, 6, 7, 8]);
+    let off = |scans: &[TwinScan]| mean_and_sd(&scans.iter().map(|s| volts(s, 0)).collect::<Vec<_>>()).1;
+    assert!((off(&loud) / off(&plain[100..200]) - 10.0).abs() < 0.1);
+    let bumped = faulty(FaultKind::LaserBump { shift_um: [30.0, -10.0] });
+    assert_eq!(changed(&bumped), [0, 1, 2, 3, 4, 5, 6, 7, 8]);
+    assert!(bumped.iter().all(|s| (s.truth.laser[0] - 30e-6).abs() < 1e-15));
+    assert!(bumped.iter().all(|s| (s.truth.offset.y + 10e-6).abs() < 1e-15));
+
     let fates = |kind| faulty(kind).iter().map(|s| s.fate).collect::<Vec<_>>();
     let count = |fates: Vec<Fate>, fate| fates.iter().filter(|f| **f == fate).count();
     assert_eq!(count(fates(FaultKind::Stalled), Fate::Stalled), 100);
@@ -162,6 +171,20 @@ fn with_skew_each_channel_is_taken_at_its_own_time() {
     assert!((v(1) - v(0) - 0.3).abs() < 0.06 && (v(2) - v(1) - 0.3).abs() < 0.06);
     config.acquisition.rate_hz = 1000.0;
     assert_eq!(Twin::new(&config).unwrap_err().key, "twin.channel_skew_us");
+}
+
+#[test]
+fn with_skew_the_power_steps_within_a_scan() {
+    let mut config = quiet();
+    (config.twin.power_noise, config.twin.channel_skew_us) = (0.0, 10.0);
+    // After the sum of B, before that of C; and between two scans.
+    for (at_s, brighter) in [(0.010_06, [false, false, true]), (0.010_99, [false; 3])] {
+        let kind = FaultKind::LaserPower { factor: 1.2 };
+        config.twin.fault = vec![Fault { at_s, for_s: None, kind }];
+        let scans = scans(&config, 12);
+        let seen = |k: usize| [2, 5, 8].map(|c| volts(&scans[k], c) > 1.1 * volts(&scans[9], c));
+        assert_eq!((seen(10), seen(11)), (brighter, [true; 3]));
+    }
 }
 
 #[test]

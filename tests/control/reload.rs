@@ -27,6 +27,22 @@ fn what_can_change_changes_without_dropping_a_client() {
 }
 
 #[test]
+fn eleven_signals_are_a_change_of_meaning_without_a_restart() {
+    let daemon = Daemon::start("[twin]\nmotion = []\n");
+    let nine = daemon.frame_with(|frame| !frame.pose[0].is_nan());
+    assert!(nine.deviations[0] > 0.9e-6, "{nine:?}");
+    daemon.rewrite("# our lab", "# our lab\nestimation.fuse_steering = true\nsteering.deviation_um = 0.1");
+    let answer = daemon.told(&["reload"]);
+    assert_eq!(answer["changed"], json!(["estimation.fuse_steering", "steering.deviation_um"]));
+    let eleven = daemon.frame_with(|frame| frame.config != nine.config && frame.deviations[0] < 0.5e-6);
+    assert_eq!(answer["config"], format!("{:08x}", eleven.config));
+    // From where the beam is, by the stage, to where the pose is: another number.
+    daemon.rewrite("# our lab", "# our lab\nsteering.origin_um = [0.1, 0.0]");
+    assert_eq!(daemon.told(&["reload"])["changed"], json!(["steering.origin_um"]));
+    daemon.frame_with(|frame| ![nine.config, eleven.config].contains(&frame.config));
+}
+
+#[test]
 fn what_needs_a_restart_is_refused_by_name_and_the_rest_is_taken() {
     let daemon = Daemon::start(AT_REST);
     daemon.rewrite("# our lab", "# our lab\nhead.psd_distance_mm = 300.0\nestimation.balance_limit = 0.2");

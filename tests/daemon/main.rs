@@ -6,6 +6,7 @@
 
 mod channels;
 mod clients;
+mod doubts;
 mod ending;
 mod faults;
 mod fixture;

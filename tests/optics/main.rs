@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod beam;
+mod fusion;
 mod heads;
 mod robustness;
 mod round_trip;

@@ -5,7 +5,7 @@ use trifacet::optics::{Estimator, Model, Optics, Pose, Vec2};
 
 use crate::heads::{self, Draw, State};
 
-type Unknowns = SVector<f64, 9>;
+pub type Unknowns = SVector<f64, 9>;
 
 /// The nine signals for pose, offset (units of sigma) and total power.
 fn traced(optics: &Optics, model: Model, x: &Unknowns) -> Unknowns {
@@ -22,7 +22,7 @@ fn traced(optics: &Optics, model: Model, x: &Unknowns) -> Unknowns {
 }
 
 /// Fourth-order central differences.
-fn differences(optics: &Optics, model: Model, at: &State, total: f64) -> SMatrix<f64, 9, 9> {
+pub fn differences(optics: &Optics, model: Model, at: &State, total: f64) -> SMatrix<f64, 9, 9> {
     let p = at.pose.to_array();
     let x = Unknowns::from([p[0], p[1], p[2], p[3], p[4], p[5], at.offset.x, at.offset.y, total]);
     let mut jacobian = SMatrix::<f64, 9, 9>::zeros();

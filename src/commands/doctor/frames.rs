@@ -150,7 +150,7 @@ const CLIPPED: &str = "the converter is at its rail there: too much light or too
 const EDGE: &str = "the spot is near the edge there: move the mirror back towards the middle";
 
 /// The bits that make a pose invalid.
-const FATAL: [(Status, &str); 9] = [
+const FATAL: [(Status, &str); 10] = [
     (Status::SOURCE_DOWN, "no samples come: is the board plugged in and powered? The daemon's log says more"),
     (Status::PSD_A_LOW, LOW),
     (Status::PSD_B_LOW, LOW),
@@ -162,6 +162,7 @@ const FATAL: [(Status, &str); 9] = [
         Status::NOT_CONVERGED,
         "no pose explains the signals: is something else reflecting, is the geometry in [head] right?",
     ),
+    (Status::POWER_STEP, "the laser's power makes steps: is it stable, does something cut into the beam?"),
     (Status::OUT_OF_RANGE, "a spot is off its PSD, or the pose out of range: move the mirror back"),
 ];
 

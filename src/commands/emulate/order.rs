@@ -16,13 +16,15 @@ S is a duration in seconds, without it a fault stays:
   stalled [S]               the board does nothing
   steering-stuck [S]        the stage does not move
   laser-power FACTOR [S]    the laser's power is multiplied
+  noise-burst FACTOR [S]    the noise of spots and powers is multiplied
+  laser-bump X Y [S]        the laser is displaced by so many micrometres; the readback does not know
   unplug S                  the port is gone, and comes back
   status                    prints what the board is doing, one line of JSON";
 
 /// The same for those who typed something else.
 const ALLOWED: &str = "allowed are: beam-blocked [S], psd-dark 0..2 [S], clipped 0..8 [S], dropped 0..1 [S], \
-    corrupted 0..1 [S], stalled [S], steering-stuck [S], laser-power FACTOR [S], unplug S, status \
-    (S: for so many seconds)";
+    corrupted 0..1 [S], stalled [S], steering-stuck [S], laser-power FACTOR [S], noise-burst FACTOR [S], \
+    laser-bump X Y [S], unplug S, status (S: for so many seconds)";
 
 /// The longest duration, seconds: what is longer may as well stay.
 const LONGEST_S: f64 = 1e6;
@@ -62,6 +64,8 @@ fn parse<'a>(words: &mut impl Iterator<Item = &'a str>) -> Option<Order> {
         "stalled" => FaultKind::Stalled,
         "steering-stuck" => FaultKind::SteeringStuck,
         "laser-power" => FaultKind::LaserPower { factor: number(words.next()?)? },
+        "noise-burst" => FaultKind::NoiseBurst { factor: number(words.next()?)? },
+        "laser-bump" => FaultKind::LaserBump { shift_um: [number(words.next()?)?, number(words.next()?)?] },
         _ => return None,
     };
     let for_s = match words.next() {
@@ -86,7 +90,8 @@ fn possible(kind: FaultKind) -> bool {
         FaultKind::Dropped { fraction } | FaultKind::Corrupted { fraction } => {
             (0.0..=1.0).contains(&fraction)
         }
-        FaultKind::LaserPower { factor } => (0.0..=1e3).contains(&factor),
+        FaultKind::LaserPower { factor } | FaultKind::NoiseBurst { factor } => (0.0..=1e3).contains(&factor),
+        FaultKind::LaserBump { shift_um } => shift_um.iter().all(|um| (-1e4..=1e4).contains(um)),
         FaultKind::BeamBlocked | FaultKind::Stalled | FaultKind::SteeringStuck => true,
     }
 }
@@ -102,6 +107,8 @@ mod tests {
         assert_eq!(" psd-dark 1 ".parse(), fault(FaultKind::PsdDark { psd: 1 }, None));
         assert_eq!("dropped 0.1 2".parse(), fault(FaultKind::Dropped { fraction: 0.1 }, Some(2.0)));
         assert_eq!("laser-power 1.1 2".parse(), fault(FaultKind::LaserPower { factor: 1.1 }, Some(2.0)));
+        let bump = FaultKind::LaserBump { shift_um: [-30.0, 5.0] };
+        assert_eq!("laser-bump -30 5 1".parse(), fault(bump, Some(1.0)));
         assert_eq!("unplug 1".parse(), Ok(Order::Unplug { for_s: 1.0 }));
         assert_eq!("status".parse(), Ok(Order::Status));
     }
@@ -123,6 +130,9 @@ mod tests {
             "stalled 1 2",
             "status now",
             "laser-power -1",
+            "noise-burst inf",
+            "laser-bump 1",
+            "laser-bump 1 nan",
         ] {
             let error = line.parse::<Order>().unwrap_err();
             assert!(error.contains(&format!("`{line}`")) && error.contains("steering-stuck [S]"), "{error}");

@@ -5,12 +5,13 @@ use std::path::Path;
 use std::process::Command;
 
 use nalgebra::Rotation3;
-use trifacet::acquisition::Channels;
-use trifacet::centering::LoopState;
-use trifacet::clock::Mono;
-use trifacet::config::Config;
-use trifacet::estimation::{Estimation, PoseReport, Settings};
-use trifacet::twin::Twin;
+use trifacet::estimation::PoseReport;
+
+mod bench;
+mod eleven;
+mod power;
+
+use bench::{Bench, stated};
 
 const SAMPLES: usize = 10_000;
 const AXES: [&str; 6] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "yaw_rad"];
@@ -93,49 +94,6 @@ fn a_beam_20_um_off_moves_the_ray_model_but_not_the_gaussian_one() {
         assert!((t - expected).abs() < 0.04, "{t}");
         assert!((turn - 13.58).abs() < 0.08, "{turn}");
     }
-}
-
-/// The twin's samples through the channel map into estimation; the noise of the twin can change.
-struct Bench {
-    estimation: Estimation,
-    channels: Channels,
-    config: Config,
-    index: u64,
-}
-
-impl Bench {
-    fn new(config: &str) -> Self {
-        let file = tempfile::NamedTempFile::new().unwrap();
-        std::fs::write(file.path(), config).unwrap();
-        let config = trifacet::config::load(Some(file.path())).unwrap();
-        let channels = Channels::load(&config).unwrap();
-        let estimation = Estimation::new(Settings::new(&config, channels.calibrated(), 0).unwrap());
-        Self { estimation, channels, config, index: 0 }
-    }
-
-    /// The next samples, with `noise` times the configured noise on the spots and powers.
-    fn take(&mut self, samples: usize, noise: f64) -> Vec<PoseReport> {
-        let mut config = self.config.clone();
-        config.twin.spot_noise_um *= noise;
-        config.twin.power_noise *= noise;
-        config.twin.seed += self.index;
-        let mut twin = Twin::new(&config).unwrap();
-        let mut map = self.channels.map(twin.identity()).unwrap();
-        let mut reports = Vec::new();
-        for _ in 0..samples {
-            let scan = twin.next_scan().arrived(Mono(self.index as i64 * 1_000_000), 0).unwrap();
-            let sample = map.sample(&scan);
-            reports.extend(self.estimation.sample(&sample, &LoopState::default()));
-            self.index += 1;
-        }
-        assert_eq!(reports.len(), samples);
-        reports
-    }
-}
-
-fn stated(report: &PoseReport) -> [f64; 6] {
-    let covariance = report.covariance.unwrap();
-    std::array::from_fn(|i| covariance[(i, i)].sqrt() * 1e6)
 }
 
 /// By how much a stated deviation differs from the paper's at most, as a fraction.

@@ -1,0 +1,121 @@
+//! Steps of the laser's power.
+//!
+//! A converter that takes its channels one after the other sees only a part of a step that comes within a
+//! scan, on one or two of the three PSDs, and the next scan the rest. The ratios of such powers, and with
+//! them the beam's offset and the pose, are wrong. The total does not depend on where the beam is, so it
+//! tells.
+
+/// A step of 5 % that only one of three powers shows in the first of its scans.
+const LIMIT: f64 = 0.05 / 3.0;
+/// And so many deviations of the difference of two totals.
+const SIGNIFICANT: f64 = 5.0;
+/// So many, and the power is uneasy, step or not: 12 in 100 000 by chance.
+const UNEASY: f64 = 4.0;
+/// A step is over after so many samples: two that show a part of it (the channel map brings every channel to
+/// the time of its scan with the help of the scan before), and two more that are compared with those.
+const LONGEST: u32 = 4;
+
+/// What the total power says of a sample.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Power {
+    /// It stays.
+    #[default]
+    Steady,
+    /// It changes by more than its noise: the ratios may be wrong by as much.
+    Uneasy,
+    /// It makes a step: the ratios may be wrong by more than can be stated.
+    Step,
+}
+
+/// Compares the total power with that of the last two samples.
+#[derive(Clone, Debug, Default)]
+pub struct PowerSteps {
+    last: [Option<f64>; 2],
+    row: u32,
+}
+
+impl PowerSteps {
+    /// The last samples are none to compare with: it was dark, or samples were lost.
+    pub fn interrupt(&mut self) {
+        *self = Self::default();
+    }
+
+    /// Takes the total power of a sample, and one standard deviation of it.
+    pub fn push(&mut self, total: f64, deviation: f64) -> Power {
+        let judge = |last: &f64| {
+            let change = (total - last).abs();
+            let deviations = change / (std::f64::consts::SQRT_2 * deviation);
+            if change > LIMIT * total.min(*last) && deviations > SIGNIFICANT {
+                Power::Step
+            } else if deviations > UNEASY {
+                Power::Uneasy
+            } else {
+                Power::Steady
+            }
+        };
+        let power = self.last.iter().flatten().map(judge).max().unwrap_or_default();
+        self.row = if power == Power::Step { self.row.saturating_add(1) } else { 0 };
+        self.last = [Some(total), self.last[0]];
+        power
+    }
+
+    /// The power changes for longer than a step does: it is noise, or it flickers.
+    pub fn unsteady(&self) -> bool {
+        self.row > LONGEST
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Which of these totals stand beside a step.
+    fn beside(totals: &[f64]) -> Vec<bool> {
+        let mut steps = PowerSteps::default();
+        totals.iter().map(|total| steps.push(*total, 1e-3) == Power::Step).collect()
+    }
+
+    #[test]
+    fn a_step_between_two_scans_spoils_the_two_after_it() {
+        for to in [0.5, 0.94, 1.06, 2.0] {
+            assert_eq!(beside(&[1.0, 1.0, to, to, to]), [false, false, true, true, false], "{to}");
+        }
+    }
+
+    #[test]
+    fn a_step_within_a_scan_shows_in_parts() {
+        for part in [1.02, 1.04] {
+            let expected = [false, false, true, true, true, false];
+            assert_eq!(beside(&[1.0, 1.0, part, 1.06, 1.06, 1.06]), expected, "{part}");
+        }
+    }
+
+    #[test]
+    fn what_is_slow_or_small_or_noise_is_no_step() {
+        assert!(!beside(&[1.0, 1.016, 1.0]).contains(&true));
+        assert!(!beside(&std::array::from_fn::<_, 50, _>(|k| 1.0 + 0.008 * k as f64)).contains(&true));
+        let mut steps = PowerSteps::default();
+        assert!(![1.0, 1.05, 0.98].into_iter().any(|total| steps.push(total, 0.011) == Power::Step));
+        steps.interrupt();
+        let uneasy = [1.0, 1.03, 1.07].map(|total| steps.push(total, 0.01));
+        assert_eq!(uneasy, [Power::Steady, Power::Steady, Power::Uneasy]);
+    }
+
+    #[test]
+    fn after_an_interruption_there_is_nothing_to_compare_with() {
+        let mut steps = PowerSteps::default();
+        steps.push(1.0, 1e-6);
+        steps.interrupt();
+        assert_eq!([2.0, 2.1].map(|total| steps.push(total, 1e-6)), [Power::Steady, Power::Step]);
+    }
+
+    #[test]
+    fn what_does_not_end_is_unsteady() {
+        let mut steps = PowerSteps::default();
+        let unsteady =
+            [1.0, 1.1, 1.0, 1.1, 1.0, 1.1].map(|total| (steps.push(total, 1e-6), steps.unsteady()));
+        assert_eq!(unsteady[0], (Power::Steady, false));
+        assert_eq!(unsteady[1..5], [(Power::Step, false); 4]);
+        assert_eq!(unsteady[5], (Power::Step, true));
+    }
+}

@@ -1,0 +1,59 @@
+//! The twin's samples through the channel map into estimation, as fast as they can be computed.
+
+use trifacet::acquisition::Channels;
+use trifacet::centering::LoopState;
+use trifacet::clock::Mono;
+use trifacet::config::Config;
+use trifacet::estimation::{Estimation, PoseReport, Settings};
+use trifacet::twin::{Scene, Twin};
+
+/// A twin with estimation behind it; the noise of the twin can change.
+pub struct Bench {
+    estimation: Estimation,
+    channels: Channels,
+    config: Config,
+    index: u64,
+}
+
+impl Bench {
+    pub fn new(config: &str) -> Self {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), config).unwrap();
+        let config = trifacet::config::load(Some(file.path())).unwrap();
+        let channels = Channels::load(&config).unwrap();
+        let estimation = Estimation::new(Settings::new(&config, channels.calibrated(), 0).unwrap());
+        Self { estimation, channels, config, index: 0 }
+    }
+
+    /// The next samples, with `noise` times the configured noise on the spots and powers.
+    pub fn take(&mut self, samples: usize, noise: f64) -> Vec<PoseReport> {
+        let mut config = self.config.clone();
+        config.twin.spot_noise_um *= noise;
+        config.twin.power_noise *= noise;
+        config.twin.seed += self.index;
+        self.run(&config, samples).into_iter().map(|(report, _)| report).collect()
+    }
+
+    /// The next samples of the twin as configured, from its start, with what lies behind them.
+    pub fn with_truth(&mut self, samples: usize) -> Vec<(PoseReport, Scene)> {
+        self.run(&self.config.clone(), samples)
+    }
+
+    fn run(&mut self, config: &Config, samples: usize) -> Vec<(PoseReport, Scene)> {
+        let mut twin = Twin::new(config).unwrap();
+        let mut map = self.channels.map(twin.identity()).unwrap();
+        let mut next = || {
+            let scan = twin.next_scan();
+            let sample = map.sample(&scan.arrived(Mono(self.index as i64 * 1_000_000), 0).unwrap());
+            self.index += 1;
+            (self.estimation.sample(&sample, &LoopState::default()).unwrap(), scan.truth)
+        };
+        (0..samples).map(|_| next()).collect()
+    }
+}
+
+/// The stated deviations, um and urad.
+pub fn stated(report: &PoseReport) -> [f64; 6] {
+    let covariance = report.covariance.unwrap();
+    std::array::from_fn(|i| covariance[(i, i)].sqrt() * 1e6)
+}
