@@ -80,6 +80,8 @@ pub struct Centering {
     guide: Guide,
     /// Where the stage was when the loop was last locked, or when it was first taken over.
     good_place: Option<Xy>,
+    /// Where the stage would have to be by what was seen when the loop gave up looking for the apex.
+    gave_up: Option<Xy>,
     /// For how long samples have come too late.
     late_s: f64,
     last: Option<(u64, Mono)>,
@@ -101,6 +103,7 @@ impl Centering {
             lock: Lock::new(tuning.limits, tuning.mode),
             guide: Guide::Still,
             good_place: None,
+            gave_up: None,
             late_s: 0.0,
             last: None,
             offset: None,
@@ -251,6 +254,9 @@ impl Centering {
         if verdict.begins {
             self.guide = self.begin(verdict.doing, &sight);
         }
+        if verdict.doing == Doing::Waiting {
+            self.note_giving_up(&sight);
+        }
         if self.lock.state() == LockState::Locked {
             self.good_place = self.stage.commanded();
         }
@@ -295,14 +301,27 @@ impl Centering {
                 Seen::Error { size: error[0].hypot(error[1]), railed }
             }
             Sight::Some { apex, covered } => {
-                let elsewhere = self.stage.commanded().is_some_and(|from| {
-                    let to = self.place_for(apex);
-                    (to[0] - from[0]).hypot(to[1] - from[1]) > WORTH_A_JUMP * self.beam_radius()
-                });
-                Seen::Some { elsewhere, covered: covered && !elsewhere && self.lookout.knows_apex() }
+                let (to, radius) = (self.place_for(apex), self.beam_radius());
+                let far = |from: Xy| (to[0] - from[0]).hypot(to[1] - from[1]);
+                let elsewhere = self.stage.commanded().is_some_and(|at| far(at) > WORTH_A_JUMP * radius);
+                let news = self.gave_up.is_none_or(|at| far(at) > radius);
+                Seen::Some { elsewhere, covered: covered && !elsewhere && self.lookout.knows_apex(), news }
             }
             Sight::Dark => Seen::Dark,
             Sight::Unclear(cause) => Seen::Unclear(cause),
+        }
+    }
+
+    /// What is seen until the stage has come to rest at the last good place is no news.
+    fn note_giving_up(&mut self, sight: &Sight) {
+        if !matches!(self.guide, Guide::Jump { .. }) {
+            let back = self.good_place.unwrap_or_default();
+            self.guide = Guide::jump(back, self.tuning.settling_s);
+        }
+        match *sight {
+            Sight::Some { apex, .. } if !self.guide.arrived() => self.gave_up = Some(self.place_for(apex)),
+            Sight::Some { .. } => {}
+            _ => self.gave_up = None, // any light would be news
         }
     }
 
@@ -351,11 +370,12 @@ impl Centering {
                 controller.update(&memory, map.stage_step(error), map.stage_step(velocity), dt)
             }
             Doing::Holding => controller.hold(&memory, dt),
-            Doing::Jumping | Doing::Searching => match self.guide.next(memory.position, dt) {
-                Some(target) => controller.go(&memory, target, dt),
-                None => controller.hold(&memory, dt),
-            },
-            Doing::Waiting => controller.go(&memory, self.good_place.unwrap_or(memory.position), dt),
+            Doing::Jumping | Doing::Searching | Doing::Waiting => {
+                match self.guide.next(memory.position, dt) {
+                    Some(target) => controller.go(&memory, target, dt),
+                    None => controller.hold(&memory, dt),
+                }
+            }
         };
         let next = behind.map_or(next, |at| next.no_farther(&memory, at));
         self.stage.sent(next, sample, &self.tuning);

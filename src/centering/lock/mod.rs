@@ -76,6 +76,8 @@ pub enum Seen {
         elsewhere: bool,
         /// It says that the beam meets the facet of a dark PSD.
         covered: bool,
+        /// It says something else than when the loop gave up.
+        news: bool,
     },
     /// None does.
     Dark,
@@ -216,7 +218,12 @@ impl Lock {
         }
         let next = match seen {
             Seen::Error { size, railed } => self.regulate(size, railed, dt),
-            Seen::Some { elsewhere, covered } => self.some_light(elsewhere, covered, arrived, dt),
+            Seen::Some { elsewhere, covered, news } => {
+                if news && self.doing == Doing::Waiting {
+                    (self.doing, self.attempts, self.jumps) = (Doing::Holding, 0, 0);
+                }
+                self.some_light(elsewhere, covered, arrived, dt)
+            }
             Seen::Dark => self.no_light(arrived, dt),
             Seen::Unclear(cause) => self.hold(cause, dt),
         };
@@ -301,10 +308,6 @@ impl Lock {
             Doing::Jumping => Self::look("a PSD sees too little light where the apex should be"),
             Doing::Searching if self.dark && leap => self.leap(),
             Doing::Searching => self.look_on(arrived, CAUSE),
-            Doing::Waiting if self.dark => {
-                (self.attempts, self.jumps) = (0, 0);
-                if elsewhere { self.leap() } else { Self::look("there is light again") }
-            }
             Doing::Waiting => Self::wait(),
         }
     }

@@ -4,9 +4,9 @@ use super::*;
 
 const LIMITS: LockLimits = LockLimits { offset: 3e-6, lock_s: 0.05, lost_s: 0.05, search: true, attempts: 2 };
 const DT: f64 = 1e-3;
-const COVERED_ONE: Seen = Seen::Some { elsewhere: false, covered: true };
-const ELSEWHERE: Seen = Seen::Some { elsewhere: true, covered: false };
-const HERE: Seen = Seen::Some { elsewhere: false, covered: false };
+const COVERED_ONE: Seen = Seen::Some { elsewhere: false, covered: true, news: false };
+const ELSEWHERE: Seen = Seen::Some { elsewhere: true, covered: false, news: false };
+const HERE: Seen = Seen::Some { elsewhere: false, covered: false, news: false };
 
 fn new() -> Lock {
     Lock::new(LIMITS, LoopMode::On)
@@ -125,7 +125,9 @@ fn after_so_many_searches_in_vain_it_waits_for_light_or_a_person() {
     assert_eq!(course(&mut lock, Seen::Dark, 10_000), [(Doing::Waiting, LockState::Held)]);
     lock.search();
     assert_eq!(searched(&mut lock), 2, "a person");
-    assert_eq!(lock.update(ELSEWHERE, false, DT).doing, Doing::Jumping, "light");
+    assert_eq!(course(&mut lock, ELSEWHERE, 1000), [(Doing::Waiting, LockState::Held)], "no news");
+    let news = Seen::Some { elsewhere: true, covered: false, news: true };
+    assert_eq!(lock.update(news, false, DT).doing, Doing::Jumping);
     feed(&mut lock, off_by(0.0), 60);
     assert_eq!((lock.state(), lock.attempts()), (LockState::Locked, 0));
 }
