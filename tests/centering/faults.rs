@@ -114,7 +114,8 @@ impl Worst {
 struct Watch<'a> {
     sequence: &'a Sequence,
     lying_since: Option<f64>,
-    /// Samples with all light since the noise burst of the moment began.
+    /// Noise bursts of the moment, and poses since the last one began.
+    bursts: usize,
     into_burst: u32,
     worst: Worst,
 }
@@ -149,20 +150,20 @@ impl Watch<'_> {
 }
 
 impl Watch<'_> {
-    /// A noise burst began within the last 20 ms in which there was light, and samples came.
+    /// A noise burst began within the last 20 ms in which there were poses. Call it for each of them.
     fn new_burst(&mut self, t_s: f64) -> bool {
-        if !self.sequence.bursts.iter().any(|during| during.contains(&t_s)) {
-            self.into_burst = 0;
-            return false;
+        let bursts = self.sequence.bursts.iter().filter(|during| during.contains(&t_s)).count();
+        if bursts > std::mem::replace(&mut self.bursts, bursts) {
+            self.into_burst = 0; // one within another makes it louder
         }
         self.into_burst += 1;
-        self.into_burst <= 200
+        bursts > 0 && self.into_burst <= 200
     }
 }
 
 fn run(sequence: &Sequence) -> Worst {
     let mut rig = Rig::new(&sequence.config).unwrap();
-    let mut watch = Watch { sequence, lying_since: None, into_burst: 0, worst: Worst::default() };
+    let mut watch = Watch { sequence, lying_since: None, bursts: 0, into_burst: 0, worst: Worst::default() };
     let mut silent = false;
     loop {
         let turn = rig.turn();
