@@ -7,7 +7,9 @@ use crate::acquisition::{PsdState, Sample};
 use crate::clock::Mono;
 use crate::config::{Config, LoopMode, OnExit};
 use crate::optics::{Model, Optics, Pose, Vec2};
-use crate::steering::Expiry;
+use crate::steering::{Expiry, Xy};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
 
 const DT_NS: i64 = 1_000_000;
 
@@ -274,4 +276,104 @@ fn a_source_that_is_always_late_is_said_to_be() {
     let sample = bench.beside_the_point();
     bench.centering.sample(&sample, None, sample.time);
     assert_eq!(bench.centering.state().lock, LockState::Acquiring);
+}
+
+#[test]
+fn it_is_not_lost_by_a_stage_that_sticks_and_comes_free() {
+    let mut bench = Bench::new(|_| {});
+    bench.laser_um = [0.0, 0.0];
+    bench.run(500);
+    let stuck = bench.stage_um;
+    bench.laser_um = [60.0, 0.0];
+    let mut held = false;
+    for _ in 0..2000 {
+        let sample = bench.sample();
+        let _ = bench.centering.sample(&sample, None, sample.time);
+        bench.stage_um = stuck;
+        held |= bench.lock() == LockState::Held;
+        let [x, _] = bench.centering.state().position.unwrap();
+        // Until it is noticed, within two delays and the lag, the integral has gone this far; and no farther.
+        assert!((x * 1e6 - stuck[0]).abs() < 200.0, "it does not wind up: {x}");
+    }
+    assert!(held && bench.lock() == LockState::Lost, "{:?}", bench.lock());
+    // What follows is a stage that goes where it was sent, and then where it should.
+    bench.stage_um[0] = bench.centering.state().position.unwrap()[0] * 1e6;
+    bench.run(500);
+    assert!(near(bench.offset_um(), [0.0; 2]) && bench.lock() == LockState::Locked);
+}
+
+/// Whatever comes in, commands stay finite, within the limits (or on the way back to limits that have come closer)
+/// and no faster than allowed: with nonsense for samples, poses and times, and a configuration that changes in
+/// the middle of everything.
+#[test]
+fn no_command_ever_leaves_the_limits() {
+    let mut random = Pcg64::seed_from_u64(11);
+    for _ in 0..200 {
+        let mut bench = Bench::new(|config| config.steering.slew_mm_per_s = 20.0);
+        let mut last: Option<Xy> = None;
+        for _ in 0..500 {
+            if random.random_bool(0.02) {
+                change(&mut bench.config, &mut random);
+                let outcome = bench.centering.retune(Tuning::new(&bench.config));
+                assert!(outcome.command.is_none_or(|c| Some(c.position) == last), "a change moves nothing");
+                if matches!(bench.config.centering.mode, LoopMode::Off | LoopMode::Shadow) {
+                    last = None; // it has let go
+                }
+            }
+            let mut sample = bench.sample();
+            spoil(&mut sample, &mut random);
+            let pose = random.random_bool(0.5).then(|| TimedPose {
+                pose: Pose::from_array([0; 6].map(|_| odd(&mut random, 1e-3))),
+                time: sample.time,
+            });
+            let now = sample.time + random.random_range(-10..10) * DT_NS;
+            let Some(command) = bench.centering.sample(&sample, pose.as_ref(), now).command else { continue };
+            let limit = bench.config.steering.limit_um * 1e-6;
+            for axis in 0..2 {
+                let at = command.position[axis];
+                let before = last.map_or(limit, |last| last[axis].abs());
+                assert!(at.abs() <= limit.max(before) * (1.0 + 1e-12), "{at} beyond {limit}");
+                let step = last.map_or(0.0, |last| (at - last[axis]).abs());
+                // Five periods at the slew limit, and what a readback is off when the stage is taken over.
+                assert!(step <= 5.0 * 20e-6 + 1e-6, "a step of {step}");
+            }
+            last = Some(command.position);
+            bench.stage_um = command.position.map(|p| p * 1e6);
+        }
+    }
+}
+
+/// Something ordinary, large, or none at all.
+fn odd(random: &mut Pcg64, size: f64) -> f64 {
+    let ordinary = size * (random.random::<f64>() - 0.5);
+    let nonsense = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 0.0, 5e-324];
+    if random.random_bool(0.9) { ordinary } else { nonsense[random.random_range(0..nonsense.len())] }
+}
+
+fn spoil(sample: &mut Sample, random: &mut Pcg64) {
+    if random.random_bool(0.2) {
+        let state = [PsdState::Good, PsdState::Low, PsdState::Clipped];
+        sample.psds = [0; 3].map(|_| state[random.random_range(0..3)]);
+        sample.spots = [0; 6].map(|_| odd(random, 10e-3));
+    }
+    if random.random_bool(0.2) {
+        sample.powers = [0; 3].map(|_| odd(random, 1e-3));
+    }
+    if random.random_bool(0.2) {
+        let stands = sample.steering;
+        let read = |at: Xy, random: &mut Pcg64| at.map(|p| p + odd(random, 1e-6));
+        sample.steering = stands.filter(|_| random.random_bool(0.8)).map(|at| read(at, random));
+    }
+    if random.random_bool(0.05) {
+        sample.time = Mono(random.random_range(0..i64::MAX / 2));
+    }
+}
+
+fn change(config: &mut Config, random: &mut Pcg64) {
+    config.steering.limit_um = random.random_range(50.0..400.0);
+    config.steering.matrix = [[random.random_range(0.5..2.0), 0.1], [-0.1, random.random_range(-2.0..-0.5)]];
+    config.centering.setpoint_um = [random.random_range(-100.0..100.0), 0.0];
+    config.centering.ki_per_s = Some(random.random_range(0.0..1e5));
+    config.centering.kp = Some(random.random_range(0.0..10.0));
+    config.centering.mode = LoopMode::ALL[random.random_range(0..4)];
 }
