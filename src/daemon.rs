@@ -131,6 +131,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let result = serve(&main, config, slow, control, fast, &counters, &stop);
     let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
     tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
+    main.shutdown_background(); // a port that is being opened, or a name that is looked up, is not waited for
     result
 }
 
