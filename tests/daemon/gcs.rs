@@ -33,7 +33,7 @@ fn on_port(port: &Path, more: &str) -> String {
 /// Waits until the stage is down, for a reason that contains this.
 fn down(daemon: &mut Daemon, why: &str) {
     daemon.says(&format!("down: {why}"), |line| {
-        line["message"] == "steering stage is down"
+        line["message"] == "the stage takes no commands"
             && line["reason"].as_str().is_some_and(|r| r.contains(why))
     });
 }
@@ -89,7 +89,7 @@ fn a_stage_that_counts_in_millimetres_from_another_zero_parks_where_it_shall() {
                 steering.on_exit = \"park\"\nsteering.park_um = [30.0, -20.0]";
     let mut daemon = Daemon::start(&on_tcp(&controller, more));
     let stands = up(&mut daemon);
-    assert!(stands["position_um"].as_str().unwrap().parse::<f64>().is_err(), "two axes: {stands}");
+    assert_eq!(stands["position_um"], "[0.0, 0.0]");
     controller.moved(5);
     daemon.ends_in_order(Signal::TERM);
     for (_, position) in &controller.state().moves {
@@ -97,6 +97,28 @@ fn a_stage_that_counts_in_millimetres_from_another_zero_parks_where_it_shall() {
     }
     let [x, y] = controller.state().position;
     assert!((x - 12.53).abs() < 1e-9 && (y - 12.48).abs() < 1e-9, "{x} {y}");
+}
+
+#[test]
+fn a_stage_is_taken_over_where_it_stands_again_and_again() {
+    let controller = Controller::new();
+    controller.state().position = [-70.0, 50.0];
+    let mut daemon = Daemon::start(&on_tcp(&controller, ""));
+    controller.moved(3);
+    for elsewhere in [[40.0, 20.0], [-30.0, -75.0]] {
+        controller.state().trouble = Trouble::HangingUp;
+        down(&mut daemon, "the other side has closed it");
+        let before = controller.state().moves.len();
+        controller.state().position = elsewhere; // by hand
+        controller.state().trouble = Trouble::None;
+        controller.moved(before + 1);
+        let first = moves_um(&controller)[before].1;
+        let jump = (first[0] - elsewhere[0]).hypot(first[1] - elsewhere[1]);
+        assert!(jump < 10.0, "from {elsewhere:?} to {first:?}");
+    }
+    let first = moves_um(&controller)[0].1;
+    assert!((first[0] + 70.0).hypot(first[1] - 50.0) < 10.0, "{first:?}");
+    daemon.ends_in_order(Signal::TERM);
 }
 
 #[test]
@@ -167,7 +189,8 @@ fn a_position_that_the_stage_refuses_is_said_and_the_conversation_goes_on() {
     let moves = controller.state().moves.len();
     controller.moved(moves + 3);
     daemon.ends_in_order(Signal::TERM);
-    assert!(!daemon.said("steering stage is down"), "{:#?}", daemon.log);
+    let complaints = daemon.log.iter().filter(|line| line["message"] == "the stage takes no commands");
+    assert_eq!(complaints.count(), 1, "before the first answer only: {:#?}", daemon.log);
 }
 
 #[test]
@@ -210,7 +233,8 @@ fn a_servo_is_switched_on_if_that_is_allowed_and_unknown_questions_are_left_out(
     controller.moved(2);
     assert!(controller.state().servo);
     daemon.ends_in_order(Signal::TERM);
-    assert!(!daemon.said("steering stage is down"), "{:#?}", daemon.log);
+    let complaints = daemon.log.iter().filter(|line| line["message"] == "the stage takes no commands");
+    assert_eq!(complaints.count(), 1, "before the first answer only: {:#?}", daemon.log);
 }
 
 #[test]

@@ -66,7 +66,8 @@ pub struct Gcs {
 pub fn pair(config: &Config, steering: watch::Receiver<SteeringConfig>) -> Option<(Gcs, Task)> {
     let settings = Settings::new(config)?;
     let (commands, commanded) = watch::channel(None);
-    let (reports_in, reports) = watch::channel(Report::default());
+    let unknown = Report { down: Some("no controller has answered yet".into()), ..Report::default() };
+    let (reports_in, reports) = watch::channel(unknown);
     let driver = Gcs { commands, reports, told: Report::default() };
     Some((driver, Task { settings, steering, commands: commanded, reports: reports_in }))
 }
@@ -134,6 +135,7 @@ mod tests {
         let (mut driver, task) = pair(&config, steering).unwrap();
         driver.steer(command(1));
         assert_eq!(*task.commands.borrow(), None, "there is nothing to steer yet");
+        assert_eq!(driver.next().await, Event::Down("no controller has answered yet".into()));
 
         task.reports.send_modify(|report| report.down = Some("unplugged".into()));
         assert_eq!(driver.next().await, Event::Down("unplugged".into()));

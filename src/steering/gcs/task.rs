@@ -47,11 +47,7 @@ impl Task {
         let mut pause = PAUSE[0];
         loop {
             let Err(fault) = self.converse(&settings, &mut pause, counters).await;
-            let reason = fault.to_string();
-            if self.reports.borrow().down.as_ref() != Some(&reason) {
-                tracing::warn!(reason, "steering stage is down");
-            }
-            self.reports.send_modify(|report| report.down = Some(reason));
+            self.reports.send_modify(|report| report.down = Some(fault.to_string()));
             sleep(pause).await;
             pause = (2 * pause).min(PAUSE[1]);
         }
