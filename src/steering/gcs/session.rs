@@ -17,12 +17,12 @@ pub struct Session<'a> {
 }
 
 impl<'a> Session<'a> {
-    /// Finds out who is there and whether it can be used as configured. Moves nothing.
+    /// Finds out who is there and whether it can be used as configured. Moves nothing, unless
+    /// a servo may be switched on.
     pub async fn open(settings: &'a Settings, steering: &SteeringConfig) -> Result<Self, Fault> {
         let mut session = Self { settings, link: Link::open(settings).await?, travel: [[0.0; 2]; 2] };
         let identity = session.identify().await?;
         let left_over = session.error().await?;
-        session.close_loops().await?;
         session.check_references().await?;
         session.check_unit().await?;
         let lowest = session.numbers(Question::Lowest).await?;
@@ -31,6 +31,7 @@ impl<'a> Session<'a> {
         session.travel = [0, 1].map(|axis| [low[axis], high[axis]]);
         session.check_travel(steering)?;
         session.check_velocity(steering).await?;
+        session.close_loops().await?;
         tracing::info!(
             %identity, line = %settings.line, axes = ?settings.axes, left_over_error = left_over,
             travel_um = ?session.travel.map(|ends| ends.map(rounded_um)),
