@@ -64,7 +64,7 @@ fn it_asks_who_is_there_and_then_moves_within_limits_and_not_faster_than_allowed
 
     let heard = controller.state().heard.clone();
     let questions =
-        ["*IDN?", "ERR?", "SVO? 1 2", "FRF? 1 2", "PUN? 1 2", "TMN? 1 2", "TMX? 1 2", "VEL? 1 2", "POS? 1 2"];
+        ["*IDN?", "ERR?", "FRF? 1 2", "PUN? 1 2", "TMN? 1 2", "TMX? 1 2", "VEL? 1 2", "SVO? 1 2", "POS? 1 2"];
     assert_eq!(heard[..questions.len()], questions, "before anything moves");
     let moves = moves_um(&controller);
     let (begin, first) = moves[0];
@@ -199,8 +199,6 @@ fn a_stage_that_cannot_be_used_is_not_moved_until_it_can() {
     let set = |change: fn(&mut crate::fixture::State)| change(&mut controller.state());
     set(|state| (state.servo, state.referenced, state.travel) = (false, false, [-20.0, 90.0]));
     let mut daemon = Daemon::start(&on_tcp(&controller, ""));
-    down(&mut daemon, "the servo of axis 1 is off: switch it on, or let trifacet do it");
-    set(|state| state.servo = true);
     down(&mut daemon, "axis 1 is not referenced: reference it");
     set(|state| (state.referenced, state.unit) = (true, "MM"));
     down(&mut daemon, "axis 1 counts in MM: steering.gcs.um_per_unit = 1 should be 1000");
@@ -208,8 +206,10 @@ fn a_stage_that_cannot_be_used_is_not_moved_until_it_can() {
     down(&mut daemon, "axis 1 turns (it counts in urad): the model is for a laser that is translated");
     set(|state| state.unit = "um");
     down(&mut daemon, "axis 1 travels from -20 to 90 um");
-    assert!(controller.state().moves.is_empty(), "{:?}", controller.state().heard);
     set(|state| state.travel = [-90.0, 90.0]);
+    down(&mut daemon, "the servo of axis 1 is off: switch it on, or let trifacet do it");
+    assert!(controller.state().moves.is_empty(), "{:?}", controller.state().heard);
+    set(|state| state.servo = true);
     up(&mut daemon);
     controller.moved(2);
     // Limits that are widened beyond the travel are as wrong as those of the start.
