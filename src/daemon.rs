@@ -5,6 +5,7 @@
 //!  source ─> acquisition ─(samples, in order)─> estimation ─> UDP
 //!              ^   └─(newest)─> centering <─(pose)─┘   └─(frames)─> TCP clients
 //!              └──────(command)─────┘   └─(lock)──^           ^ subscriptions
+//!                              └─(command)─> PI stage, on the main thread
 //!       (changes, orders, questions) <── control ── socket, SIGHUP
 //! ```
 //!
@@ -36,7 +37,7 @@ use crate::publishing::{
     Descriptor, PoseFrame, Publisher, PublisherSettings, StreamId, subscribe, subscription, tcp,
 };
 use crate::realtime;
-use crate::steering::{self, Outputs};
+use crate::steering::{self, Gcs, Outputs, Stage, gcs};
 use crate::twin::{Twin, TwinSource};
 
 /// Samples that may wait for estimation.
@@ -67,6 +68,8 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let socket = main.block_on(async { Socket::open(&config.control) })?;
     let (to_fast, at_fast) = control::ways();
     let (descriptor, descriptor_now) = watch::channel(Descriptor::new(facts));
+    let (steering, steering_now) = watch::channel(config.steering.clone());
+    let (gcs, gcs_task) = gcs::pair(config, steering_now).unzip();
     let (to_tcp, frames) = mpsc::channel(TO_TCP);
     let server = match config.publishing.tcp {
         Some(address) => Some(main.block_on(tcp::bind(address))?),
@@ -85,6 +88,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let parts = Parts {
         estimation: Estimation::new(estimation::Settings::new(config, channels.calibrated(), id.config)?),
         centering: Centering::new(config)?,
+        gcs,
         channels,
         publisher,
         counters: Arc::clone(&counters),
@@ -107,6 +111,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let slow = Slow {
         server: server.map(|listener| Server { listener, frames, descriptor: descriptor_now }),
         desk,
+        stage: gcs_task,
         session: id.session,
     };
     let live = Live {
@@ -117,6 +122,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         facts,
         descriptor,
         fast: to_fast,
+        steering,
         log: Arc::clone(log),
         counters: Arc::clone(&counters),
         started,
@@ -125,6 +131,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let result = serve(&main, config, slow, control, fast, &counters, &stop);
     let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
     tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
+    main.shutdown_background(); // a port that is being opened, or a name that is looked up, is not waited for
     result
 }
 
@@ -134,6 +141,8 @@ struct Parts {
     channels: Channels,
     estimation: Estimation,
     centering: Centering,
+    /// The stage, if it is not the source's own.
+    gcs: Option<Gcs>,
     publisher: Publisher<SystemClock>,
     counters: Arc<Counters>,
     control: AtFast,
@@ -144,6 +153,7 @@ struct Parts {
 struct Slow {
     server: Option<Server>,
     desk: Option<subscribe::Desk>,
+    stage: Option<gcs::task::Task>,
     session: u32,
 }
 
@@ -183,14 +193,16 @@ async fn fast<S: Source + 'static>(
     parts: Parts,
     source: impl FnOnce() -> io::Result<S>,
 ) -> anyhow::Result<()> {
-    let Parts { config, channels, estimation, centering, mut publisher, counters, control, stop } = parts;
+    let Parts { config, channels, estimation, centering, gcs, mut publisher, counters, control, stop } =
+        parts;
     let AtFast { changes, questions, orders } = control;
     let source = source().context("cannot start the source")?;
     let (samples_in, samples) = mpsc::channel(QUEUE);
     let (newest_in, newest) = watch::channel(acquisition::task::Newest::default());
     let (commands_in, commands) = watch::channel(None);
     let (answers_in, answers) = watch::channel(steering::outputs::Answers::default());
-    let driver = Outputs::new(config.steering.full_scale_um * 1e-6, commands_in, answers);
+    let outputs = || Outputs::new(config.steering.full_scale_um * 1e-6, commands_in, answers);
+    let driver = gcs.map_or_else(|| Stage::Outputs(outputs()), Stage::Gcs);
     let (state_in, steering) = watch::channel(centering.state());
     let (poses_in, poses) = watch::channel(None);
     let stop_acquisition = CancellationToken::new();
@@ -261,7 +273,7 @@ async fn control(live: Arc<Mutex<Live>>, socket: Option<Socket>, mut hangup: Sig
     tokio::join!(commands, reloads);
 }
 
-/// The main thread: TCP clients, UDP subscriptions, commands and signals, until the end.
+/// The main thread: TCP clients, UDP subscriptions, a slow stage, commands and signals, until the end.
 fn serve(
     main: &Runtime,
     config: &Config,
@@ -280,7 +292,7 @@ fn serve(
     let publishing = &config.publishing;
     let subscriptions =
         subscription::Subscriptions::new(slow.session, publishing.subscribers, publishing.allow.clone());
-    let Slow { server, desk, .. } = slow;
+    let Slow { server, desk, stage, .. } = slow;
     let Fast { thread, mut ended } = fast;
     let result = main.block_on(async {
         let (mut terminate, mut interrupt) =
@@ -300,7 +312,14 @@ fn serve(
                 None => std::future::pending().await,
             }
         };
+        let steering = async {
+            match stage {
+                Some(stage) => stage.run(counters).await,
+                None => stop.cancelled().await,
+            }
+        };
         let mut serving = std::pin::pin!(serving);
+        let mut steering = std::pin::pin!(steering);
         let asked = tokio::select! {
             biased;
             end = &mut ended => return fast_end(end),
@@ -308,6 +327,7 @@ fn serve(
                 // The server ends by itself only when the fast side is gone.
                 return fast_end(ended.await);
             }
+            () = &mut steering => return fast_end(ended.await), // likewise
             end = subscribing => end.context("cannot take UDP subscriptions").map(|()| "subscriptions ended"),
             () = control => Err(Failure::new(exit::SOFTWARE, "the control task ended by itself").into()),
             _ = terminate.recv() => Ok("SIGTERM"),
@@ -317,7 +337,7 @@ fn serve(
             tracing::info!("{signal}: stopping");
         }
         stop.cancel();
-        let (end, ()) = tokio::join!(ended, serving);
+        let (end, (), ()) = tokio::join!(ended, serving, steering);
         fast_end(end)?;
         asked.map(|_| ())
     });

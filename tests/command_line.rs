@@ -90,6 +90,27 @@ fn check_says_what_a_configuration_means() {
 }
 
 #[test]
+fn check_says_which_stage_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("stage.toml");
+    let told = |line: &str| {
+        let gcs = "steering.kind = 'gcs'\ntwin.steering.readback_noise_um = 'off'\nsteering.gcs.zero_um = [50, 50]\n";
+        std::fs::write(&path, format!("{gcs}steering.limit_um = 45\nsteering.lease_ms = 10\n{line}"))
+            .unwrap();
+        text(&trifacet(&["check", "--config", path.to_str().unwrap()]).stdout)
+    };
+    let stage = "axes 1 and 2 in units of 1 um, zero at [50.0, 50.0] um, within +-45 um, at most 50 mm/s";
+    let tcp = told("steering.gcs.address = 'stage:50000'");
+    assert!(tcp.contains(&format!("PI stage (GCS 2.0) at stage:50000, {stage}")), "{tcp}");
+    assert!(tcp.contains("it knows no lease") && !tcp.contains("lease_ms"), "{tcp}");
+    let serial = told("steering.gcs.port = '/dev/ttyUSB3'");
+    assert!(
+        serial.contains(&format!("PI stage (GCS 2.0) at /dev/ttyUSB3, 115200 baud, {stage}")),
+        "{serial}"
+    );
+}
+
+#[test]
 fn check_warns_of_what_is_allowed_and_may_surprise() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("slow.toml");

@@ -31,13 +31,20 @@ pub enum PortError {
     },
 }
 
+impl PortError {
+    /// What is wrong with the port, without its name.
+    pub fn reason(&self) -> String {
+        match self {
+            Self::InUse { holder, .. } => format!("in use by {holder}"),
+            Self::Other { reason, .. } => reason.clone(),
+        }
+    }
+}
+
 impl From<PortError> for Down {
     fn from(error: PortError) -> Self {
-        let (port, reason) = match error {
-            PortError::InUse { port, holder } => (port, format!("in use by {holder}")),
-            PortError::Other { port, reason } => (port, reason),
-        };
-        Self::Open { port: port.display().to_string(), reason }
+        let (PortError::InUse { port, .. } | PortError::Other { port, .. }) = &error;
+        Self::Open { port: port.display().to_string(), reason: error.reason() }
     }
 }
 
@@ -53,14 +60,16 @@ pub fn open(port: &Path, baud: u32) -> Result<TTYPort, PortError> {
     // What a link points at may be somewhere else the next time: only this name is kept.
     let device = fs::canonicalize(port).map_err(|error| other(error.to_string()))?;
     let metadata = fs::metadata(&device).map_err(|error| other(error.to_string()))?;
+    let no_port = || other("is not a serial port".into());
     if !metadata.file_type().is_char_device() {
-        return Err(other("is not a serial port".into()));
+        return Err(no_port());
     }
     if let Some(holder) = holders(metadata.rdev()) {
-        return Err(in_use(holder));
+        return Err(if is_terminal(&device) { in_use(holder) } else { no_port() });
     }
     let builder = serialport::new(device.to_string_lossy(), baud).exclusive(true);
     let open = TTYPort::open(&builder).map_err(|error| match error.kind() {
+        _ if !is_terminal(&device) => no_port(),
         serialport::ErrorKind::NoDevice => {
             let found = holders(metadata.rdev()).or_else(|| lock_owner(&metadata));
             in_use(found.unwrap_or_else(|| "a process that this user cannot see".into()))
@@ -70,6 +79,14 @@ pub fn open(port: &Path, baud: u32) -> Result<TTYPort, PortError> {
     serialport::SerialPort::clear(&open, serialport::ClearBuffer::All)
         .map_err(|error| other(error.to_string()))?;
     Ok(open)
+}
+
+/// Whether a character device is a terminal, as serial ports are. One that cannot be opened to find out,
+/// such as a port that another process has for itself, counts as one.
+fn is_terminal(device: &Path) -> bool {
+    use rustix::fs::{Mode, OFlags};
+    let flags = OFlags::RDONLY | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    rustix::fs::open(device, flags, Mode::empty()).map_or(true, rustix::termios::isatty)
 }
 
 /// The processes that have the character device `rdev` open, as far as this user may see.
@@ -146,7 +163,11 @@ mod tests {
         let missing = open(Path::new("/nowhere/port"), 921_600).unwrap_err();
         assert!(missing.to_string().contains("/nowhere/port"), "{missing}");
         let file = tempfile::NamedTempFile::new().unwrap();
-        let error = open(file.path(), 921_600).unwrap_err();
-        assert!(error.to_string().contains("is not a serial port"), "{error}");
+        // A device that is no terminal: this process has the first one open, and nobody the other one.
+        let _null = fs::File::open("/dev/null").unwrap();
+        for no_port in [file.path(), Path::new("/dev/null"), Path::new("/dev/full")] {
+            let error = open(no_port, 921_600).unwrap_err();
+            assert!(error.to_string().ends_with("is not a serial port"), "{error}");
+        }
     }
 }

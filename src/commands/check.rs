@@ -2,10 +2,12 @@
 
 use std::fmt::Write as _;
 use std::io::Write as _;
+use std::path::Path;
 
 use trifacet::acquisition::Channels;
 use trifacet::config::{
-    Config, FacetConfig, FramesConfig, LogFormat, LoopMode, OnExit, SourceKind, Target, TransformConfig,
+    Config, FacetConfig, FramesConfig, GcsConfig, LogFormat, LoopMode, OnExit, SourceKind, SteeringKind,
+    Target, TransformConfig,
 };
 use trifacet::optics::covariance::deviations;
 use trifacet::optics::{Estimator, FACETS, Innovation, Model, Noise, Optics, Pose, Sighting, Signals, Vec2};
@@ -130,22 +132,38 @@ fn centering(config: &Config, lines: &mut Lines) {
         OnExit::Hold => "holds".to_owned(),
         OnExit::Park => format!("parks at {:?} um", steering.park_um),
     };
-    lines.say(
-        "steering",
-        format!(
-            "within +-{} um of a full scale of +-{} um, at most {} mm/s",
-            steering.limit_um, steering.full_scale_um, steering.slew_mm_per_s
-        ),
-    );
-    lines.say(
-        "",
-        format!(
-            "{} when the daemon ends; {} {} ms after the last command",
-            does(steering.on_exit),
-            does(steering.on_lease),
-            steering.lease_ms
-        ),
-    );
+    let limits = format!("within +-{} um, at most {} mm/s", steering.limit_um, steering.slew_mm_per_s);
+    let at_the_end = format!("{} when the daemon ends", does(steering.on_exit));
+    match steering.kind {
+        SteeringKind::Outputs => {
+            let full_scale_um = steering.full_scale_um;
+            let source = match config.acquisition.source {
+                SourceKind::Twin => "the twin's own stage",
+                SourceKind::Serial => "the board's two outputs",
+            };
+            lines.say("steering", format!("{source}, full scale +-{full_scale_um} um, {limits}"));
+            let on_lease = does(steering.on_lease);
+            lines
+                .say("", format!("{at_the_end}; {on_lease} {} ms after the last command", steering.lease_ms));
+        }
+        SteeringKind::Gcs => {
+            lines.say("steering", format!("{}, {limits}", gcs(&steering.gcs)));
+            lines.say(
+                "",
+                format!("{at_the_end}; stays where it is after the last command: it knows no lease"),
+            );
+        }
+    }
+}
+
+fn gcs(gcs: &GcsConfig) -> String {
+    let line = match (&gcs.address, &gcs.port) {
+        (Some(address), _) => address.clone(),
+        (None, port) => format!("{}, {} baud", port.as_deref().unwrap_or(Path::new("")).display(), gcs.baud),
+    };
+    let [x, y] = &gcs.axes;
+    let (unit, zero) = (gcs.um_per_unit, gcs.zero_um);
+    format!("PI stage (GCS 2.0) at {line}, axes {x} and {y} in units of {unit} um, zero at {zero:?} um")
 }
 
 fn estimation(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
@@ -257,7 +275,8 @@ fn notes(config: &Config, lines: &mut Lines) {
         lines.say("note", "publishing.allow has this machine only: clients from elsewhere are refused");
     }
     let period_ms = 1e3 / config.acquisition.rate_hz;
-    if config.centering.mode != LoopMode::Off && f64::from(config.steering.lease_ms) < 3.0 * period_ms {
+    let leased = config.centering.mode != LoopMode::Off && config.steering.kind == SteeringKind::Outputs;
+    if leased && f64::from(config.steering.lease_ms) < 3.0 * period_ms {
         lines.say(
             "note",
             format!(

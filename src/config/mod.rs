@@ -17,6 +17,7 @@ mod error;
 mod estimation;
 mod fault;
 mod frames;
+mod gcs;
 mod head;
 mod id;
 mod load;
@@ -41,6 +42,7 @@ pub use error::{ConfigError, Problem};
 pub use estimation::{EstimationConfig, Model};
 pub use fault::{Fault, FaultKind};
 pub use frames::{FramesConfig, TransformConfig};
+pub use gcs::GcsConfig;
 pub use head::{FacetConfig, HeadConfig};
 pub use load::{load, parse};
 pub use locate::Place;
@@ -49,7 +51,7 @@ pub use motion::{Axis, Motion, MotionKind};
 pub use network::Network;
 pub use publishing::{PublishingConfig, UdpTarget};
 pub use realtime::RealtimeConfig;
-pub use steering::{OnExit, SteeringConfig, SteeringKind};
+pub use steering::{NO_TILT, OnExit, SteeringConfig, SteeringKind};
 pub use twin::{TwinConfig, TwinSteering};
 
 /// The whole file.

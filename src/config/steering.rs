@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::check::{Checker, above_zero};
+use super::gcs::GcsConfig;
 
 /// What the steering does when the daemon ends, or the lease of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -16,10 +17,30 @@ pub enum OnExit {
 
 /// What moves the laser.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[serde(rename_all = "kebab-case", try_from = "String")]
 pub enum SteeringKind {
     /// The two outputs of the board, or of the twin.
     Outputs,
+    /// A stage of PI at a controller with the General Command Set 2.0.
+    Gcs,
+}
+
+/// Why nothing that turns can steer.
+pub const NO_TILT: &str = "the model is for a laser that is translated; a mirror that turns tilts the beam (100 um over 1 m are \
+                           100 urad, which would read as 12.5 um and 50 urad of pose), and until the beam's direction is modelled \
+                           such stages are refused";
+
+impl TryFrom<String> for SteeringKind {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        match name.as_str() {
+            "outputs" => Ok(Self::Outputs),
+            "gcs" => Ok(Self::Gcs),
+            "tilt" => Err(format!("allowed is `outputs` or `gcs`: {NO_TILT}")),
+            _ => Err("allowed is `outputs` or `gcs`".into()),
+        }
+    }
 }
 
 /// `[steering]`.
@@ -49,6 +70,8 @@ pub struct SteeringConfig {
     pub lease_ms: u16,
     /// When a command's lease ends.
     pub on_lease: OnExit,
+    /// The stage's controller, if it is one of PI.
+    pub gcs: GcsConfig,
 }
 
 impl Default for SteeringConfig {
@@ -65,6 +88,7 @@ impl Default for SteeringConfig {
             on_exit: OnExit::Hold,
             lease_ms: 200,
             on_lease: OnExit::Hold,
+            gcs: GcsConfig::default(),
         }
     }
 }
@@ -80,7 +104,7 @@ impl SteeringConfig {
         at.numbers("park_um", &self.park_um, -100_000.0..=100_000.0);
         at.number("lease_ms", self.lease_ms, 10.0..=10_000.0);
         at.agree(
-            self.limit_um <= self.full_scale_um,
+            self.limit_um <= self.full_scale_um || self.kind != SteeringKind::Outputs,
             "limit_um",
             &["full_scale_um"],
             format!("{:?}", self.limit_um),
@@ -95,6 +119,14 @@ impl SteeringConfig {
                 format_args!("within plus/minus steering.limit_um, {}", self.limit_um),
             );
         }
+        at.agree(
+            self.on_lease == OnExit::Hold || self.kind != SteeringKind::Gcs,
+            "on_lease",
+            &["kind"],
+            "\"park\"",
+            "\"hold\" with steering.kind = \"gcs\": its controller knows no lease, and stays when commands cease",
+        );
+        self.gcs.check(at.section("gcs"), self.kind == SteeringKind::Gcs);
     }
 
     /// Two axes that move the beam in two directions.

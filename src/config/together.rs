@@ -1,7 +1,7 @@
 //! Checks across sections: values that are fine alone and not together.
 
 use super::check::Checker;
-use super::{CenteringConfig, Config, Model, SourceKind};
+use super::{CenteringConfig, Config, Model, SourceKind, SteeringKind};
 use crate::acquisition::board::required_baud;
 use crate::acquisition::scan::SIGNALS;
 use crate::centering::stability::is_stable;
@@ -54,6 +54,13 @@ fn twin_signals(config: &Config, at: &mut Checker<'_>) {
         &["channels.power_mw_per_v", "channels.clip_limit", "twin.converter_range_v", "twin.dark_v"],
         twin.laser_mw,
         format_args!("a power of which a third reads below {most} V; now it reads {brightest:.3} V"),
+    );
+    at.agree(
+        twin.steering.readback_noise_um.is_none() || config.steering.kind == SteeringKind::Outputs,
+        "twin.steering.readback_noise_um",
+        &["steering.kind"],
+        format!("{:?}", twin.steering.readback_noise_um.unwrap_or_default()),
+        "\"off\" with another stage than its own: the twin does not see where that stands",
     );
     if twin.steering.readback_noise_um.is_some() {
         let reach = config.steering.limit_um.min(twin.steering.limit_um) / config.channels.readback_um_per_v;

@@ -14,7 +14,7 @@ use crate::centering::{Tuning, task::Order};
 use crate::clock::{Clock, Mono, SystemClock};
 use crate::config::edit::{self, Edit};
 use crate::config::reload::reload;
-use crate::config::{self, Config, FramesConfig, LoopMode, TransformConfig};
+use crate::config::{self, Config, FramesConfig, LoopMode, SteeringConfig, TransformConfig};
 use crate::estimation::{self, Frames, task::Question};
 use crate::exit::{self, Failure};
 use crate::logging::Logging;
@@ -45,6 +45,8 @@ pub struct Live {
     pub descriptor: watch::Sender<Descriptor>,
     /// The ways to the fast side.
     pub fast: ToFast,
+    /// Where a stage with a task of its own finds its limits.
+    pub steering: watch::Sender<SteeringConfig>,
     /// The log.
     pub log: Arc<Logging>,
     /// Every counter.
@@ -204,6 +206,8 @@ impl Live {
             self.change_meaning(&next, channels).await?;
         }
         if next.centering != self.running.centering || next.steering != self.running.steering {
+            // Before the loop acts on them.
+            self.steering.send_replace(next.steering.clone());
             let tuning = Box::new(Tuning::new(&next));
             ask(&self.fast.orders, PATIENCE, |done| Order::Retune(tuning, done)).await?;
         }

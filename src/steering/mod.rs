@@ -3,15 +3,18 @@
 //! - [`Driver`]: takes the newest command, tells what the stage says.
 //! - [`map`]: the steering matrix, what a movement of the stage does to the beam.
 //! - [`outputs`]: the two outputs of the board, or of the twin, which go the way of the samples back.
+//! - [`gcs`]: stages of PI at a controller of their own.
 //!
 //! Positions are those of the stage's axes, metres.
 
+pub mod gcs;
 pub mod map;
 pub mod outputs;
 
 use std::future::Future;
 
 pub use crate::acquisition::{Ack, Expiry};
+pub use gcs::Gcs;
 pub use map::BeamMap;
 pub use outputs::Outputs;
 
@@ -52,4 +55,29 @@ pub trait Driver {
 
     /// The next thing to know. Cancel-safe: dropping the future loses nothing.
     fn next(&mut self) -> impl Future<Output = Event>;
+}
+
+/// The stage of the configuration.
+#[derive(Debug)]
+pub enum Stage {
+    /// The outputs of the board or the twin.
+    Outputs(Outputs),
+    /// A stage of PI.
+    Gcs(Gcs),
+}
+
+impl Driver for Stage {
+    fn steer(&mut self, command: Command) {
+        match self {
+            Self::Outputs(outputs) => outputs.steer(command),
+            Self::Gcs(gcs) => gcs.steer(command),
+        }
+    }
+
+    async fn next(&mut self) -> Event {
+        match self {
+            Self::Outputs(outputs) => outputs.next().await,
+            Self::Gcs(gcs) => gcs.next().await,
+        }
+    }
 }

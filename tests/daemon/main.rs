@@ -10,5 +10,6 @@ mod doubts;
 mod ending;
 mod faults;
 mod fixture;
+mod gcs;
 mod loop_closed;
 mod running;

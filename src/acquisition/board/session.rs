@@ -10,7 +10,7 @@ use super::{
 use crate::{
     acquisition::{Down, Event, OutputCommand, Scan, timebase::Timebase},
     clock::{Mono, NS_PER_S},
-    config::Config,
+    config::{Config, SteeringKind},
     monitor::Counters,
 };
 
@@ -44,7 +44,10 @@ impl From<&Config> for Settings {
             rate_hz: config.acquisition.rate_hz,
             baud: serial.baud,
             latency_ns: (serial.latency_us * 1e3).round() as i64,
-            park: config.steering.park_um.map(|um| um / config.steering.full_scale_um),
+            park: match config.steering.kind {
+                SteeringKind::Outputs => config.steering.park_um.map(|um| um / config.steering.full_scale_um),
+                SteeringKind::Gcs => [0.0; 2], // another stage parks; the outputs are never commanded
+            },
         }
     }
 }

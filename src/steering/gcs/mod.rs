@@ -1,0 +1,166 @@
+//! Stages of PI (Physik Instrumente) that speak the General Command Set 2.0, on a serial line or TCP.
+//!
+//! - [`protocol`]: lines and answers; pure. [`fault`]: what goes wrong, and the controller's error codes.
+//! - `link`: the line, one question at a time. `session`: a conversation. [`task`]: one after the other.
+//! - [`Gcs`]: the end that the loop holds.
+//!
+//! The task stands on the main thread. It gets the newest command only, and the loop never waits for it.
+//! These controllers know no lease: a stage whose daemon was killed stays where it was sent last.
+
+pub mod fault;
+mod link;
+pub mod protocol;
+mod session;
+mod settings;
+pub mod task;
+mod unit;
+
+use tokio::sync::watch;
+
+use super::{Command, Driver, Event, Xy};
+use crate::acquisition::Ack;
+use crate::config::{Config, SteeringConfig};
+use settings::Settings;
+use task::Task;
+
+/// A command, and the connection of which its sender knew.
+type Addressed = (u32, Command);
+
+/// What the task knows of the stage.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Report {
+    /// Counts connections; zero before the first.
+    connection: u32,
+    /// Why there is none at present, if that is known.
+    down: Option<String>,
+    /// Where the stage stands, with a count of how often that was told.
+    at: Option<(u64, Xy)>,
+    /// The last answer to a command.
+    ack: Option<Ack>,
+}
+
+impl Report {
+    fn up(&mut self, at: Xy) {
+        self.connection += 1;
+        self.down = None;
+        self.stands(at);
+    }
+
+    fn stands(&mut self, at: Xy) {
+        let told = self.at.map_or(0, |(count, _)| count);
+        self.at = Some((told + 1, at));
+    }
+}
+
+/// The driver of a stage with such a controller.
+#[derive(Debug)]
+pub struct Gcs {
+    commands: watch::Sender<Option<Addressed>>,
+    reports: watch::Receiver<Report>,
+    /// What was told of the reports.
+    told: Report,
+}
+
+/// The driver and its task, if the configuration has such a stage. `steering` has the limits that hold
+/// at present.
+pub fn pair(config: &Config, steering: watch::Receiver<SteeringConfig>) -> Option<(Gcs, Task)> {
+    let settings = Settings::new(config)?;
+    let (commands, commanded) = watch::channel(None);
+    let unknown = Report { down: Some("no controller has answered yet".into()), ..Report::default() };
+    let (reports_in, reports) = watch::channel(unknown);
+    let driver = Gcs { commands, reports, told: Report::default() };
+    Some((driver, Task { settings, steering, commands: commanded, reports: reports_in }))
+}
+
+impl Gcs {
+    /// What is new: a connection first, then what came over it, then its end.
+    fn news(&mut self) -> Option<Event> {
+        let report = self.reports.borrow_and_update();
+        let told = &mut self.told;
+        if report.connection != told.connection {
+            (told.connection, told.down) = (report.connection, None);
+            return Some(Event::Up);
+        }
+        if report.at != told.at {
+            told.at = report.at;
+            return report.at.map(|(_, at)| Event::At(at));
+        }
+        if report.ack != told.ack {
+            told.ack = report.ack;
+            return report.ack.map(Event::Ack);
+        }
+        if report.down != told.down {
+            told.down.clone_from(&report.down);
+            return report.down.clone().map(Event::Down);
+        }
+        None
+    }
+}
+
+impl Driver for Gcs {
+    /// Nothing goes to a stage of which it is not known where it stands.
+    fn steer(&mut self, command: Command) {
+        if self.told.connection > 0 && self.told.down.is_none() {
+            self.commands.send_replace(Some((self.told.connection, command)));
+        }
+    }
+
+    async fn next(&mut self) -> Event {
+        loop {
+            if let Some(event) = self.news() {
+                return event;
+            }
+            if self.reports.changed().await.is_err() {
+                std::future::pending::<()>().await; // the task has ended; the daemon sees that
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config;
+    use crate::steering::Expiry;
+
+    fn command(id: u32) -> Command {
+        Command { id, position: [1e-6, 2e-6], lease_ms: 200, on_expiry: Expiry::Hold }
+    }
+
+    #[tokio::test]
+    async fn what_is_new_is_told_once_in_order_and_commands_need_a_stage() {
+        let text = "steering.kind = 'gcs'\nsteering.gcs.address = 'stage:50000'\ntwin.steering.readback_noise_um = 'off'";
+        let config = config::parse(text, None).unwrap();
+        let (_steering_in, steering) = watch::channel(config.steering.clone());
+        let (mut driver, task) = pair(&config, steering).unwrap();
+        driver.steer(command(1));
+        assert_eq!(*task.commands.borrow(), None, "there is nothing to steer yet");
+        assert_eq!(driver.next().await, Event::Down("no controller has answered yet".into()));
+
+        task.reports.send_modify(|report| report.down = Some("unplugged".into()));
+        assert_eq!(driver.next().await, Event::Down("unplugged".into()));
+        task.reports.send_modify(|report| report.up([3e-6, 4e-6]));
+        assert_eq!(driver.next().await, Event::Up);
+        assert_eq!(driver.next().await, Event::At([3e-6, 4e-6]));
+        driver.steer(command(2));
+        driver.steer(command(3));
+        assert_eq!(*task.commands.borrow(), Some((1, command(3))), "the newest only");
+
+        let ack = Ack { id: 3, accepted: true };
+        task.reports.send_modify(|report| report.ack = Some(ack));
+        // The same place again is news, too: it still stands there.
+        task.reports.send_modify(|report| report.stands([3e-6, 4e-6]));
+        task.reports.send_modify(|report| report.down = Some("no answer".into()));
+        assert_eq!(driver.next().await, Event::At([3e-6, 4e-6]));
+        assert_eq!(driver.next().await, Event::Ack(ack));
+        assert_eq!(driver.next().await, Event::Down("no answer".into()));
+        assert_eq!(driver.news(), None);
+        driver.steer(command(4));
+        assert_eq!(*task.commands.borrow(), Some((1, command(3))));
+        // Down and up again between two looks: it may be another stage.
+        task.reports.send_modify(|report| report.up([0.0; 2]));
+        assert_eq!(driver.next().await, Event::Up);
+        assert_eq!(driver.next().await, Event::At([0.0; 2]));
+        assert_eq!(driver.news(), None);
+    }
+}

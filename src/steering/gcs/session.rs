@@ -1,0 +1,189 @@
+//! A conversation with a controller: first who it is and whether it can be used, then motions.
+
+use super::fault::{FINE, Fault, NOT_FOR_THIS_STAGE, UNKNOWN_COMMAND};
+use super::link::{Link, label};
+use super::protocol::{Answer, AnswerError, Question, move_to, servo_on};
+use super::settings::Settings;
+use super::unit;
+use crate::config::SteeringConfig;
+use crate::steering::Xy;
+
+/// A controller that can be used.
+pub struct Session<'a> {
+    settings: &'a Settings,
+    link: Link,
+    /// The ends of the travel, metres; one row per axis.
+    travel: [[f64; 2]; 2],
+}
+
+impl<'a> Session<'a> {
+    /// Finds out who is there and whether it can be used as configured. Moves nothing, unless
+    /// a servo may be switched on.
+    pub async fn open(settings: &'a Settings, steering: &SteeringConfig) -> Result<Self, Fault> {
+        let mut session = Self { settings, link: Link::open(settings).await?, travel: [[0.0; 2]; 2] };
+        let identity = session.identify().await?;
+        let left_over = session.error().await?;
+        session.check_references().await?;
+        session.check_unit().await?;
+        let lowest = session.numbers(Question::Lowest).await?;
+        let highest = session.numbers(Question::Highest).await?;
+        let (low, high) = (settings.position(lowest), settings.position(highest));
+        session.travel = [0, 1].map(|axis| [low[axis], high[axis]]);
+        session.check_travel(steering)?;
+        session.check_velocity(steering).await?;
+        session.close_loops().await?;
+        tracing::info!(
+            %identity, line = %settings.line, axes = ?settings.axes, left_over_error = left_over,
+            travel_um = ?session.travel.map(|ends| ends.map(rounded_um)),
+            "steering stage identified"
+        );
+        Ok(session)
+    }
+
+    /// Who it is: maker, model, serial number, version, with commas between. What an earlier
+    /// conversation has left on the line looks otherwise.
+    async fn identify(&mut self) -> Result<String, Fault> {
+        const EXPECTED: &str = "maker, model, serial number and version";
+        let (asked, answer) = self.ask(Question::Identity).await?;
+        let wrong = |error| Fault::Answer { asked: asked.clone(), error };
+        let line = answer.line(EXPECTED).map_err(wrong)?.to_owned();
+        if line.matches(',').count() < 2 {
+            return Err(wrong(AnswerError::Unexpected { expected: EXPECTED.into(), received: line }));
+        }
+        Ok(line)
+    }
+
+    /// Positions mean something only in closed loop.
+    async fn close_loops(&mut self) -> Result<(), Fault> {
+        let (asked, answer) = self.ask(Question::Servo).await?;
+        let servo = answer.flags(&self.settings.axes).map_err(|error| Fault::Answer { asked, error })?;
+        let Some(axis) = self.first_without(servo) else { return Ok(()) };
+        if !self.settings.servo_on {
+            return Err(Fault::Unfit(format!(
+                "the servo of axis {axis} is off: switch it on, or let trifacet do it with \
+                 steering.gcs.servo_on = true (the stage may jump then)"
+            )));
+        }
+        tracing::info!(axes = ?self.settings.axes, "switching the servo on");
+        let command = servo_on(&self.settings.axes);
+        match self.command(&command).await? {
+            FINE => Ok(()),
+            code => Err(Fault::Refused { asked: label(&command), code }),
+        }
+    }
+
+    /// Referencing moves the stage to wherever its switch is: that is for a person to start. Stages that
+    /// need none do not know the question.
+    async fn check_references(&mut self) -> Result<(), Fault> {
+        let Some((asked, answer)) = self.ask_if_known(Question::Referenced).await? else { return Ok(()) };
+        let done = answer.flags(&self.settings.axes).map_err(|error| Fault::Answer { asked, error })?;
+        match self.first_without(done) {
+            None => Ok(()),
+            Some(axis) => Err(Fault::Unfit(format!(
+                "axis {axis} is not referenced: reference it with the maker's program (FRF {axis} moves the \
+                 stage to its reference), with nothing in its way; trifacet then goes on by itself"
+            ))),
+        }
+    }
+
+    async fn check_unit(&mut self) -> Result<(), Fault> {
+        let Some((asked, answer)) = self.ask_if_known(Question::Unit).await? else { return Ok(()) };
+        let units = answer.words(&self.settings.axes).map_err(|error| Fault::Answer { asked, error })?;
+        for (axis, name) in self.settings.axes.iter().zip(&units) {
+            unit::check(axis, name, self.settings.unit * 1e6).map_err(Fault::Unfit)?;
+        }
+        Ok(())
+    }
+
+    /// The stage can go wherever it may be sent.
+    pub fn check_travel(&self, steering: &SteeringConfig) -> Result<(), Fault> {
+        let limit_um = steering.limit_um;
+        for (axis, [low, high]) in self.settings.axes.iter().zip(self.travel) {
+            let [low_um, high_um] = [low, high].map(rounded_um);
+            if !(low_um <= -limit_um && limit_um <= high_um) {
+                return Err(Fault::Unfit(format!(
+                    "axis {axis} travels from {low_um} to {high_um} um, seen from steering.gcs.zero_um: \
+                     plus and minus steering.limit_um, {limit_um}, must lie within"
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// A stage that is slower than the commands lags behind them. That is no harm, but good to know.
+    async fn check_velocity(&mut self, steering: &SteeringConfig) -> Result<(), Fault> {
+        let Some((asked, answer)) = self.ask_if_known(Question::Velocity).await? else { return Ok(()) };
+        let axes = &self.settings.axes;
+        let velocity = answer.numbers(axes).map_err(|error| Fault::Answer { asked, error })?;
+        for (axis, velocity) in axes.iter().zip(velocity) {
+            let mm_per_s = velocity * self.settings.unit * 1e3;
+            if mm_per_s < steering.slew_mm_per_s {
+                tracing::warn!(
+                    %axis, mm_per_s, slew_mm_per_s = steering.slew_mm_per_s,
+                    "the axis is slower than steering.slew_mm_per_s: it will lag behind"
+                );
+            }
+        }
+        Ok(())
+    }
+
+    /// Where the stage stands, metres.
+    pub async fn position(&mut self) -> Result<Xy, Fault> {
+        Ok(self.settings.position(self.numbers(Question::Position).await?))
+    }
+
+    /// Whether the stage can go there at all.
+    pub fn reaches(&self, position: Xy) -> bool {
+        self.travel.iter().zip(position).all(|([low, high], at)| (*low..=*high).contains(&at))
+    }
+
+    /// Sends the stage somewhere; returns the controller's error code. None, and nothing is sent, if
+    /// that is nowhere.
+    pub async fn go(&mut self, position: Xy) -> Result<Option<(String, i32)>, Fault> {
+        let line = move_to(&self.settings.axes, self.settings.counted(position));
+        let Some(line) = line else { return Ok(None) };
+        Ok(Some((label(&line), self.command(&line).await?)))
+    }
+
+    fn first_without(&self, flags: [bool; 2]) -> Option<&'a String> {
+        self.settings.axes.iter().zip(flags).find(|(_, flag)| !flag).map(|(axis, _)| axis)
+    }
+
+    async fn numbers(&mut self, question: Question) -> Result<[f64; 2], Fault> {
+        let (asked, answer) = self.ask(question).await?;
+        answer.numbers(&self.settings.axes).map_err(|error| Fault::Answer { asked, error })
+    }
+
+    async fn ask(&mut self, question: Question) -> Result<(String, Answer), Fault> {
+        let line = question.line(&self.settings.axes);
+        Ok((label(&line), self.link.ask(&line).await?))
+    }
+
+    /// Asks what not every controller knows; those that do not are silent, and have an error afterwards.
+    async fn ask_if_known(&mut self, question: Question) -> Result<Option<(String, Answer)>, Fault> {
+        match self.ask(question).await {
+            Err(silent @ Fault::Silent { so_far: None, .. }) => match self.error().await? {
+                UNKNOWN_COMMAND | NOT_FOR_THIS_STAGE => Ok(None),
+                FINE => Err(silent),
+                code => Err(Fault::Refused { asked: label(&question.line(&self.settings.axes)), code }),
+            },
+            other => other.map(Some),
+        }
+    }
+
+    /// The code of the last error; it is forgotten by that.
+    async fn error(&mut self) -> Result<i32, Fault> {
+        self.command(&Question::Error.line(&self.settings.axes)).await
+    }
+
+    /// Sends lines that end with the question for the error code.
+    async fn command(&mut self, lines: &str) -> Result<i32, Fault> {
+        let answer = self.link.ask(lines).await?;
+        answer.code().map_err(|error| Fault::Answer { asked: label(lines), error })
+    }
+}
+
+/// Micrometres without the dust of the conversion.
+pub fn rounded_um(metres: f64) -> f64 {
+    (metres * 1e12).round() * 1e-6
+}

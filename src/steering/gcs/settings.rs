@@ -1,0 +1,79 @@
+//! A controller as the configuration describes it, in metres.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use super::protocol::Axes;
+use crate::config::{Config, SteeringKind};
+use crate::steering::Xy;
+
+/// The way to a controller.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Line {
+    /// Host and port.
+    Tcp(String),
+    /// A serial port.
+    Serial {
+        /// Its path.
+        port: PathBuf,
+        /// Bits per second.
+        baud: u32,
+    },
+}
+
+impl fmt::Display for Line {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Tcp(address) => f.write_str(address),
+            Self::Serial { port, .. } => write!(f, "{}", port.display()),
+        }
+    }
+}
+
+/// What the driver knows of its stage.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// The way to the controller.
+    pub line: Line,
+    /// The names of the axes.
+    pub axes: Axes,
+    /// The controller's unit of position, metres.
+    pub unit: f64,
+    /// What the controller says where the daemon says zero, metres.
+    pub zero: Xy,
+    /// A servo that is off may be switched on.
+    pub servo_on: bool,
+    /// How long an answer may take.
+    pub timeout_ms: u16,
+}
+
+impl Settings {
+    /// From a checked configuration, if it has such a stage.
+    pub fn new(config: &Config) -> Option<Self> {
+        let gcs = &config.steering.gcs;
+        let line = match (&gcs.address, &gcs.port) {
+            _ if config.steering.kind != SteeringKind::Gcs => return None,
+            (Some(address), _) => Line::Tcp(address.clone()),
+            (None, Some(port)) => Line::Serial { port: port.clone(), baud: gcs.baud },
+            (None, None) => return None,
+        };
+        Some(Self {
+            line,
+            axes: gcs.axes.clone(),
+            unit: gcs.um_per_unit * 1e-6,
+            zero: gcs.zero_um.map(|um| um * 1e-6),
+            servo_on: gcs.servo_on,
+            timeout_ms: gcs.timeout_ms,
+        })
+    }
+
+    /// A position as the controller counts it.
+    pub fn counted(&self, position: Xy) -> [f64; 2] {
+        [0, 1].map(|axis| (position[axis] + self.zero[axis]) / self.unit)
+    }
+
+    /// A position that the controller has told.
+    pub fn position(&self, counted: [f64; 2]) -> Xy {
+        [0, 1].map(|axis| counted[axis] * self.unit - self.zero[axis])
+    }
+}

@@ -1,0 +1,154 @@
+//! The task: keeps a conversation with the controller, and begins another one when it ends. Runs on the
+//! main thread, as slowly as the controller is.
+
+use std::time::Duration;
+
+use tokio::sync::watch;
+use tokio::time::{Interval, MissedTickBehavior, interval, sleep};
+
+use super::fault::{FINE, Fault, OUT_OF_LIMITS, meaning};
+use super::session::{Session, rounded_um};
+use super::settings::Settings;
+use super::{Addressed, Report};
+use crate::acquisition::Ack;
+use crate::config::SteeringConfig;
+use crate::monitor::Counters;
+use crate::steering::{Command, Xy};
+
+/// How often the stage is asked where it stands.
+const READBACK: Duration = Duration::from_millis(50);
+/// Between two attempts: at first, and at most.
+const PAUSE: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(5)];
+/// What the stage may be beyond a limit by rounding, metres.
+const DUST: f64 = 1e-9;
+
+/// The stage at its controller, with the ends of its channels.
+pub struct Task {
+    pub(super) settings: Settings,
+    /// The limits, which may change while the daemon runs.
+    pub(super) steering: watch::Receiver<SteeringConfig>,
+    pub(super) commands: watch::Receiver<Option<Addressed>>,
+    pub(super) reports: watch::Sender<Report>,
+}
+
+impl Task {
+    /// Runs until the driver is gone: by then its last command was answered, or given up.
+    pub async fn run(mut self, counters: &Counters) {
+        let reports = self.reports.clone();
+        tokio::select! {
+            biased;
+            () = reports.closed() => {}
+            never = self.keep(counters) => match never {},
+        }
+    }
+
+    async fn keep(&mut self, counters: &Counters) -> std::convert::Infallible {
+        let settings = self.settings.clone();
+        let mut pause = PAUSE[0];
+        loop {
+            let Err(fault) = self.converse(&settings, &mut pause, counters).await;
+            self.reports.send_modify(|report| report.down = Some(fault.to_string()));
+            sleep(pause).await;
+            pause = (2 * pause).min(PAUSE[1]);
+        }
+    }
+
+    /// A conversation from its begin to its end. `pause` starts anew when a command was accepted.
+    async fn converse(
+        &mut self,
+        settings: &Settings,
+        pause: &mut Duration,
+        counters: &Counters,
+    ) -> Result<std::convert::Infallible, Fault> {
+        let limits = self.steering.borrow_and_update().clone();
+        let mut session = Session::open(settings, &limits).await?;
+        let mut at = session.position().await?;
+        tracing::info!(position_um = ?at.map(rounded_um), "steering stage is up");
+        self.reports.send_modify(|report| report.up(at));
+        let mut readback = readback();
+        loop {
+            tokio::select! {
+                biased;
+                _ = readback.tick() => {
+                    let stands = session.position().await?;
+                    self.reports.send_modify(|report| report.stands(stands));
+                }
+                Ok(()) = self.steering.changed() => {
+                    let limits = self.steering.borrow_and_update().clone();
+                    session.check_travel(&limits)?;
+                }
+                Ok(()) = self.commands.changed() => {
+                    let Some((connection, command)) = *self.commands.borrow_and_update() else { continue };
+                    // One for an earlier connection knows nothing of where the stage stands now.
+                    if connection != self.reports.borrow().connection {
+                        continue;
+                    }
+                    counters.commands_sent.one();
+                    let accepted = self.obey(&mut session, command, at).await?;
+                    if accepted {
+                        (at, *pause) = (command.position, PAUSE[0]);
+                    } else {
+                        counters.commands_refused.one();
+                    }
+                    let ack = Ack { id: command.id, accepted };
+                    self.reports.send_modify(|report| report.ack = Some(ack));
+                }
+            }
+        }
+    }
+
+    /// Sends the stage where the command says, unless that is nowhere it may go; says whether it goes.
+    async fn obey(&self, session: &mut Session<'_>, command: Command, at: Xy) -> Result<bool, Fault> {
+        let limit = self.steering.borrow().limit_um * 1e-6;
+        let position = command.position;
+        if !(session.reaches(position) && allowed(position, at, limit)) {
+            tracing::error!(?position, limit, "a defect: a command beyond the limits was not sent");
+            return Ok(false);
+        }
+        match session.go(position).await? {
+            Some((_, FINE)) => Ok(true),
+            Some((asked, code @ OUT_OF_LIMITS)) => {
+                if self.reports.borrow().ack.is_none_or(|last| last.accepted) {
+                    tracing::error!(asked, code, "the steering stage refuses: {}", meaning(code));
+                }
+                Ok(false)
+            }
+            Some((asked, code)) => Err(Fault::Refused { asked, code }),
+            None => Ok(false),
+        }
+    }
+}
+
+/// Within the limits; or, for a stage that stands beyond them, on its way back. NaN is nowhere.
+fn allowed(position: Xy, at: Xy, limit: f64) -> bool {
+    position.iter().zip(at).all(|(to, at)| (-limit.max(-at) - DUST..=limit.max(at) + DUST).contains(to))
+}
+
+fn readback() -> Interval {
+    let mut interval = interval(READBACK);
+    // After an answer that was slow the commands have their turn first.
+    interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    interval.reset();
+    interval
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn beyond_the_limits_there_is_only_the_way_back() {
+        for (to, at, fine) in [
+            ([3e-4, -4e-4], [0.0; 2], true),
+            ([4.1e-4, 0.0], [0.0; 2], false),
+            ([4.5e-4, 0.0], [5e-4, 0.0], true),
+            ([5.1e-4, 0.0], [5e-4, 0.0], false),
+            ([0.0, -4.5e-4], [0.0, -5e-4], true),
+            ([0.0, 4.5e-4], [0.0, -5e-4], false),
+            ([f64::NAN, 0.0], [0.0; 2], false),
+            ([0.0, f64::INFINITY], [0.0; 2], false),
+        ] {
+            assert_eq!(allowed(to, at, 4e-4), fine, "{to:?} from {at:?}");
+        }
+    }
+}
