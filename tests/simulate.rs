@@ -71,3 +71,21 @@ fn column(table: &[u8], name: &str) -> Vec<f64> {
     let place = text.lines().next().unwrap().split(',').position(|c| c == name).unwrap();
     text.lines().skip(1).map(|row| row.split(',').nth(place).unwrap().parse().unwrap()).collect()
 }
+
+#[test]
+fn in_closed_loop_the_beam_comes_to_the_apex_and_the_pose_is_the_true_one() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), "twin.laser_offset_um = [60, -30]\ntwin.motion = []\n").unwrap();
+    let output = simulate().args(["--samples", "400", "--closed-loop", "--config"]).arg(file.path()).output();
+    let text = String::from_utf8(output.unwrap().stdout).unwrap();
+    let rows: Vec<Vec<_>> = text.lines().map(|line| line.split(',').collect()).collect();
+    let place = |name: &str| rows[0].iter().position(|column| *column == name).unwrap();
+    let value = |row: usize, name: &str| rows[row][place(name)].parse::<f64>().unwrap();
+    assert!((value(1, "true_beam_dx_m") - 60e-6).abs() < 1e-9 && rows[1][place("lock")] == "acquiring");
+    assert!(value(400, "true_beam_dx_m").hypot(value(400, "true_beam_dy_m")) < 0.5e-6);
+    assert!((value(400, "stage_x_m") + 60e-6).abs() < 0.5e-6 && rows[400][place("lock")] == "locked");
+    assert!(rows[400][place("status")].contains("POSE_VALID"));
+    for row in 1..=400 {
+        assert!((value(row, "tx_m") - value(row, "true_tx_m")).abs() < 7e-6, "{:?}", rows[row]);
+    }
+}

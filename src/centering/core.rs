@@ -336,7 +336,7 @@ impl Centering {
             (Doing::Searching, sight) => {
                 let dark = *sight == Sight::Dark;
                 let centre = if dark { self.good_place.unwrap_or(here) } else { here };
-                Guide::search(centre, self.beam_radius(), &self.tuning)
+                Guide::search(centre, 2.0 * self.lookout.beam_sigma(), &self.tuning)
             }
             _ => Guide::Still,
         }
@@ -404,11 +404,11 @@ impl Centering {
         self.lock.update(Seen::Unclear("no samples come"), false, dt).transition
     }
 
-    /// The last command: hold or park. `None` if the stage is not the loop's.
+    /// The last command: hold or park. `None` if the stage is not the loop's, or takes no commands.
     pub fn finish(&mut self) -> Option<Command> {
-        let commanded = self.stage.commanded()?;
+        let memory = self.stage.memory()?;
         let position = match self.tuning.on_exit {
-            OnExit::Hold => commanded,
+            OnExit::Hold => memory.position,
             OnExit::Park => self.tuning.park,
         };
         Some(self.command(position))

@@ -33,11 +33,10 @@ impl Guide {
         Guide::Jump { to, left_s: wait_s }
     }
 
-    /// From a place over all of the range, for a beam of this radius in lengths of the stage.
+    /// From a place over all of the range, for a beam of this radius, metres.
     pub fn search(centre: Xy, radius: f64, tuning: &Tuning) -> Self {
         let centre = tuning.controller.within(centre);
-        let slew = tuning.controller.slew;
-        let spiral = Spiral::new(centre, radius, tuning.loop_delay_s, tuning.controller.limit, slew);
+        let spiral = Spiral::of(tuning, centre, radius);
         Guide::Search { spiral, at: centre, over: false }
     }
 

@@ -7,6 +7,7 @@
 
 use std::f64::consts::TAU;
 
+use super::tuning::Tuning;
 use crate::steering::Xy;
 
 /// Distance of the turns, radii of the beam (1/e^2).
@@ -36,6 +37,13 @@ impl Spiral {
     pub fn new(centre: Xy, radius: f64, delay_s: f64, limit: f64, slew: f64) -> Self {
         let speed = (REACH * radius / delay_s).min(slew);
         Self { centre, angle: 0.0, pitch: PITCH * radius, speed, limit }
+    }
+
+    /// The spiral that a loop of this tuning goes along, for a beam of this radius, metres.
+    pub fn of(tuning: &Tuning, centre: Xy, radius: f64) -> Self {
+        let controller = &tuning.controller;
+        let radius = radius / tuning.map.largest_gain();
+        Self::new(centre, radius, tuning.loop_delay_s, controller.limit, controller.slew)
     }
 
     /// The next point, `dt` seconds after the last one; `None` when all of the range was passed.

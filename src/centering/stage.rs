@@ -110,7 +110,11 @@ impl Stage {
         {
             return Memory::at(sent);
         }
-        Memory::at(tuning.controller.within(read.or(sent).unwrap_or_default()))
+        // A readback beyond the limits is not believed, unless the stage was sent there before they came closer:
+        // then it goes back at its speed.
+        let farthest = |axis: usize| sent.map_or(0.0, |sent| sent[axis].abs()).max(tuning.controller.limit);
+        let at = read.or(sent).unwrap_or_default();
+        Memory::at([0, 1].map(|axis| at[axis].clamp(-farthest(axis), farthest(axis))))
     }
 
     /// It was sent there after this sample.

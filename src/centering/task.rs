@@ -181,8 +181,10 @@ impl<D: Driver> Side<D> {
                 tracing::info!(position_um = ?last.position.map(|p| p * 1e6), "steering acknowledged its last command");
                 return;
             }
-            Ok(false) => "steering refused its last command; the lease of the one before will end it",
-            Err(_) => "steering did not acknowledge its last command; its lease will end it",
+            Ok(false) => "steering refused its last command: it does what it does when commands cease",
+            Err(_) => {
+                "steering did not acknowledge its last command: if it has not got it, it does what it does when commands cease"
+            }
         };
         tracing::warn!(lease_ms = last.lease_ms, "{complaint}");
     }

@@ -1,4 +1,5 @@
-//! `trifacet simulate`: the twin as fast as it can, as a table for `trifacet solve` and for tests.
+//! `trifacet simulate`: the twin as fast as it can, as a table for `trifacet solve`, for trying out gains, and for
+//! tests.
 //!
 //! The same configuration gives the same bytes. A spot that the channel map does not accept is NaN.
 
@@ -8,11 +9,13 @@ use trifacet::{
     acquisition::{ChannelMap, Channels, Sample},
     clock::{Mono, NS_PER_S},
     exit::{self, Failure},
+    optics::Pose,
+    rig::{Rig, Turn},
     twin::{Twin, TwinScan},
 };
 
 use super::table::digits;
-use super::trace::{POWERS, SPOTS};
+use super::trace::{POSE, POWERS, SPOTS};
 use super::{ConfigArg, written};
 
 /// Arguments of `simulate`.
@@ -23,11 +26,19 @@ pub(crate) struct SimulateArgs {
     /// How many samples the twin takes; lost ones are not printed, and `sample` shows the gap
     #[arg(long, value_name = "N", default_value_t = 1000)]
     samples: u64,
+    /// With centering and estimation behind it, as in the daemon; a command takes effect after the delay of the
+    /// twin's stage, and computing takes no time
+    #[arg(long)]
+    closed_loop: bool,
 }
 
 /// Prints samples of the twin and the truth behind them to standard output.
 pub(crate) fn simulate(args: &SimulateArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
+    if args.closed_loop {
+        let rig = Rig::new(&config)?;
+        return written(closed_loop(rig, args.samples, io::stdout().lock()));
+    }
     let wrong = |message| Failure::new(exit::CONFIG, message);
     let mut twin = Twin::new(&config).map_err(|e| wrong(e.to_string()))?;
     let mut map = Channels::load(&config)?.map(twin.identity()).map_err(wrong)?;
@@ -54,6 +65,7 @@ fn table(twin: &mut Twin, map: &mut ChannelMap, samples: u64, out: impl Write) -
         let time = Mono((scan.t_s * NS_PER_S as f64).round() as i64);
         if let Some(arrived) = scan.arrived(time, lost) {
             row(&scan, &map.sample(&arrived), &mut out)?;
+            writeln!(out)?;
             lost = 0;
         } else {
             lost += 1;
@@ -69,7 +81,28 @@ fn row(scan: &TwinScan, sample: &Sample, out: &mut impl Write) -> io::Result<()>
     for value in truth.iter().chain(offset).chain(&sample.spots).chain(&sample.powers) {
         write!(out, ",{}", digits(*value))?;
     }
-    writeln!(out)
+    Ok(())
+}
+
+/// What the loop and the estimate add to a row. What is not known is NaN.
+const LOOP: [&str; 2] = ["stage_x_m", "stage_y_m"];
+
+fn closed_loop(mut rig: Rig, samples: u64, out: impl Write) -> io::Result<()> {
+    let mut out = io::BufWriter::new(out);
+    let columns = [&TRUTH[..], &SPOTS, &POWERS, &LOOP, &POSE].concat();
+    writeln!(out, "sample,time_s,{},lock,status", columns.join(","))?;
+    for _ in 0..samples {
+        let Turn { scan, sample: Some(sample), command, report, state, .. } = rig.turn() else { continue };
+        row(&scan, &sample, &mut out)?;
+        let stage = command.map_or([f64::NAN; 2], |command| command.position);
+        let pose = report.and_then(|report| report.pose).map_or([f64::NAN; 6], Pose::to_array);
+        for value in stage.iter().chain(&pose) {
+            write!(out, ",{}", digits(*value))?;
+        }
+        let status: Vec<_> = report.iter().flat_map(|report| report.status.names()).collect();
+        writeln!(out, ",{},{}", state.lock.name(), status.join(" "))?;
+    }
+    out.flush()
 }
 
 #[cfg(test)]

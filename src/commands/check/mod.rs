@@ -1,13 +1,13 @@
 //! `trifacet check`: what a configuration means.
 
+mod steering;
+
 use std::fmt::Write as _;
 use std::io::Write as _;
-use std::path::Path;
 
 use trifacet::acquisition::Channels;
 use trifacet::config::{
-    Config, FacetConfig, FramesConfig, GcsConfig, LogFormat, LoopMode, OnExit, SourceKind, SteeringKind,
-    Target, TransformConfig,
+    Config, FacetConfig, FramesConfig, LogFormat, LoopMode, SourceKind, SteeringKind, TransformConfig,
 };
 use trifacet::optics::covariance::deviations;
 use trifacet::optics::{Estimator, FACETS, Innovation, Model, Noise, Optics, Pose, Sighting, Signals, Vec2};
@@ -30,7 +30,8 @@ pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
     lines.say("configuration", format!("{name}: fine, id {:08x}", config.config_id()?));
     head(&config, &mut lines)?;
     source(&config, &mut lines);
-    centering(&config, &mut lines);
+    steering::centering(&config, &mut lines);
+    steering::stage(&config, &mut lines);
     estimation(&config, &mut lines)?;
     frames(&config, &mut lines);
     publishing(&config, &mut lines);
@@ -97,73 +98,6 @@ fn source(config: &Config, lines: &mut Lines) {
             ),
         },
     );
-}
-
-fn centering(config: &Config, lines: &mut Lines) {
-    let (centering, steering) = (&config.centering, &config.steering);
-    if centering.mode == LoopMode::Off {
-        lines.say("centering", "off: the laser stays where it is");
-    } else {
-        let target = match centering.target {
-            Target::Apex => "the beam on the apex",
-            Target::Balance => "equal powers",
-        };
-        let gains = centering.gains(config.acquisition.rate_hz);
-        let delay_ms = 1e3 * centering.loop_delay_s(config.acquisition.rate_hz);
-        lines.say(
-            "centering",
-            format!(
-                "{target}; Kp {:.4}, Ki {:.4} /s for a loop delay of {delay_ms} ms",
-                gains.kp, gains.ki_per_s
-            ),
-        );
-        lines.say(
-            "",
-            format!(
-                "locked within {} um for {} ms, lost after {} ms without light",
-                centering.lock_limit_um, centering.lock_time_ms, centering.lost_time_ms
-            ),
-        );
-    }
-    if centering.mode == LoopMode::Shadow {
-        lines.say("", "in the shadow: all this is computed, and the laser stays where it is");
-    }
-    let does = |action: OnExit| match action {
-        OnExit::Hold => "holds".to_owned(),
-        OnExit::Park => format!("parks at {:?} um", steering.park_um),
-    };
-    let limits = format!("within +-{} um, at most {} mm/s", steering.limit_um, steering.slew_mm_per_s);
-    let at_the_end = format!("{} when the daemon ends", does(steering.on_exit));
-    match steering.kind {
-        SteeringKind::Outputs => {
-            let full_scale_um = steering.full_scale_um;
-            let source = match config.acquisition.source {
-                SourceKind::Twin => "the twin's own stage",
-                SourceKind::Serial => "the board's two outputs",
-            };
-            lines.say("steering", format!("{source}, full scale +-{full_scale_um} um, {limits}"));
-            let on_lease = does(steering.on_lease);
-            lines
-                .say("", format!("{at_the_end}; {on_lease} {} ms after the last command", steering.lease_ms));
-        }
-        SteeringKind::Gcs => {
-            lines.say("steering", format!("{}, {limits}", gcs(&steering.gcs)));
-            lines.say(
-                "",
-                format!("{at_the_end}; stays where it is after the last command: it knows no lease"),
-            );
-        }
-    }
-}
-
-fn gcs(gcs: &GcsConfig) -> String {
-    let line = match (&gcs.address, &gcs.port) {
-        (Some(address), _) => address.clone(),
-        (None, port) => format!("{}, {} baud", port.as_deref().unwrap_or(Path::new("")).display(), gcs.baud),
-    };
-    let [x, y] = &gcs.axes;
-    let (unit, zero) = (gcs.um_per_unit, gcs.zero_um);
-    format!("PI stage (GCS 2.0) at {line}, axes {x} and {y} in units of {unit} um, zero at {zero:?} um")
 }
 
 fn estimation(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {

@@ -1,0 +1,98 @@
+//! What a configuration means for the loop and its stage.
+
+use std::path::Path;
+
+use trifacet::config::{Config, GcsConfig, LoopMode, OnExit, SourceKind, SteeringKind, Target};
+
+use trifacet::centering::{Tuning, search::Spiral};
+
+use super::Lines;
+
+pub(super) fn centering(config: &Config, lines: &mut Lines) {
+    let centering = &config.centering;
+    match centering.mode {
+        LoopMode::Off => return lines.say("centering", "off: the laser stays where it is"),
+        LoopMode::Manual => {
+            return lines.say("centering", "manual: the laser goes where `trifacet ctl move` sends it");
+        }
+        LoopMode::On | LoopMode::Shadow => {}
+    }
+    let rate_hz = config.acquisition.rate_hz;
+    let target = match centering.target {
+        Target::Apex => "the beam on the apex",
+        Target::Balance => "equal powers",
+    };
+    let gains = centering.gains(rate_hz);
+    let delay_ms = 1e3 * centering.loop_delay_s(rate_hz);
+    let (kp, ki) = (gains.kp, gains.ki_per_s);
+    lines.say("centering", format!("{target}; Kp {kp:.4}, Ki {ki:.4} /s for a loop delay of {delay_ms} ms"));
+    if centering.feed_forward {
+        lines.say(
+            "",
+            format!("feed-forward by a tracking filter of {:.1} Hz", centering.tracking_hz(rate_hz)),
+        );
+    }
+    let (limit_um, lock_ms, lost_ms) =
+        (centering.lock_limit_um, centering.lock_time_ms, centering.lost_time_ms);
+    lines.say(
+        "",
+        format!("locked within {limit_um} um for {lock_ms} ms, lost after {lost_ms} ms without light"),
+    );
+    lines.say("", search(config));
+    if centering.mode == LoopMode::Shadow {
+        lines.say("", "in the shadow: all this is computed, and the laser stays where it is");
+    }
+}
+
+fn search(config: &Config) -> String {
+    let centering = &config.centering;
+    if !centering.search {
+        return "what is lost is not searched for".into();
+    }
+    let spiral = Spiral::of(&Tuning::new(config), [0.0; 2], config.head.beam_diameter_mm * 0.5e-3);
+    format!(
+        "what is lost is searched for within the limits, {:.2} s for each of {} times",
+        spiral.duration(),
+        centering.search_attempts
+    )
+}
+
+pub(super) fn stage(config: &Config, lines: &mut Lines) {
+    let steering = &config.steering;
+    let does = |action: OnExit| match action {
+        OnExit::Hold => "holds".to_owned(),
+        OnExit::Park => format!("parks at {:?} um", steering.park_um),
+    };
+    let limits = format!("within +-{} um, at most {} mm/s", steering.limit_um, steering.slew_mm_per_s);
+    let at_the_end = format!("{} when the daemon ends", does(steering.on_exit));
+    match steering.kind {
+        SteeringKind::Outputs => {
+            let full_scale_um = steering.full_scale_um;
+            let source = match config.acquisition.source {
+                SourceKind::Twin => "the twin's own stage",
+                SourceKind::Serial => "the board's two outputs",
+            };
+            lines.say("steering", format!("{source}, full scale +-{full_scale_um} um, {limits}"));
+            let on_lease = does(steering.on_lease);
+            lines
+                .say("", format!("{at_the_end}; {on_lease} {} ms after the last command", steering.lease_ms));
+        }
+        SteeringKind::Gcs => {
+            lines.say("steering", format!("{}, {limits}", gcs(&steering.gcs)));
+            lines.say(
+                "",
+                format!("{at_the_end}; stays where it is after the last command: it knows no lease"),
+            );
+        }
+    }
+}
+
+fn gcs(gcs: &GcsConfig) -> String {
+    let line = match (&gcs.address, &gcs.port) {
+        (Some(address), _) => address.clone(),
+        (None, port) => format!("{}, {} baud", port.as_deref().unwrap_or(Path::new("")).display(), gcs.baud),
+    };
+    let [x, y] = &gcs.axes;
+    let (unit, zero) = (gcs.um_per_unit, gcs.zero_um);
+    format!("PI stage (GCS 2.0) at {line}, axes {x} and {y} in units of {unit} um, zero at {zero:?} um")
+}
