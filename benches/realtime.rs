@@ -51,6 +51,7 @@ fn measure() -> io::Result<bool> {
     socket.set_read_timeout(Some(Duration::from_secs(5)))?;
     let mut config = tempfile::NamedTempFile::new()?;
     writeln!(config, "acquisition.rate_hz = {RATE_HZ}")?;
+    writeln!(config, "monitor.listen = \"off\"")?;
     writeln!(config, "publishing = {{ tcp = \"off\", udp = [\"{}\"] }}", socket.local_addr()?)?;
     let daemon = Daemon(
         Command::new(env!("CARGO_BIN_EXE_trifacet"))

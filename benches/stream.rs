@@ -117,7 +117,7 @@ fn median(runs: &[Run]) -> Run {
 fn daemon(port: u16, rate: i64, priority: u8) -> Child {
     let config = std::env::temp_dir().join(format!("trifacet-bench-{}.toml", std::process::id()));
     let text = format!(
-        "[acquisition]\nrate_hz = {rate}\n[publishing]\ntcp = \"off\"\nudp = [\"127.0.0.1:{port}\"]\n\
+        "monitor.listen = \"off\"\n[acquisition]\nrate_hz = {rate}\n[publishing]\ntcp = \"off\"\nudp = [\"127.0.0.1:{port}\"]\n\
          [realtime]\npriority = {priority}\n[log]\nlevel = \"info\"\n"
     );
     std::fs::write(&config, text).expect("a configuration");

@@ -3,7 +3,7 @@
 //! ```text
 //!  fast thread                                                     main thread
 //!  source ─> acquisition ─(samples, in order)─> estimation ─> UDP
-//!              ^   └─(newest)─> centering <─(pose)─┘   └─(frames)─> TCP clients
+//!              ^   └─(newest)─> centering <─(pose)─┘   └─(frames)─> TCP clients, monitor
 //!              └──────(command)─────┘   └─(lock)──^           ^ subscriptions
 //!                              └─(command)─> PI stage, on the main thread
 //!       (changes, orders, questions) <── control ── socket, SIGHUP
@@ -31,10 +31,10 @@ use crate::control::{self, AtFast, Command, Live, server::Socket};
 use crate::estimation::{self, Estimation};
 use crate::exit::{self, Failure};
 use crate::logging::Logging;
-use crate::monitor::Counters;
+use crate::monitor::{self, Counters, guard::Hosts, view::View};
 use crate::publishing::descriptor::StreamFacts;
 use crate::publishing::{
-    Descriptor, PoseFrame, Publisher, PublisherSettings, StreamId, subscribe, subscription, tcp,
+    Descriptor, Outlets, PoseFrame, Publisher, PublisherSettings, StreamId, subscribe, subscription, tcp,
 };
 use crate::realtime;
 use crate::steering::{self, Gcs, Outputs, Stage, gcs};
@@ -42,9 +42,9 @@ use crate::twin::{Twin, TwinSource};
 
 /// Samples that may wait for estimation.
 const QUEUE: usize = 1024;
-/// Frames that may wait for the TCP side, which is an ordinary thread: the system may stop it for long
-/// (1.6 s of frames at 10 kHz). Takes memory only while they wait.
-const TO_TCP: usize = 16 * 1024;
+/// Frames that may wait for TCP or for the monitor, each on an ordinary thread: the system may stop it for
+/// long (1.6 s of frames at 10 kHz). Takes memory only while they wait.
+const TO_MAIN: usize = 16 * 1024;
 
 /// Runs until SIGTERM or SIGINT; then ends in order, the steering first.
 ///
@@ -70,11 +70,17 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let (descriptor, descriptor_now) = watch::channel(Descriptor::new(facts));
     let (steering, steering_now) = watch::channel(config.steering.clone());
     let (gcs, gcs_task) = gcs::pair(config, steering_now).unzip();
-    let (to_tcp, frames) = mpsc::channel(TO_TCP);
+    let (to_tcp, frames) = mpsc::channel(TO_MAIN);
     let server = match config.publishing.tcp {
         Some(address) => Some(main.block_on(tcp::bind(address))?),
         None => None,
     };
+    let (to_monitor, monitored) = mpsc::channel(TO_MAIN);
+    let monitor = match config.monitor.listen {
+        Some(address) => Some(main.block_on(monitor::http::bind(address))?),
+        None => None,
+    };
+    let (told, config_now) = watch::channel(config.clone());
     let udp = config.publishing.udp.clone();
     let (desk, subscribers) = config.publishing.subscribe.map(subscribe::open).transpose()?.unzip();
     let publisher = Publisher::new(
@@ -82,8 +88,11 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         SystemClock,
         Utc::system(),
         Arc::clone(&counters),
-        subscribers,
-        server.is_some().then_some(to_tcp),
+        Outlets {
+            subscribers,
+            tcp: server.is_some().then_some(to_tcp),
+            monitor: monitor.is_some().then_some(to_monitor),
+        },
     )?;
     let parts = Parts {
         estimation: Estimation::new(estimation::Settings::new(config, channels.calibrated(), id.config)?),
@@ -108,8 +117,10 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
             start_fast(parts, || Ok(source))?
         }
     };
+    let view = View::new(Arc::clone(&counters), descriptor_now.clone(), config_now);
     let slow = Slow {
         server: server.map(|listener| Server { listener, frames, descriptor: descriptor_now }),
+        monitor: monitor.map(|listener| Monitor { listener, frames: monitored, view }),
         desk,
         stage: gcs_task,
         session: id.session,
@@ -121,6 +132,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         calibration,
         facts,
         descriptor,
+        told,
         fast: to_fast,
         steering,
         log: Arc::clone(log),
@@ -152,6 +164,7 @@ struct Parts {
 /// What the main thread serves.
 struct Slow {
     server: Option<Server>,
+    monitor: Option<Monitor>,
     desk: Option<subscribe::Desk>,
     stage: Option<gcs::task::Task>,
     session: u32,
@@ -162,6 +175,13 @@ struct Server {
     listener: tokio::net::TcpListener,
     frames: mpsc::Receiver<PoseFrame>,
     descriptor: watch::Receiver<Descriptor>,
+}
+
+/// The HTTP side.
+struct Monitor {
+    listener: tokio::net::TcpListener,
+    frames: mpsc::Receiver<PoseFrame>,
+    view: View,
 }
 
 /// The fast thread, and the news of its end: the task that ended by itself, if one did.
@@ -292,7 +312,7 @@ fn serve(
     let publishing = &config.publishing;
     let subscriptions =
         subscription::Subscriptions::new(slow.session, publishing.subscribers, publishing.allow.clone());
-    let Slow { server, desk, stage, .. } = slow;
+    let Slow { server, monitor, desk, stage, .. } = slow;
     let Fast { thread, mut ended } = fast;
     let result = main.block_on(async {
         let (mut terminate, mut interrupt) =
@@ -305,6 +325,18 @@ fn serve(
             // Not told to stop: it serves what the fast side still sends, and ends when that has ended.
             let never = CancellationToken::new();
             tcp::serve(listener, frames, descriptor, limits, Arc::clone(counters), never).await;
+        };
+        let monitoring = async {
+            match monitor {
+                Some(Monitor { listener, frames, view }) => {
+                    let hosts = Hosts::new(&config.monitor.allowed_hosts);
+                    monitor::http::serve(listener, frames, view, hosts).await;
+                }
+                None => stop.cancelled().await,
+            }
+        };
+        let serving = async {
+            tokio::join!(serving, monitoring);
         };
         let subscribing = async {
             match desk {
@@ -324,7 +356,7 @@ fn serve(
             biased;
             end = &mut ended => return fast_end(end),
             () = &mut serving => {
-                // The server ends by itself only when the fast side is gone.
+                // The servers end by themselves only when the fast side is gone.
                 return fast_end(ended.await);
             }
             () = &mut steering => return fast_end(ended.await), // likewise

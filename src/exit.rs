@@ -1,6 +1,8 @@
 //! The exit codes of `trifacet`, those of `sysexits.h`, so that a supervisor can tell a mistake in a
 //! file from a device that is busy.
 
+use std::{fmt::Display, io};
+
 /// The command line is wrong.
 pub const USAGE: u8 = 64;
 /// Some rows of the input could not be worked on; the rest were.
@@ -30,5 +32,14 @@ impl Failure {
     /// A failure of this kind with this message.
     pub fn new(code: u8, message: impl Into<String>) -> Self {
         Self { code, message: message.into() }
+    }
+
+    /// A port could not be opened: [`IN_USE`] if another process has it, else [`IO`]. `what` was to be done.
+    pub fn port(what: impl Display, e: &io::Error) -> Self {
+        let (code, why) = match e.kind() {
+            io::ErrorKind::AddrInUse => (IN_USE, "another process has the port".to_owned()),
+            _ => (IO, e.to_string()),
+        };
+        Self::new(code, format!("cannot {what}: {why}"))
     }
 }

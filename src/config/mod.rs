@@ -23,6 +23,7 @@ mod id;
 mod load;
 mod locate;
 mod log;
+mod monitor;
 mod motion;
 mod network;
 mod publishing;
@@ -47,6 +48,7 @@ pub use head::{FacetConfig, HeadConfig};
 pub use load::{load, parse};
 pub use locate::Place;
 pub use log::{LogConfig, LogFormat};
+pub use monitor::MonitorConfig;
 pub use motion::{Axis, Motion, MotionKind};
 pub use network::Network;
 pub use publishing::{PublishingConfig, UdpTarget};
@@ -76,6 +78,8 @@ pub struct Config {
     pub publishing: PublishingConfig,
     /// The control socket.
     pub control: ControlConfig,
+    /// Health, metrics and the live page.
+    pub monitor: MonitorConfig,
     /// The digital twin.
     pub twin: TwinConfig,
     /// Priority, memory and CPU of the fast thread.
@@ -96,6 +100,7 @@ impl Config {
         self.frames.check(at.section("frames"));
         self.publishing.check(at.section("publishing"));
         self.control.check(at.section("control"));
+        self.monitor.check(at.section("monitor"));
         self.twin.check(at.section("twin"), self.acquisition.rate_hz);
         self.realtime.check(at.section("realtime"));
         self.log.check(at.section("log"));

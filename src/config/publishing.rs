@@ -104,7 +104,7 @@ impl PublishingConfig {
 
 const ADDRESS: &str = "an address and a port such as \"127.0.0.1:7361\" or \"[::1]:7361\"";
 
-fn address_or_off<'de, D: Deserializer<'de>>(from: D) -> Result<Option<SocketAddr>, D::Error> {
+pub(super) fn address_or_off<'de, D: Deserializer<'de>>(from: D) -> Result<Option<SocketAddr>, D::Error> {
     let text = String::deserialize(from)?;
     if text == "off" {
         return Ok(None);

@@ -43,6 +43,8 @@ pub struct Live {
     pub facts: StreamFacts,
     /// Where TCP clients find it.
     pub descriptor: watch::Sender<Descriptor>,
+    /// Where the monitor finds what holds.
+    pub told: watch::Sender<Config>,
     /// The ways to the fast side.
     pub fast: ToFast,
     /// Where a stage with a task of its own finds its limits.
@@ -211,6 +213,7 @@ impl Live {
             let tuning = Box::new(Tuning::new(&next));
             ask(&self.fast.orders, PATIENCE, |done| Order::Retune(tuning, done)).await?;
         }
+        self.told.send_replace(next.clone());
         self.running = next;
         Ok(())
     }

@@ -1,4 +1,12 @@
-//! What is counted. One place for every loss, so that none is silent.
+//! What people and machines see of a running daemon. Nothing here can hold up the fast side.
+//!
+//! - [`Counters`]: what is counted. One place for every loss, so that none is silent.
+//! - [`view`]: frames, configuration and counters, for whoever looks.
+//! - [`http`]: the server. [`guard`]: which requests are meant for it.
+
+pub mod guard;
+pub mod http;
+pub mod view;
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -75,6 +83,12 @@ counters! {
     udp_refused,
     /// TCP clients that were not let in: too many, or not of an allowed network.
     tcp_refused,
+    /// Frames that never reached the monitor because it was behind.
+    monitor_overflows,
+    /// HTTP connections that were cut off: too many.
+    monitor_refused,
+    /// HTTP requests that were refused: not addressed to this host, or from a page of another.
+    monitor_forbidden,
 }
 
 /// A number that only grows.

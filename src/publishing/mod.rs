@@ -31,4 +31,4 @@ pub mod tcp;
 
 pub use descriptor::{Descriptor, Heartbeat};
 pub use frame::PoseFrame;
-pub use publisher::{Publisher, PublisherSettings, StreamId};
+pub use publisher::{Outlets, Publisher, PublisherSettings, StreamId};

@@ -1,4 +1,4 @@
-//! The fast side of publishing: makes every frame, sends the datagrams, hands the frame on to TCP.
+//! The fast side of publishing: makes every frame, sends the datagrams, hands the frame on to TCP and to the monitor.
 //! Nothing here ever waits; what is not taken at once is dropped and counted.
 
 use std::{
@@ -18,7 +18,7 @@ use crate::{
     config::UdpTarget,
     estimation::PoseReport,
     exit::Failure,
-    monitor::Counters,
+    monitor::{Counter, Counters},
 };
 
 /// What tells the frames of one daemon, with one configuration, from all others.
@@ -47,6 +47,17 @@ pub struct PublisherSettings {
     pub udp: Vec<UdpTarget>,
 }
 
+/// Where frames go besides the fixed targets. What is none, is switched off.
+#[derive(Debug, Default)]
+pub struct Outlets {
+    /// Those of [`super::subscribe`].
+    pub subscribers: Option<Subscribers>,
+    /// To [`super::tcp::serve`].
+    pub tcp: Option<mpsc::Sender<PoseFrame>>,
+    /// To [`crate::monitor::http::serve`].
+    pub monitor: Option<mpsc::Sender<PoseFrame>>,
+}
+
 /// Makes frames of reports and gives them to the network. Lives on the fast thread.
 #[derive(Debug)]
 pub struct Publisher<C> {
@@ -56,12 +67,12 @@ pub struct Publisher<C> {
     utc: Utc,
     counters: Arc<Counters>,
     tcp: Option<mpsc::Sender<PoseFrame>>,
+    monitor: Option<mpsc::Sender<PoseFrame>>,
     sequence: u64,
 }
 
 impl<C: Clock> Publisher<C> {
-    /// A publisher with its sockets. `subscribers` are those of [`super::subscribe`], `tcp` leads to
-    /// [`super::tcp::serve`], if they run.
+    /// A publisher with its sockets.
     ///
     /// Fails if no socket can be had.
     pub fn new(
@@ -69,12 +80,12 @@ impl<C: Clock> Publisher<C> {
         clock: C,
         utc: Utc,
         counters: Arc<Counters>,
-        subscribers: Option<Subscribers>,
-        tcp: Option<mpsc::Sender<PoseFrame>>,
+        outlets: Outlets,
     ) -> Result<Self, Failure> {
         let PublisherSettings { id, udp } = settings;
+        let Outlets { subscribers, tcp, monitor } = outlets;
         let targets = Targets::open(&udp, subscribers)?;
-        Ok(Self { id, targets, clock, utc, counters, tcp, sequence: 0 })
+        Ok(Self { id, targets, clock, utc, counters, tcp, monitor, sequence: 0 })
     }
 
     /// Sends the frame of a report to everyone. Frames go out at the full rate, valid or not: silence
@@ -92,12 +103,17 @@ impl<C: Clock> Publisher<C> {
             self.counters.frames_invalid.one();
         }
         self.targets.send(&frame, &self.counters);
-        // A closed channel is not a loss: it means that the TCP side has ended, which the daemon sees.
-        if let Some(tcp) = &self.tcp
-            && let Err(TrySendError::Full(_)) = tcp.try_send(frame)
-        {
-            self.counters.tcp_overflows.one();
-        }
+        hand_on(frame, self.tcp.as_ref(), &self.counters.tcp_overflows);
+        hand_on(frame, self.monitor.as_ref(), &self.counters.monitor_overflows);
+    }
+}
+
+/// A closed channel is not a loss: it means that the other side has ended, which the daemon sees.
+fn hand_on(frame: PoseFrame, to: Option<&mpsc::Sender<PoseFrame>>, overflows: &Counter) {
+    if let Some(to) = to
+        && let Err(TrySendError::Full(_)) = to.try_send(frame)
+    {
+        overflows.one();
     }
 }
 
@@ -124,7 +140,14 @@ mod tests {
         let udp = udp.into_iter().map(UdpTarget::to).collect();
         let settings = PublisherSettings { id: StreamId { session: 1, config: 2 }, udp };
         let utc = Utc::reading(|| (Mono(0), 5_000_000_000));
-        Publisher::new(settings, Fixed(Mono(1_200_000)), utc, Arc::default(), None, tcp).unwrap()
+        Publisher::new(
+            settings,
+            Fixed(Mono(1_200_000)),
+            utc,
+            Arc::default(),
+            Outlets { tcp, ..Outlets::default() },
+        )
+        .unwrap()
     }
 
     #[test]
@@ -162,7 +185,7 @@ mod tests {
         let utc = Utc::reading(|| (Mono(0), 0));
         let counters = Arc::default();
         let mut publisher =
-            Publisher::new(settings, Fixed(Mono(1_200_000)), utc, counters, None, None).unwrap();
+            Publisher::new(settings, Fixed(Mono(1_200_000)), utc, counters, Outlets::default()).unwrap();
         for n in 0..6 {
             let status = if n < 2 { report().status } else { Status::PSD_A_LOW };
             publisher.publish(&PoseReport { status, ..report() });

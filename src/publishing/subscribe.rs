@@ -10,11 +10,7 @@ use super::{
     subscription::Subscriptions,
     target::{Subscriber, Subscribers},
 };
-use crate::{
-    clock::Clock,
-    exit::{self, Failure},
-    monitor::Counters,
-};
+use crate::{clock::Clock, exit::Failure, monitor::Counters};
 
 /// Longer requests are none.
 const LONGEST: usize = 512;
@@ -27,7 +23,7 @@ pub struct Desk {
 }
 
 /// Opens the port and logs the address; gives the fast side's end of it too. Fails with
-/// [`exit::IN_USE`] if someone else has the port.
+/// [`crate::exit::IN_USE`] if someone else has the port.
 pub fn open(address: SocketAddr) -> Result<(Desk, Subscribers), Failure> {
     let open = || {
         let socket = UdpSocket::bind(address)?;
@@ -35,13 +31,8 @@ pub fn open(address: SocketAddr) -> Result<(Desk, Subscribers), Failure> {
         let sending = socket.try_clone()?;
         io::Result::Ok((socket, sending))
     };
-    let (socket, sending) = open().map_err(|e| {
-        let (code, why) = match e.kind() {
-            io::ErrorKind::AddrInUse => (exit::IN_USE, "another process has the port".to_owned()),
-            _ => (exit::IO, e.to_string()),
-        };
-        Failure::new(code, format!("cannot open {address} for UDP subscriptions: {why}"))
-    })?;
+    let (socket, sending) =
+        open().map_err(|e| Failure::port(format_args!("open {address} for UDP subscriptions"), &e))?;
     let address = socket.local_addr().unwrap_or(address);
     tracing::info!(%address, "UDP subscriptions are taken");
     let (list, newest) = watch::channel([].into());

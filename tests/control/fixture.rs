@@ -46,7 +46,8 @@ pub(crate) fn trifacet(args: &[&str]) -> Output {
 }
 
 impl Daemon {
-    /// Starts one and waits for its socket. The text must not have `[publishing]`, `[control]` or `[log]`.
+    /// Starts one and waits for its socket. The text must not have `[publishing]`, `[control]`, `[monitor]`
+    /// or `[log]`.
     pub(crate) fn start(text: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let udp = UdpSocket::bind("127.0.0.1:0").unwrap();
@@ -54,7 +55,8 @@ impl Daemon {
         let port = udp.local_addr().unwrap().port();
         let text = format!(
             "# our lab\n[publishing]\ntcp = \"127.0.0.1:0\"\nudp = [\"127.0.0.1:{port}\"]\n\
-             [control]\nsocket = \"{}/socket\"\nmode = \"0640\"\n[log]\nformat = \"json\"\n{text}",
+             [control]\nsocket = \"{}/socket\"\nmode = \"0640\"\n[monitor]\nlisten = \"off\"\n\
+             [log]\nformat = \"json\"\n{text}",
             folder.path().display()
         );
         std::fs::write(folder.path().join("lab.toml"), text).unwrap();

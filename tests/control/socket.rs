@@ -101,7 +101,10 @@ fn what_is_no_socket_is_not_replaced() {
     let file = folder.path().join("lab.toml");
     let notes = folder.path().join("notes");
     std::fs::write(&notes, "precious").unwrap();
-    let text = format!("publishing.tcp = \"off\"\ncontrol.socket = \"{}\"\n", notes.display());
+    let text = format!(
+        "publishing.tcp = \"off\"\nmonitor.listen = \"off\"\ncontrol.socket = \"{}\"\n",
+        notes.display()
+    );
     std::fs::write(&file, text).unwrap();
     let run = trifacet(&["run", "--config", file.to_str().unwrap()]);
     assert_eq!(run.status.code(), Some(i32::from(exit::IO)), "{run:?}");

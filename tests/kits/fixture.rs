@@ -35,7 +35,7 @@ impl Daemon {
     pub(crate) fn start(udp: &[u16]) -> Self {
         let place = tempfile::tempdir().unwrap();
         let config = place.path().join("trifacet.toml");
-        let mut text = "[acquisition]\nrate_hz = 200.0\n".to_owned();
+        let mut text = "monitor.listen = 'off'\n[acquisition]\nrate_hz = 200.0\n".to_owned();
         for at in (1..120).step_by(2) {
             writeln!(text, "[[twin.fault]]\nkind = 'beam-blocked'\nat_s = {at}\nfor_s = 1").unwrap();
         }

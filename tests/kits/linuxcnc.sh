@@ -60,7 +60,7 @@ port=$(python3 -c 'import socket; s = socket.socket(socket.AF_INET, socket.SOCK_
 # The mirror stands still at a place of its own. The beam is blocked for three seconds of every nine.
 start_daemon() {
     {
-        printf '[publishing]\ntcp = "off"\nudp = ["127.0.0.1:%s"]\n' "$port"
+        printf 'monitor.listen = "off"\n[publishing]\ntcp = "off"\nudp = ["127.0.0.1:%s"]\n' "$port"
         printf '[[twin.motion]]\naxis = "tx"\nkind = "step"\namount_um = 30.0\n'
         printf '[[twin.motion]]\naxis = "yaw"\nkind = "step"\namount_urad = 400.0\n'
         for at in $(seq 6 9 600); do

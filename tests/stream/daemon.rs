@@ -22,7 +22,11 @@ impl Daemon {
     pub(crate) fn start(publishing: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("trifacet.toml");
-        std::fs::write(&file, format!("log.format = \"json\"\n[publishing]\n{publishing}\n")).unwrap();
+        std::fs::write(
+            &file,
+            format!("log.format = \"json\"\nmonitor.listen = \"off\"\n[publishing]\n{publishing}\n"),
+        )
+        .unwrap();
         let mut child = Command::new(env!("CARGO_BIN_EXE_trifacet"))
             .args(["run", "--config"])
             .arg(&file)

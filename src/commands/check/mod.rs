@@ -184,6 +184,8 @@ fn machine(config: &Config, lines: &mut Lines) {
         let mode = config.control.mode;
         lines.say("control", format!("{}, permissions {mode:04o}", socket.display()));
     }
+    let monitor = config.monitor.listen.map_or("off".into(), |address| format!("http://{address}/"));
+    lines.say("monitor", monitor);
     let format = match config.log.format {
         LogFormat::Text => "text",
         LogFormat::Json => "JSON lines",
@@ -207,6 +209,12 @@ fn notes(config: &Config, lines: &mut Lines) {
     let open = [publishing.tcp, publishing.subscribe].into_iter().flatten().any(|a| !a.ip().is_loopback());
     if open && publishing.allow.iter().all(|network| network.is_loopback()) {
         lines.say("note", "publishing.allow has this machine only: clients from elsewhere are refused");
+    }
+    if let Some(address) = config.monitor.listen.filter(|address| !address.ip().is_loopback()) {
+        lines.say(
+            "note",
+            format!("monitor.listen = {address}: everybody who reaches it may read, without encryption"),
+        );
     }
     let period_ms = 1e3 / config.acquisition.rate_hz;
     let leased = config.centering.mode != LoopMode::Off && config.steering.kind == SteeringKind::Outputs;

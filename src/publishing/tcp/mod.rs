@@ -25,11 +25,7 @@ use super::{
     form::{Issue, farewell},
     held::Hold,
 };
-use crate::{
-    config::Network,
-    exit::{self, Failure},
-    monitor::Counters,
-};
+use crate::{config::Network, exit::Failure, monitor::Counters};
 
 /// At shutdown: how long the last frames may take to come in, and then to go out.
 const DRAIN: Duration = Duration::from_millis(500);
@@ -65,15 +61,11 @@ impl Default for Limits {
     }
 }
 
-/// Opens the port and logs the address. Fails with [`exit::IN_USE`] if someone else has it.
+/// Opens the port and logs the address. Fails with [`crate::exit::IN_USE`] if someone else has it.
 pub async fn bind(address: SocketAddr) -> Result<TcpListener, Failure> {
-    let listener = TcpListener::bind(address).await.map_err(|e| {
-        let (code, why) = match e.kind() {
-            io::ErrorKind::AddrInUse => (exit::IN_USE, "another process has the port".to_owned()),
-            _ => (exit::IO, e.to_string()),
-        };
-        Failure::new(code, format!("cannot listen on {address} for TCP clients: {why}"))
-    })?;
+    let listener = TcpListener::bind(address)
+        .await
+        .map_err(|e| Failure::port(format_args!("listen on {address} for TCP clients"), &e))?;
     let address = listener.local_addr().unwrap_or(address);
     tracing::info!(%address, "listening");
     Ok(listener)

@@ -1,0 +1,103 @@
+//! Which requests are meant for this server.
+//!
+//! A page of some other site, open in a browser on this machine, can send requests here, and, if its
+//! name is made to lead to this address (DNS rebinding), read the answers. The name that it used is in
+//! `Host`, the site that it belongs to in `Origin`: both must be this machine.
+
+use std::net::IpAddr;
+
+use axum::http::{HeaderMap, HeaderName, Uri, header, uri::Authority};
+
+/// The names of this machine.
+#[derive(Clone, Debug)]
+pub struct Hosts(Vec<String>);
+
+impl Hosts {
+    /// These, `localhost`, and the address that a request came to.
+    pub fn new(allowed: &[String]) -> Self {
+        Self(allowed.to_vec())
+    }
+
+    /// Why a request that came to this address is refused, if it is.
+    pub fn refusal(&self, headers: &HeaderMap, own: IpAddr) -> Option<String> {
+        let host = text(headers, header::HOST).and_then(|host| host.parse::<Authority>().ok());
+        let Some(host) = host else { return Some("the request has no valid Host\n".into()) };
+        if !self.are(host.host(), own) {
+            return Some(self.words("Host", host.host()));
+        }
+        if !headers.contains_key(header::ORIGIN) {
+            return None;
+        }
+        let origin = text(headers, header::ORIGIN).unwrap_or_default();
+        let site = origin.parse::<Uri>().ok();
+        match site.as_ref().and_then(Uri::host) {
+            Some(host) if self.are(host, own) => None,
+            _ => Some(self.words("Origin", origin)),
+        }
+    }
+
+    fn are(&self, host: &str, own: IpAddr) -> bool {
+        let address = host.trim_start_matches('[').trim_end_matches(']').parse::<IpAddr>();
+        match address {
+            Ok(address) => address.to_canonical() == own.to_canonical(),
+            Err(_) => {
+                host.eq_ignore_ascii_case("localhost") || self.0.iter().any(|h| h.eq_ignore_ascii_case(host))
+            }
+        }
+    }
+
+    fn words(&self, header: &str, found: &str) -> String {
+        let mut allowed = vec!["localhost", "the address that the request is sent to"];
+        allowed.extend(self.0.iter().map(String::as_str));
+        format!(
+            "{header} {found:?} is not this machine: allowed are {} (monitor.allowed_hosts)\n",
+            allowed.join(", ")
+        )
+    }
+}
+
+fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
+    headers.get(name)?.to_str().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(host: &str, origin: Option<&str>) -> bool {
+        let mut headers = HeaderMap::new();
+        headers.insert(header::HOST, host.parse().unwrap());
+        if let Some(origin) = origin {
+            headers.insert(header::ORIGIN, origin.parse().unwrap());
+        }
+        Hosts::new(&["lab-pc".into()]).refusal(&headers, [192, 168, 1, 5].into()).is_some()
+    }
+
+    #[test]
+    fn requests_to_other_names_are_refused() {
+        for good in ["localhost", "localhost:7360", "192.168.1.5:7360", "LAB-PC", "lab-pc:80"] {
+            assert!(!refused(good, None), "{good}");
+        }
+        for bad in
+            ["evil.example", "localhost.evil.example", "192.168.1.6", "127.0.0.1", "[::1]:7360", "a b", ""]
+        {
+            assert!(refused(bad, None), "{bad}");
+        }
+        let v6 = |host: &str| {
+            let headers = HeaderMap::from_iter([(header::HOST, host.parse().unwrap())]);
+            Hosts::new(&[]).refusal(&headers, std::net::Ipv6Addr::LOCALHOST.into())
+        };
+        assert!(v6("[::1]:7360").is_none() && v6("[::2]:7360").is_some());
+        assert!(Hosts::new(&[]).refusal(&HeaderMap::new(), [127, 0, 0, 1].into()).is_some());
+    }
+
+    #[test]
+    fn pages_of_other_sites_are_refused() {
+        for good in ["http://localhost:7360", "http://192.168.1.5:7360", "http://lab-pc"] {
+            assert!(!refused("localhost", Some(good)), "{good}");
+        }
+        for bad in ["null", "http://evil.example", "https://localhost.evil.example", ""] {
+            assert!(refused("localhost", Some(bad)), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,132 @@
+//! The HTTP server, on the main thread.
+//!
+//! Connections are bounded in number, and in how long they may take to say what they want or to read the
+//! answer. Each has a task of its own, so that a slow one delays no other.
+
+use std::convert::Infallible;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Router;
+use axum::http::{Request, StatusCode};
+use axum::response::{IntoResponse, Response};
+use hyper::body::Incoming;
+use hyper::server::conn::http1;
+use hyper::service::{Service, service_fn};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::mpsc;
+use tokio::task::JoinSet;
+use tokio::time::{sleep, timeout};
+
+use super::{guard::Hosts, view::View};
+use crate::exit::Failure;
+use crate::publishing::PoseFrame;
+
+/// Most connections at a time; further ones are cut off.
+const CONNECTIONS: usize = 128;
+/// A connection that has not said what it wants for this long is closed.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// One that takes nothing of its answer for this long is cut off.
+const STALL_MS: u32 = 10_000;
+/// At the end: how long answers that are under way may take.
+const DRAIN: Duration = Duration::from_millis(500);
+
+/// Opens the port and logs where the page is. Fails with [`crate::exit::IN_USE`] if someone else has it.
+pub async fn bind(address: SocketAddr) -> Result<TcpListener, Failure> {
+    let listener = TcpListener::bind(address)
+        .await
+        .map_err(|e| Failure::port(format_args!("open {address} for the monitor (monitor.listen)"), &e))?;
+    let address = listener.local_addr().unwrap_or(address);
+    tracing::info!(url = format!("http://{address}/"), "monitor is open");
+    Ok(listener)
+}
+
+/// Serves until no more frames can come.
+pub async fn serve(listener: TcpListener, mut frames: mpsc::Receiver<PoseFrame>, view: View, hosts: Hosts) {
+    let view = Arc::new(view);
+    let mut server = Server { view: Arc::clone(&view), hosts, router: router(&view), open: JoinSet::new() };
+    tokio::select! {
+        () = view.feed(&mut frames) => {}
+        () = server.accept_all(&listener) => {}
+    }
+    drop(listener);
+    view.ending.cancel();
+    // What is still open then is cut off: there is nothing left to read.
+    let all_done = async { while server.open.join_next().await.is_some() {} };
+    let _ = timeout(DRAIN, all_done).await;
+}
+
+/// Every page. A handler takes `State<Arc<View>>`.
+fn router(view: &Arc<View>) -> Router {
+    Router::new().with_state(Arc::clone(view))
+}
+
+struct Server {
+    view: Arc<View>,
+    hosts: Hosts,
+    router: Router,
+    open: JoinSet<()>,
+}
+
+impl Server {
+    async fn accept_all(&mut self, listener: &TcpListener) {
+        loop {
+            match listener.accept().await {
+                Ok((stream, _)) => self.admit(stream),
+                Err(e) => {
+                    // Out of file descriptors, as a rule: nothing to do but wait for some.
+                    tracing::warn!("monitor: cannot accept a connection: {e}");
+                    sleep(Duration::from_millis(100)).await;
+                }
+            }
+        }
+    }
+
+    fn admit(&mut self, stream: TcpStream) {
+        while self.open.try_join_next().is_some() {}
+        if self.open.len() < CONNECTIONS {
+            self.open.spawn(talk(stream, Arc::clone(&self.view), self.hosts.clone(), self.router.clone()));
+        } else {
+            self.view.counters.monitor_refused.one();
+            tracing::warn!("monitor: refused a connection, {CONNECTIONS} are open already");
+        }
+    }
+}
+
+/// One connection, to its end. That it breaks is the business of the other side.
+async fn talk(stream: TcpStream, view: Arc<View>, hosts: Hosts, router: Router) {
+    let Ok(own) = stream.local_addr() else { return };
+    if rustix::net::sockopt::set_tcp_user_timeout(&stream, STALL_MS).is_err() {
+        return;
+    }
+    let router = TowerToHyperService::new(router);
+    let service = service_fn(|request: Request<Incoming>| {
+        let refusal = hosts.refusal(request.headers(), own.ip());
+        let answer = refusal.is_none().then(|| router.call(request));
+        let counters = &view.counters;
+        async move {
+            match answer {
+                Some(answer) => answer.await,
+                None => Ok::<Response, Infallible>({
+                    counters.monitor_forbidden.one();
+                    (StatusCode::FORBIDDEN, refusal.unwrap_or_default()).into_response()
+                }),
+            }
+        }
+    });
+    let connection = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(PATIENCE)
+        .serve_connection(TokioIo::new(stream), service)
+        .with_upgrades();
+    let mut connection = std::pin::pin!(connection);
+    tokio::select! {
+        _ = connection.as_mut() => return,
+        () = view.ending.cancelled() => {}
+    }
+    connection.as_mut().graceful_shutdown();
+    let _ = connection.await;
+}
