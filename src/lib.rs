@@ -32,6 +32,7 @@ pub mod publishing;
 pub mod realtime;
 pub mod rig;
 pub mod steering;
+pub mod tuning;
 pub mod twin;
 
 pub use publishing::client;

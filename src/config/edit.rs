@@ -104,7 +104,10 @@ mod tests {
             Edit {
                 section: &["steering"],
                 key: "matrix",
-                value: [[0.5, -1.0], [1.0, 0.5]].into_iter().map(|row| row.into_iter().collect::<Value>()).collect(),
+                value: [[0.5, -1.0], [1.0, 0.5]]
+                    .into_iter()
+                    .map(|row| row.into_iter().collect::<Value>())
+                    .collect(),
             },
         ];
         let new = edited("centering.lag_ms = 3 # slow\n", &edits).unwrap();
