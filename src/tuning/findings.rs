@@ -88,16 +88,14 @@ impl Findings {
             Measured { value: response.gain[row], sigma: response.gain_sigma[row] }
         };
         let matrix = [[cell(0, 0), cell(0, 1)], [cell(1, 0), cell(1, 1)]];
-        let mut computed: Vec<f64> = recording.steps.iter().map(|step| step.computed).collect();
-        computed.sort_by(f64::total_cmp);
-        let longest = computed.last().copied().unwrap_or_default();
+        let computed = || recording.steps.iter().map(|step| step.computed);
         let mut findings = Self {
             matrix,
             origin: origin(recording, &matrix),
             delay: Measured::default(),
             lag: Measured::default(),
             jitter: responses[0].jitter.max(responses[1].jitter),
-            computed: [computed.get(computed.len() / 2).copied().unwrap_or_default(), longest],
+            computed: [median(computed()), computed().fold(0.0, f64::max)],
             noise: recording.plan.noise,
             readback: readback(recording),
             responses,
@@ -206,9 +204,15 @@ fn doubts_of(name: &str, response: &Response, read: Option<f64>, plan: &Plan, pe
         }];
     }
     let mut doubts = Vec::new();
+    if response.unfollowed > 0 {
+        doubts.push(format!(
+            "the stage did not follow {} of {} steps of the {name} axis",
+            response.unfollowed, plan.steps
+        ));
+    }
     if (response.used as f64) < USED * f64::from(plan.steps) {
         doubts.push(format!(
-            "of {} steps of the {name} axis only {} can be used, {} came at another time than the rest: is the machine busy?",
+            "of {} steps of the {name} axis only {} can be used, the rest came late ({} by the beam alone), or with samples lost: is the machine busy?",
             plan.steps, response.used, response.outliers
         ));
     }
@@ -244,11 +248,13 @@ fn doubts_of(name: &str, response: &Response, read: Option<f64>, plan: &Plan, pe
     doubts
 }
 
-/// The windows around the steps of an axis, those without a lost sample.
+/// The windows around the steps of an axis, those without a lost sample and with a command that was not
+/// held up.
 fn windows(recording: &Recording, axis: usize, period: f64) -> Windows {
     let dwell = recording.plan.dwell;
+    let usual = median(recording.steps.iter().map(|step| step.computed)) + period / 2.0;
     let mut windows = Windows { period, step: recording.plan.step, ..Windows::default() };
-    for step in recording.steps.iter().filter(|step| step.axis == axis) {
+    for step in recording.steps.iter().filter(|step| step.axis == axis && step.computed <= usual) {
         let range = (step.on + 1).saturating_sub(dwell / 2)..=step.on + dwell;
         let Some(looks) = recording.looks.get(range) else { continue };
         let whole = looks[looks.len() - 1].index - looks[0].index + 1 == looks.len() as u64;
@@ -318,6 +324,12 @@ fn readback(recording: &Recording) -> Option<[Readback; 2]> {
         })
     };
     Some([of(0)?, of(1)?])
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or_default()
 }
 
 /// The mean of two numbers by their deviations.

@@ -15,6 +15,8 @@ const LAG_SIGMAS: f64 = 3.0;
 /// Windows whose delay is off by so many deviations of all are left out: the machine slept.
 const OUTLIER: f64 = 5.0;
 
+/// A step with less than this part of the usual movement was not followed.
+const FOLLOWED: f64 = 0.5;
 /// Width of a numerical derivative, in periods.
 const NARROW: f64 = 1e-3;
 
@@ -54,6 +56,8 @@ pub struct Response {
     pub used: usize,
     /// Steps that were left out since their delay was another one.
     pub outliers: usize,
+    /// Steps that the beam did not follow, or only in part.
+    pub unfollowed: usize,
     /// Movement of the beam per step, metres.
     pub movement: Xy,
     /// The mean over all steps less the drift: time in seconds, beam movement per step in metres.
@@ -70,13 +74,31 @@ impl Response {
 /// Fits the response. `None` if the windows are too few or nothing moves in them that could be fitted.
 pub fn fit(windows: &Windows) -> Option<Response> {
     let all: Vec<usize> = (0..windows.offsets.len()).collect();
-    let first = Fit::new(windows, &all)?;
+    let first = Fit::new(windows, &all, middle)?;
     let late = first.delays();
-    let (middle, spread) = middle_and_spread(&late);
-    let usual = |i: &usize| (late[*i] - middle).abs() <= (OUTLIER * spread).max(windows.period / 2.0);
-    let kept: Vec<usize> = all.into_iter().filter(usual).collect();
-    let fit = if kept.len() < late.len() { Fit::new(windows, &kept)? } else { first };
-    Some(fit.response(late.len() - kept.len()))
+    let (usual, spread) = middle_and_spread(&late);
+    let reach = (OUTLIER * spread).max(windows.period / 2.0);
+    let kept: Vec<usize> = all.into_iter().filter(|i| (late[*i] - usual).abs() <= reach).collect();
+    let fit = Fit::new(windows, &kept, mean)?;
+    let unfollowed = unfollowed(windows, fit.movement);
+    let outliers = late.len() - kept.len();
+    Some(Response { outliers, unfollowed, ..fit.response() })
+}
+
+/// How many steps the beam has not followed by the end of their windows, or only in part.
+fn unfollowed(windows: &Windows, movement: Xy) -> usize {
+    let usual = movement[0].powi(2) + movement[1].powi(2);
+    let last = windows.times.last().copied().unwrap_or_default();
+    let part = |window: &Vec<Xy>, which: &dyn Fn(f64) -> bool| {
+        let (mut sum, mut count) = (0.0, 0.0_f64);
+        for (_, v) in windows.times.iter().zip(window).filter(|(t, _)| which(**t)) {
+            sum += v[0] * movement[0] + v[1] * movement[1];
+            count += 1.0;
+        }
+        sum / count.max(1.0)
+    };
+    let moved = |w: &&Vec<Xy>| part(w, &|t| t > last / 2.0) - part(w, &|t| t <= 0.0) < FOLLOWED * usual;
+    windows.offsets.iter().filter(moved).count()
 }
 
 /// A fit to the mean of windows.
@@ -96,21 +118,19 @@ struct Fit {
 }
 
 impl Fit {
-    fn new(from: &Windows, which: &[usize]) -> Option<Self> {
+    /// A fit to some of the windows, of whose values at each time `center` is taken.
+    fn new(from: &Windows, which: &[usize], center: impl Fn(Vec<f64>) -> f64) -> Option<Self> {
         let (n, count) = (from.times.len(), which.len());
         if n < 8 || count < 4 {
             return None;
         }
         let line = Line::new(&from.times);
         let windows: Vec<_> = which.iter().map(|i| line.taken_out(&from.offsets[*i])).collect();
-        let mut mean = vec![[0.0; 2]; n];
-        for window in &windows {
-            for (mean, value) in mean.iter_mut().zip(window) {
-                *mean = [0, 1].map(|k| mean[k] + value[k] / count as f64);
-            }
-        }
-        let scatter: f64 = windows.iter().map(|w| distance(w, &mean)).sum();
-        let noise = scatter / ((count - 1) * 2 * (n - 2)) as f64;
+        let at = |i: usize, k: usize| center(windows.iter().map(|window| window[i][k]).collect());
+        let mean: Vec<Xy> = (0..n).map(|i| [at(i, 0), at(i, 1)]).collect();
+        // A few windows that are quite different say nothing of the noise.
+        let scatter = middle(windows.iter().map(|w| distance(w, &mean)).collect());
+        let noise = scatter / (2 * (n - 2)) as f64;
         let mut fit = Self {
             line,
             times: from.times.clone(),
@@ -264,7 +284,7 @@ impl Fit {
         Some(inverse * scatter * inverse / (count * (count - 1.0)))
     }
 
-    fn response(self, outliers: usize) -> Response {
+    fn response(self) -> Response {
         let count = self.windows.len();
         let covariance = self.covariance().unwrap_or_else(|| Matrix4::from_element(f64::INFINITY));
         let sigma = |i: usize| covariance[(i, i)].max(0.0).sqrt();
@@ -291,7 +311,8 @@ impl Fit {
             jitter: (spread * spread - by_noise).max(0.0).sqrt(),
             misfit: (worst - by_chance).max(0.0) / size,
             used: count,
-            outliers,
+            outliers: 0,
+            unfollowed: 0,
             movement: self.movement,
             mean: self.times.iter().enumerate().map(shown).collect(),
         }
@@ -348,14 +369,21 @@ fn distance(a: &[Xy], b: &[Xy]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)).sum()
 }
 
+fn mean(values: Vec<f64>) -> f64 {
+    let count = values.len() as f64;
+    values.into_iter().sum::<f64>() / count
+}
+
+/// The median.
+fn middle(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
 /// Median, and one standard deviation by the median of the distances from it.
 fn middle_and_spread(values: &[f64]) -> (f64, f64) {
-    let median = |mut v: Vec<f64>| {
-        v.sort_by(f64::total_cmp);
-        v[v.len() / 2]
-    };
-    let middle = median(values.to_vec());
-    (middle, 1.4826 * median(values.iter().map(|v| (v - middle).abs()).collect()))
+    let usual = middle(values.to_vec());
+    (usual, 1.4826 * middle(values.iter().map(|v| (v - usual).abs()).collect()))
 }
 
 #[cfg(test)]
@@ -461,16 +489,17 @@ mod tests {
     #[test]
     fn jitter_is_found_and_steps_that_came_much_later_are_left_out() {
         let mut windows = recorded(&Truth { jitter: 0.1e-3, ..TRUTH });
-        let late = recorded(&Truth { delay: 4e-3, seed: 2, ..TRUTH });
+        let late = recorded(&Truth { delay: 9e-3, seed: 2, ..TRUTH });
         for i in [3, 10, 11, 40] {
             windows.offsets[i].clone_from(&late.offsets[i]);
         }
         let found = fit(&windows).unwrap();
         assert!((4..8).contains(&found.outliers) && found.used == 60 - found.outliers, "{}", found.outliers);
         assert!((0.06e-3..0.15e-3).contains(&found.jitter), "{}", found.jitter);
+        assert_eq!(found.unfollowed, 0);
         near(found.delay, found.delay_sigma + 0.02e-3, TRUTH.delay);
         let steady = fit(&recorded(&TRUTH)).unwrap();
-        assert!(steady.jitter < 0.02e-3, "{}", steady.jitter);
+        assert!(steady.jitter < 0.02e-3 && steady.unfollowed == 0, "{}", steady.jitter);
     }
 
     #[test]
@@ -486,6 +515,14 @@ mod tests {
         assert!(fit(&ringing).unwrap().misfit > 0.15);
         let stuck = fit(&recorded(&Truth { gain: [0.0; 2], ..TRUTH })).unwrap();
         assert!(stuck.gain.iter().all(|g| g.abs() < 1e-2), "{stuck:?}");
+    }
+
+    #[test]
+    fn steps_that_were_not_followed_are_counted() {
+        let mut windows = recorded(&TRUTH);
+        let still = recorded(&Truth { gain: [0.0; 2], seed: 2, ..TRUTH });
+        windows.offsets[55..].clone_from_slice(&still.offsets[55..]);
+        assert_eq!(fit(&windows).unwrap().unfollowed, 5);
     }
 
     #[test]

@@ -21,6 +21,8 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const SILENCE: Duration = Duration::from_millis(500);
 /// How long the last command may wait for its acknowledgement.
 const LAST_ACK: Duration = Duration::from_secs(1);
+/// A sample on which a step is made is at most this part of a period older than most are.
+const FRESH: f64 = 0.25;
 /// So many times the samples of a dwell without one that is the newest: the machine is too slow.
 const BEHIND: usize = 20;
 
@@ -94,6 +96,8 @@ pub async fn run<D: Driver, C: Clock>(
         commanded: None,
         commands: 0,
         looks: Vec::new(),
+        ages: Vec::new(),
+        fresh: f64::INFINITY,
         lost: 0,
     };
     let plan = tuner.rest().await?;
@@ -123,6 +127,10 @@ struct Tuner<D, C> {
     commanded: Option<Xy>,
     commands: u32,
     looks: Vec<Look>,
+    /// How old the samples were when they were looked at, while nothing moved; seconds.
+    ages: Vec<f64>,
+    /// A step is made on a sample that is no older.
+    fresh: f64,
     lost: u64,
 }
 
@@ -130,11 +138,14 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
     /// Looks on while nothing moves, and makes the plan.
     async fn rest(&mut self) -> Result<Plan, Failure> {
         while self.looks.len() < self.settings.rest || !self.ready {
-            self.next().await?;
+            let look = self.next().await?;
+            self.ages.push(self.clock.now().seconds_since(look.time));
             if self.looks.len() > 2 * self.settings.rest {
                 return Err(unavailable("the stage does not come up"));
             }
         }
+        self.ages.sort_by(f64::total_cmp);
+        self.fresh = self.ages[self.ages.len() / 2] + FRESH * self.settings.period;
         let rest = &self.looks[self.looks.len() - self.settings.rest..];
         self.settings.plan(rest, self.said, self.lost)
     }
@@ -185,17 +196,18 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         Ok(())
     }
 
-    /// Sends the stage somewhere on the next sample that is the newest; gives the time from the sample to
-    /// the command.
+    /// Sends the stage somewhere on the next sample that comes as fresh as most do; gives the time from the
+    /// sample to the command.
     async fn go(&mut self, to: Xy, plan: &Plan) -> Result<f64, Failure> {
         for _ in 0..BEHIND * plan.dwell {
             let look = self.watch(plan).await?;
-            if self.samples.is_empty() {
+            let age = self.clock.now().seconds_since(look.time);
+            if self.samples.is_empty() && age <= self.fresh {
                 self.send(to);
                 return Ok(self.clock.now().seconds_since(look.time));
             }
         }
-        Err(refused("samples come faster than this machine works on them"))
+        Err(refused("this machine is too busy: hardly a sample is looked at as soon as it comes"))
     }
 
     /// Stays for so many samples. Each renews the lease, as the loop does.
