@@ -179,7 +179,7 @@ const REFUSED: &[Refusal] = &[
     ("twin.steering.readback_noise_um = 'off'", &["--at", "395,0"], 65, &["would leave the limits", "405"]),
     ("", &["--at", "0,0"], 65, &["--at is for a stage without readback"]),
     ("", &["--step", "60"], 65, &["a step of 60 um", "slew_mm_per_s, 50", "allowed are 50 um"]),
-    ("", &["--step", "-1"], 64, &["a number above 0"]),
+    ("", &["--step", "0"], 64, &["a number above 0"]),
     ("acquisition.source = 'serial'\nacquisition.serial.port = '/dev/no-such-port'", &[], 69, &["/dev/no-such-port"]),
 ];
 
