@@ -78,7 +78,8 @@ fn tuned(config: &Config, truth: [[f64; 2]; 2], said: &str) {
     assert!((centering.lag_ms - 0.5).abs() < 0.1, "{said}");
 }
 
-const TURNED: [[f64; 2]; 2] = [[0.69282, -0.4], [0.4, 0.69282]];
+/// By 120 degrees, which no loop would survive that did not know it.
+const TURNED: [[f64; 2]; 2] = [[-0.4, -0.69282], [0.69282, -0.4]];
 
 #[test]
 fn a_turned_stage_is_measured_and_the_daemon_locks_with_what_was_written() {
