@@ -181,6 +181,7 @@ const REFUSED: &[Refusal] = &[
     ("", &["--at", "0,0"], 65, &["--at is for a stage without readback"]),
     ("", &["--step", "60"], 65, &["a step of 60 um", "slew_mm_per_s, 50", "allowed are 50 um"]),
     ("", &["--step", "0"], 64, &["a number above 0"]),
+    ("twin.steering.readback_noise_um = 'off'\nsteering.kind = 'gcs'\nsteering.gcs.address = '127.0.0.1:1'", &[], 69, &["the stage does not take commands", "127.0.0.1:1"]),
     ("acquisition.source = 'serial'\nacquisition.serial.port = '/dev/no-such-port'", &[], 69, &["/dev/no-such-port"]),
 ];
 

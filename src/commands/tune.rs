@@ -16,11 +16,11 @@ use tokio_util::sync::CancellationToken;
 use trifacet::acquisition::{self, Channels, SerialSource, Source};
 use trifacet::clock::SystemClock;
 use trifacet::config::edit;
-use trifacet::config::{Config, SourceKind, SteeringKind};
+use trifacet::config::{Config, SourceKind};
 use trifacet::exit::{self, Failure};
 use trifacet::monitor::Counters;
 use trifacet::realtime;
-use trifacet::steering::{Outputs, Xy, outputs::Answers};
+use trifacet::steering::{Outputs, Stage, Xy, gcs, outputs::Answers};
 use trifacet::tuning::{
     findings::Findings,
     look::Looker,
@@ -131,7 +131,7 @@ async fn with<S: Source + 'static>(
         source().context("cannot start the source")?,
         Channels::load(config)?,
         SystemClock,
-        counters,
+        Arc::clone(&counters),
         acquisition::task::Edges {
             samples: samples_in,
             newest: watch::Sender::default(),
@@ -151,12 +151,14 @@ async fn with<S: Source + 'static>(
     let settings = Settings::new(config, looker.beam_sigma(), choices);
     let edges = task::Edges { samples, stop: interrupted()? };
     let mut show = Show::new(args.dry_run);
-    let result = match config.steering.kind {
-        SteeringKind::Outputs => {
-            let driver = Outputs::new(config.steering.full_scale_um * 1e-6, commands_in, answers);
-            task::run(settings, looker, driver, SystemClock, edges, &mut show).await
-        }
-    };
+    // Nobody changes the limits meanwhile: the sender may go.
+    let gcs = gcs::pair(config, watch::channel(config.steering.clone()).1).map(|(driver, stage)| {
+        tokio::task::spawn_local(async move { stage.run(&counters).await });
+        driver
+    });
+    let outputs = || Outputs::new(config.steering.full_scale_um * 1e-6, commands_in, answers);
+    let driver = gcs.map_or_else(|| Stage::Outputs(outputs()), Stage::Gcs);
+    let result = task::run(settings, looker, driver, SystemClock, edges, &mut show).await;
     show.end();
     stop_acquisition.cancel();
     acquisition.await.context("task acquisition failed at the end")?;

@@ -19,6 +19,8 @@ use crate::steering::{Ack, Command, Driver, Event, Xy};
 const PATIENCE: Duration = Duration::from_secs(5);
 /// The longest wait for the next one, besides five periods.
 const SILENCE: Duration = Duration::from_millis(500);
+/// The longest wait for the stage, in times of the rest.
+const STAGE: usize = 5;
 /// How long the last command may wait for its acknowledgement.
 const LAST_ACK: Duration = Duration::from_secs(1);
 /// A sample on which a step is made is at most this part of a period older than most are.
@@ -92,6 +94,7 @@ pub async fn run<D: Driver, C: Clock>(
         stop,
         source: None,
         ready: false,
+        unready: "it says nothing".into(),
         said: None,
         commanded: None,
         commands: 0,
@@ -122,6 +125,8 @@ struct Tuner<D, C> {
     source: Option<Arc<Identity>>,
     /// The stage takes commands.
     ready: bool,
+    /// Why not, as far as it is known.
+    unready: String,
     /// Where the stage said that it stands.
     said: Option<Xy>,
     commanded: Option<Xy>,
@@ -140,8 +145,8 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         while self.looks.len() < self.settings.rest || !self.ready {
             let look = self.next().await?;
             self.ages.push(self.clock.now().seconds_since(look.time));
-            if self.looks.len() > 2 * self.settings.rest {
-                return Err(unavailable("the stage does not come up"));
+            if self.looks.len() > STAGE * self.settings.rest {
+                return Err(unavailable(format!("the stage does not take commands: {}", self.unready)));
             }
         }
         self.ages.sort_by(f64::total_cmp);
@@ -292,6 +297,11 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
             }
             Event::Ack(Ack { accepted: false, .. }) => Err(refused("the stage refused a command")),
             Event::Ack(_) => Ok(()),
+            // Before the first command it may still be on its way.
+            Event::Down(reason) if self.commanded.is_none() => {
+                (self.ready, self.unready) = (false, reason);
+                Ok(())
+            }
             Event::Down(reason) => Err(unavailable(format!("the stage does not take commands: {reason}"))),
         }
     }
@@ -318,10 +328,10 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         };
         let complaint = match accepted {
             Ok(true) => return None,
-            Ok(false) => "it refused its last command",
-            Err(_) => "it did not acknowledge its last command",
+            Ok(false) => "it refused that",
+            Err(_) => "it did not acknowledge that within a second; look where it stands",
         };
-        Some(format!("{complaint}; the lease of {} ms ends it", self.settings.lease_ms))
+        Some(complaint.into())
     }
 }
 
