@@ -17,6 +17,8 @@ pub const IO: u8 = 74;
 pub const IN_USE: u8 = 75;
 /// The configuration is wrong.
 pub const CONFIG: u8 = 78;
+/// Interrupted by a person: 128 and the number of SIGINT, as shells have it.
+pub const INTERRUPTED: u8 = 130;
 
 /// An error with the exit code that tells its kind.
 #[derive(Debug, thiserror::Error)]

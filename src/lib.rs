@@ -13,7 +13,7 @@
 //! ```
 //!
 //! `optics` is the sensor model that everything rests on; `daemon` is the wiring, `control` changes it
-//! while it runs.
+//! while it runs, `tuning` measures its loop.
 //! Lengths are metres, angles radians, times nanoseconds of the monotonic clock, everywhere inside;
 //! other units exist only in the configuration (where every key carries its unit) and on screens.
 
@@ -32,6 +32,7 @@ pub mod publishing;
 pub mod realtime;
 pub mod rig;
 pub mod steering;
+pub mod tuning;
 pub mod twin;
 
 pub use publishing::client;

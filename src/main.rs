@@ -18,7 +18,7 @@ struct Cli {
 
 const EXIT_CODES: &str = "Exit codes: 0 fine, 64 wrong command line, 65 bad rows in the data, \
     69 nothing there to talk to, 70 a defect, 74 a file or socket failed, 75 in use by another process, \
-    78 wrong configuration.";
+    78 wrong configuration, 130 interrupted.";
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -32,6 +32,8 @@ enum Command {
     Emulate(commands::EmulateArgs),
     /// Measure the dark offsets with the laser off, and write them into the configuration
     Dark(commands::DarkArgs),
+    /// Measure the loop with small steps of the stage, and write it into the configuration
+    Tune(commands::TuneArgs),
     /// Compute signals from poses: CSV in, CSV out
     Trace(commands::TableArgs),
     /// Compute poses from signals: CSV in, CSV out
@@ -58,6 +60,7 @@ fn main() -> ExitCode {
         Command::Check(args) => commands::check(&args),
         Command::Emulate(args) => commands::emulate(&args),
         Command::Dark(args) => commands::dark(&args),
+        Command::Tune(args) => commands::tune(&args),
         Command::Trace(args) => commands::trace(&args),
         Command::Solve(args) => commands::solve(&args),
         Command::Simulate(args) => commands::simulate(&args),

@@ -165,7 +165,12 @@ impl<D: Driver> Side<D> {
 
     /// Sends the last command, and waits for its acknowledgement.
     async fn finish(mut self) {
-        let Some(last) = self.centering.finish() else { return };
+        let Some(last) = self.centering.finish() else {
+            if self.centering.state().position.is_some() {
+                tracing::warn!("the stage takes no commands: it is left as it is");
+            }
+            return;
+        };
         self.driver.steer(last);
         let answer = async {
             loop {

@@ -111,6 +111,8 @@ fn write(file: &Path, offsets: &DarkOffsets) -> anyhow::Result<()> {
 
 fn edits(offsets: &DarkOffsets) -> [Edit; 3] {
     let rounded = offsets.volts.map(|psd| psd.map(|v| (v * 1e7).round() / 1e7)); // a tenth of a microvolt
-    let edit = |psd, values| Edit { section: ["channels", psd], key: "dark_v", values };
-    [edit("a", rounded[0]), edit("b", rounded[1]), edit("c", rounded[2])]
+    let edit =
+        |section, values: [f64; 3]| Edit { section, key: "dark_v", value: values.into_iter().collect() };
+    let [a, b, c] = rounded;
+    [edit(&["channels", "a"], a), edit(&["channels", "b"], b), edit(&["channels", "c"], c)]
 }

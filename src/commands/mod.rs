@@ -15,6 +15,7 @@ mod run;
 mod simulate;
 mod table;
 mod trace;
+mod tune;
 mod watch;
 
 pub(crate) use check::{CheckArgs, check};
@@ -25,6 +26,7 @@ pub(crate) use emulate::{EmulateArgs, emulate};
 pub(crate) use run::{RunArgs, run};
 pub(crate) use simulate::{SimulateArgs, simulate};
 pub(crate) use trace::{TableArgs, solve, trace};
+pub(crate) use tune::{TuneArgs, tune};
 pub(crate) use watch::{WatchArgs, watch};
 
 /// The option that all commands with a configuration have.

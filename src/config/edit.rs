@@ -5,17 +5,18 @@ use std::io::Write as _;
 use std::path::Path;
 
 use anyhow::Context as _;
-use toml_edit::{Array, DocumentMut, Item, Table, Value};
+pub use toml_edit::Value;
+use toml_edit::{DocumentMut, Item, Table, TableLike};
 
-/// Numbers for a key of a section, such as `dark_v` of `["channels", "a"]`.
-#[derive(Clone, Debug, PartialEq)]
+/// A value for a key of a section, such as `dark_v` of `["channels", "a"]`.
+#[derive(Clone, Debug)]
 pub struct Edit {
     /// The section, step by step.
-    pub section: [&'static str; 2],
+    pub section: &'static [&'static str],
     /// The key in it.
     pub key: &'static str,
-    /// What it shall be.
-    pub values: [f64; 3],
+    /// What it shall be: a number, or numbers collected into a list.
+    pub value: Value,
 }
 
 /// The text of a configuration with these values in it.
@@ -24,20 +25,25 @@ pub struct Edit {
 /// The text is no TOML, or a section is something else there.
 pub fn edited(text: &str, edits: &[Edit]) -> anyhow::Result<String> {
     let mut document: DocumentMut = text.parse()?;
-    for Edit { section: [outer, inner], key, values } in edits {
-        let outer_table = document.entry(outer).or_insert_with(implicit_table);
-        let outer_table =
-            outer_table.as_table_like_mut().with_context(|| format!("{outer} is no section"))?;
-        let table = outer_table.entry(inner).or_insert_with(implicit_table);
-        let table = table.as_table_like_mut().with_context(|| format!("{outer}.{inner} is no section"))?;
-        let old = table.get(key).and_then(Item::as_value).map(|value| value.decor().clone());
-        let mut new = Value::from(values.iter().copied().collect::<Array>());
-        if let Some(decor) = old {
-            *new.decor_mut() = decor;
+    for Edit { section, key, value } in edits {
+        let table = subsection(document.as_table_mut(), section)?;
+        let mut new = value.clone();
+        if let Some(old) = table.get(key).and_then(Item::as_value) {
+            *new.decor_mut() = old.decor().clone();
         }
         table.insert(key, Item::Value(new));
     }
     Ok(document.to_string())
+}
+
+/// The table at the end of a path, which is made where it is not there.
+fn subsection<'a>(mut table: &'a mut dyn TableLike, path: &[&str]) -> anyhow::Result<&'a mut dyn TableLike> {
+    for (depth, name) in (1..).zip(path) {
+        let item = table.entry(name).or_insert_with(implicit_table);
+        let name = || format!("{} is no section", path[..depth].join("."));
+        table = item.as_table_like_mut().with_context(name)?;
+    }
+    Ok(table)
 }
 
 /// A table that shows only if it has keys of its own.
@@ -68,16 +74,16 @@ pub fn write(file: &Path, edits: &[Edit]) -> anyhow::Result<()> {
 mod tests {
     use super::*;
 
-    fn edit(section: [&'static str; 2], key: &'static str, values: [f64; 3]) -> Edit {
-        Edit { section, key, values }
+    fn edit(section: &'static [&'static str], key: &'static str, values: [f64; 3]) -> Edit {
+        Edit { section, key, value: values.into_iter().collect() }
     }
 
     #[test]
     fn only_the_values_change() {
         let edits = [
-            edit(["channels", "a"], "dark_v", [1e-3, -2e-3, 3e-3]),
-            edit(["channels", "c"], "dark_v", [0.25, 0.0, -1.235e-4]),
-            edit(["frames", "tare"], "translation_mm", [1e-7, 0.0, -250.0]),
+            edit(&["channels", "a"], "dark_v", [1e-3, -2e-3, 3e-3]),
+            edit(&["channels", "c"], "dark_v", [0.25, 0.0, -1.235e-4]),
+            edit(&["frames", "tare"], "translation_mm", [1e-7, 0.0, -250.0]),
         ];
         let text =
             "# mine\n[channels.a] # first\ngain = [1.0, 1.0, 1.0]\ndark_v = [0.0, 0.0, 0.0]  # old\n[log]\n";
@@ -92,8 +98,27 @@ mod tests {
     }
 
     #[test]
+    fn a_number_and_a_matrix_go_to_a_section_that_may_be_dotted() {
+        let edits = [
+            Edit { section: &["centering"], key: "lag_ms", value: 0.25.into() },
+            Edit {
+                section: &["steering"],
+                key: "matrix",
+                value: [[0.5, -1.0], [1.0, 0.5]]
+                    .into_iter()
+                    .map(|row| row.into_iter().collect::<Value>())
+                    .collect(),
+            },
+        ];
+        let new = edited("centering.lag_ms = 3 # slow\n", &edits).unwrap();
+        let wanted = "centering.lag_ms = 0.25 # slow\n\n[steering]\nmatrix = [[0.5, -1.0], [1.0, 0.5]]\n";
+        assert_eq!(new, wanted);
+        super::super::parse(&new, None).unwrap();
+    }
+
+    #[test]
     fn what_is_no_section_is_said() {
-        let edits = [edit(["frames", "tare"], "translation_mm", [0.0; 3])];
+        let edits = [edit(&["frames", "tare"], "translation_mm", [0.0; 3])];
         let error = edited("frames = 3\n", &edits).unwrap_err().to_string();
         assert!(error.contains("frames is no section"), "{error}");
     }

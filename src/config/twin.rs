@@ -44,6 +44,8 @@ pub struct TwinConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TwinSteering {
+    /// How the axes of the stage truly move the beam: rows x and y across it, a column for each axis.
+    pub matrix: [[f64; 2]; 2],
     /// From command to the start of the movement.
     pub delay_ms: f64,
     /// Time constant of the movement.
@@ -78,7 +80,13 @@ impl Default for TwinConfig {
 
 impl Default for TwinSteering {
     fn default() -> Self {
-        Self { delay_ms: 1.0, lag_ms: 0.5, limit_um: 500.0, readback_noise_um: Some(0.1) }
+        Self {
+            matrix: [[1.0, 0.0], [0.0, 1.0]],
+            delay_ms: 1.0,
+            lag_ms: 0.5,
+            limit_um: 500.0,
+            readback_noise_um: Some(0.1),
+        }
     }
 }
 
@@ -138,6 +146,8 @@ impl TwinConfig {
 
 impl TwinSteering {
     fn check(&self, mut at: Checker<'_>) {
+        at.numbers("matrix[0]", &self.matrix[0], -100.0..=100.0);
+        at.numbers("matrix[1]", &self.matrix[1], -100.0..=100.0);
         at.number("delay_ms", self.delay_ms, 0.0..=10_000.0);
         at.number("lag_ms", self.lag_ms, 0.0..=10_000.0);
         at.number("limit_um", self.limit_um, above_zero(100_000.0));

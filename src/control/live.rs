@@ -175,7 +175,11 @@ impl Live {
         next.verify().map_err(|wrong| Failure::new(exit::DATA, wrong))?;
         if save {
             let file = self.file_to_save()?;
-            let edit = |key, values| Edit { section: ["frames", "tare"], key, values };
+            let edit = |key, values: [f64; 3]| Edit {
+                section: &["frames", "tare"],
+                key,
+                value: values.into_iter().collect(),
+            };
             let edits =
                 [edit("translation_mm", tare.translation_mm), edit("rotation_deg", tare.rotation_deg)];
             edit::write(file, &edits).map_err(|e| {

@@ -101,6 +101,8 @@ pub struct Twin {
     identity: Identity,
     trajectory: Trajectory,
     laser_rest: [f64; 2],
+    /// What the axes of the stage do to the laser.
+    matrix: [[f64; 2]; 2],
     stage: Stage,
     outputs: Outputs,
     lighting: Lighting,
@@ -128,6 +130,7 @@ impl Twin {
             identity,
             trajectory: Trajectory::new(&twin.motion, seed)?,
             laser_rest: twin.laser_offset_um.map(|um| um * 1e-6),
+            matrix: steering.matrix,
             stage: Stage::new(steering.delay_ms * 1e-3, steering.lag_ms * 1e-3, steering.limit_um * 1e-6),
             outputs: Outputs::new(&config.steering),
             lighting,
@@ -199,7 +202,8 @@ impl Twin {
     /// Mirror, laser and light at `t_s`, and where the stage stands.
     fn moment(&mut self, t_s: f64, faults: &Active) -> (Scene, [f64; 2]) {
         let stage = self.stage.advance(t_s, faults.stuck);
-        let laser = [0, 1].map(|i| self.laser_rest[i] + faults.shift[i] + stage[i]);
+        let moved = self.matrix.map(|row| row[0] * stage[0] + row[1] * stage[1]);
+        let laser = [0, 1].map(|i| self.laser_rest[i] + faults.shift[i] + moved[i]);
         (self.lighting.scene(self.trajectory.pose(t_s), laser), stage)
     }
 

@@ -283,6 +283,6 @@ fn on_a_serial_port_it_is_the_same_and_an_unplugged_cable_is_said() {
     down(&mut daemon, &port.display().to_string());
     daemon.signal(Signal::TERM);
     assert_eq!(daemon.end().code(), Some(0));
-    assert!(daemon.said("did not acknowledge its last command"), "{:#?}", daemon.log);
+    assert!(daemon.said("the stage takes no commands: it is left as it is"), "{:#?}", daemon.log);
     moves_um(&controller);
 }

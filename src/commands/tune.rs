@@ -1,0 +1,193 @@
+//! `trifacet tune`: measures the loop on the live system, and writes what it found into the configuration.
+
+mod plot;
+mod report;
+mod show;
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::Context;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::{mpsc, watch};
+use tokio::task::LocalSet;
+use tokio_util::sync::CancellationToken;
+use trifacet::acquisition::{self, Channels, SerialSource, Source};
+use trifacet::clock::SystemClock;
+use trifacet::config::edit;
+use trifacet::config::{Config, SourceKind};
+use trifacet::exit::{self, Failure};
+use trifacet::monitor::Counters;
+use trifacet::realtime;
+use trifacet::steering::{Outputs, Stage, Xy, gcs, outputs::Answers};
+use trifacet::tuning::{
+    findings::Findings,
+    look::Looker,
+    plan::{Choices, Settings},
+    task::{self, Recording},
+};
+use trifacet::twin::{Twin, TwinSource};
+
+use super::{ConfigArg, written};
+use report::Report;
+use show::Show;
+
+/// Samples that may wait for the tuner.
+const QUEUE: usize = 1024;
+
+/// Options of `tune`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct TuneArgs {
+    #[command(flatten)]
+    config: ConfigArg,
+    /// Length of a step; by default 20 um, or less where beam or stage ask for it
+    #[arg(long, value_name = "UM", value_parser = positive)]
+    step: Option<f64>,
+    /// Steps of each axis, forth and back in turn
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(10..=10_000))]
+    steps: u32,
+    /// How long the stage stays after each step; by default ten times the configured delay and lag, 50 ms at least
+    #[arg(long, value_name = "MS", value_parser = positive)]
+    dwell: Option<f64>,
+    /// Where a stage without readback stands; it is sent there first
+    #[arg(long, value_name = "X_UM,Y_UM", value_parser = position, allow_hyphen_values = true)]
+    at: Option<Xy>,
+    /// Draw the response to the steps
+    #[arg(long, value_name = "FILE.svg")]
+    plot: Option<PathBuf>,
+    /// Print what was found and leave the file as it is
+    #[arg(long)]
+    print: bool,
+    /// Only say what would be done
+    #[arg(long)]
+    dry_run: bool,
+}
+
+/// Measures, says what follows, and writes it into the file of `--config` if it can be trusted.
+pub(crate) fn tune(args: &TuneArgs) -> anyhow::Result<()> {
+    let config = args.config.load()?;
+    let Some(recording) = measure(&config, args)? else { return Ok(()) };
+    let findings = Findings::new(&recording, 1.0 / config.acquisition.rate_hz)?;
+    let report = Report { config: &config, plan: &recording.plan, findings: &findings };
+    eprint!("{report}");
+    if let Some(file) = &args.plot {
+        std::fs::write(file, plot::svg(&findings, &recording.plan))
+            .with_context(|| format!("cannot write the plot to {}", file.display()))?;
+        eprintln!("plot: {}", file.display());
+    }
+    if !findings.doubts.is_empty() {
+        let why = findings.doubts.join("\n");
+        return Err(Failure::new(
+            exit::DATA,
+            format!("nothing is written, this is not to be trusted:\n{why}"),
+        )
+        .into());
+    }
+    let edits = report.edits();
+    written(write!(io::stdout(), "{}", edit::edited("", &edits)?))?;
+    match args.config.path() {
+        Some(file) if !args.print => write(file, &edits),
+        _ => Ok(()),
+    }
+}
+
+fn write(file: &Path, edits: &[edit::Edit]) -> anyhow::Result<()> {
+    edit::write(file, edits).with_context(|| format!("cannot write into {}", file.display()))?;
+    eprintln!("written to {}", file.display());
+    Ok(())
+}
+
+fn measure(config: &Config, args: &TuneArgs) -> anyhow::Result<Option<Recording>> {
+    let counters = Arc::new(Counters::default());
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    realtime::apply(&config.realtime);
+    match config.acquisition.source {
+        SourceKind::Serial => {
+            let source = SerialSource::open(config, SystemClock, Arc::clone(&counters))?;
+            LocalSet::new().block_on(&runtime, with(|| Ok(source), config, args, counters))
+        }
+        SourceKind::Twin => {
+            let twin = Twin::new(config)?;
+            let counted = Arc::clone(&counters);
+            let source = || TwinSource::new(twin, SystemClock, counted);
+            LocalSet::new().block_on(&runtime, with(source, config, args, counters))
+        }
+    }
+}
+
+/// The wiring of the daemon's fast side, with the tuner where the loop stands there.
+async fn with<S: Source + 'static>(
+    source: impl FnOnce() -> io::Result<S>,
+    config: &Config,
+    args: &TuneArgs,
+    counters: Arc<Counters>,
+) -> anyhow::Result<Option<Recording>> {
+    let (samples_in, samples) = mpsc::channel(QUEUE);
+    let (commands_in, commands) = watch::channel(None);
+    let (answers_in, answers) = watch::channel(Answers::default());
+    let stop_acquisition = CancellationToken::new();
+    let acquisition = tokio::task::spawn_local(acquisition::task::run(
+        source().context("cannot start the source")?,
+        Channels::load(config)?,
+        SystemClock,
+        Arc::clone(&counters),
+        acquisition::task::Edges {
+            samples: samples_in,
+            newest: watch::Sender::default(),
+            answers: answers_in,
+            commands,
+            changes: mpsc::channel(1).1,
+        },
+        stop_acquisition.clone(),
+    ));
+    let looker = Looker::new(config)?;
+    let choices = Choices {
+        step: args.step.map(|um| um * 1e-6),
+        steps: args.steps,
+        dwell: args.dwell.map(|ms| ms * 1e-3),
+        at: args.at,
+    };
+    let settings = Settings::new(config, looker.beam_sigma(), choices);
+    let edges = task::Edges { samples, stop: interrupted()? };
+    let mut show = Show::new(args.dry_run);
+    // Nobody changes the limits meanwhile: the sender may go.
+    let gcs = gcs::pair(config, watch::channel(config.steering.clone()).1).map(|(driver, stage)| {
+        tokio::task::spawn_local(async move { stage.run(&counters).await });
+        driver
+    });
+    let outputs = || Outputs::new(config.steering.full_scale_um * 1e-6, commands_in, answers);
+    let driver = gcs.map_or_else(|| Stage::Outputs(outputs()), Stage::Gcs);
+    let result = task::run(settings, looker, driver, SystemClock, edges, &mut show).await;
+    show.end();
+    stop_acquisition.cancel();
+    acquisition.await.context("task acquisition failed at the end")?;
+    Ok(result?)
+}
+
+/// A token that SIGINT or SIGTERM cancels.
+fn interrupted() -> io::Result<CancellationToken> {
+    let stop = CancellationToken::new();
+    let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
+    let token = stop.clone();
+    tokio::task::spawn_local(async move {
+        tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
+        token.cancel();
+    });
+    Ok(stop)
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(number) if number > 0.0 && number <= 1e6 => Ok(number),
+        _ => Err("must be a number above 0, at most 1000000".into()),
+    }
+}
+
+fn position(text: &str) -> Result<Xy, String> {
+    let two = text.split_once(',').and_then(|(x, y)| x.trim().parse().ok().zip(y.trim().parse().ok()));
+    match two {
+        Some((x, y)) if f64::is_finite(x) && f64::is_finite(y) => Ok([x * 1e-6, y * 1e-6]),
+        _ => Err("must be two numbers, such as -12.5,30".into()),
+    }
+}

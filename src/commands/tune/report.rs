@@ -1,0 +1,131 @@
+//! What was found, as a table for people and as keys for the configuration.
+
+use std::fmt;
+
+use trifacet::config::edit::{Edit, Value};
+use trifacet::config::{CenteringConfig, Config, Gains};
+use trifacet::tuning::findings::{AXES, Findings, Measured};
+use trifacet::tuning::plan::Plan;
+
+/// Findings beside the configuration that they were made with.
+pub(super) struct Report<'a> {
+    pub(super) config: &'a Config,
+    pub(super) plan: &'a Plan,
+    pub(super) findings: &'a Findings,
+}
+
+impl Report<'_> {
+    /// The keys that follow.
+    pub(super) fn edits(&self) -> [Edit; 4] {
+        let Findings { matrix, origin, .. } = self.findings;
+        let row = |row: &[Measured; 2]| row.iter().map(|cell| rounded(cell.value, 1e5)).collect::<Value>();
+        let [delay_ms, lag_ms] = self.times_ms();
+        [
+            Edit { section: &["steering"], key: "matrix", value: matrix.iter().map(row).collect() },
+            Edit {
+                section: &["steering"],
+                key: "origin_um",
+                value: origin.iter().map(|o| rounded(o.value * 1e6, 1e3)).collect(),
+            },
+            Edit { section: &["centering"], key: "loop_delay_ms", value: delay_ms.into() },
+            Edit { section: &["centering"], key: "lag_ms", value: lag_ms.into() },
+        ]
+    }
+
+    /// Delay and lag as they are written.
+    fn times_ms(&self) -> [f64; 2] {
+        let Findings { delay, lag, .. } = self.findings;
+        [rounded(delay.value * 1e3, 1e4).max(1e-4), rounded(lag.value * 1e3, 1e4)]
+    }
+
+    /// The gains that the daemon will have with these keys, and the deviation of the integral one in
+    /// parts of it.
+    fn gains(&self) -> (Gains, f64) {
+        let [loop_delay_ms, lag_ms] = self.times_ms();
+        let centering = CenteringConfig { loop_delay_ms, lag_ms, ..self.config.centering.clone() };
+        let rate_hz = self.config.acquisition.rate_hz;
+        let by_delay =
+            centering.loop_delay_s(rate_hz) <= loop_delay_ms * 1e-3 && centering.ki_per_s.is_none();
+        let Measured { value, sigma } = self.findings.delay;
+        (centering.gains(rate_hz), if by_delay { sigma / value } else { 0.0 })
+    }
+}
+
+impl fmt::Display for Report<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let Findings { matrix, origin, delay, lag, .. } = self.findings;
+        for (name, row) in AXES.iter().zip(matrix) {
+            let cells = row.map(|cell| format!("{:9.5} +- {:.5}", cell.value, cell.sigma));
+            writeln!(f, "beam {name} per axis x, y   {}   {}", cells[0], cells[1])?;
+        }
+        for (name, o) in AXES.iter().zip(origin) {
+            writeln!(f, "origin {name}              {:9.3} +- {:.3} um", o.value * 1e6, o.sigma * 1e6)?;
+        }
+        let ms = |m: &Measured| format!("{:9.4} +- {:.4} ms", m.value * 1e3, m.sigma * 1e3);
+        let [middle, longest] = self.findings.computed.map(|s| s * 1e3);
+        writeln!(
+            f,
+            "delay                 {}, from step to step +- {:.4} ms",
+            ms(delay),
+            self.findings.jitter * 1e3
+        )?;
+        writeln!(f, "  sample to command   {middle:9.4} ms, at most {longest:.4} ms")?;
+        writeln!(f, "lag                   {}", ms(lag))?;
+        let [x, y] = self.findings.noise.map(|n| n * 1e6);
+        writeln!(f, "noise of the offset   {x:9.4} um in x, {y:.4} um in y, each sample")?;
+        for (name, readback) in AXES.iter().zip(self.findings.readback.iter().flatten()) {
+            writeln!(
+                f,
+                "readback {name}            {:9.4} +- {:.4} of the command, {:.3} um more than it, noise {:.3} um",
+                readback.scale.value,
+                readback.scale.sigma,
+                readback.offset * 1e6,
+                readback.noise * 1e6
+            )?;
+        }
+        self.show_gains(f)?;
+        for remark in &self.findings.remarks {
+            writeln!(f, "note: {remark}")?;
+        }
+        Ok(())
+    }
+}
+
+impl Report<'_> {
+    fn show_gains(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let (Gains { kp, ki_per_s }, part) = self.gains();
+        let lag = self.findings.lag;
+        let kp_part = if lag.value > 0.0 { part.hypot(lag.sigma / lag.value) } else { 0.0 };
+        writeln!(f, "gain Kp               {kp:9.4} +- {:.4}", kp * kp_part)?;
+        writeln!(f, "gain Ki               {ki_per_s:9.2} +- {:.2} /s", ki_per_s * part)?;
+        let behind = 1e3 / ki_per_s;
+        writeln!(
+            f,
+            "behind a ramp         {behind:9.3} +- {:.3} um for each mm/s, without feed-forward",
+            behind * part
+        )?;
+        let shortest = 2e3 / self.config.acquisition.rate_hz;
+        let centering = &self.config.centering;
+        if self.times_ms()[0] < shortest && centering.ki_per_s.is_none() {
+            writeln!(
+                f,
+                "note: the gains are those of a delay of {shortest} ms: a sampled loop has two periods at least"
+            )?;
+        }
+        let given = [("kp", centering.kp), ("ki_per_s", centering.ki_per_s)];
+        for (key, value) in given.into_iter().filter_map(|(key, value)| Some((key, value?))) {
+            writeln!(
+                f,
+                "note: the configuration sets centering.{key} = {value}, which overrides what follows from delay and lag"
+            )?;
+        }
+        let mm = self.plan.step * 1e6;
+        let used = self.findings.responses.each_ref().map(|r| r.used);
+        writeln!(f, "by {} and {} steps of {mm:.3} um", used[0], used[1])
+    }
+}
+
+/// Rounded to one part in `parts`, without a negative zero.
+fn rounded(x: f64, parts: f64) -> f64 {
+    (x * parts).round() / parts + 0.0
+}

@@ -1,0 +1,67 @@
+//! What a person sees while the loop is measured.
+
+use indicatif::{ProgressBar, ProgressStyle};
+use trifacet::acquisition::Identity;
+use trifacet::steering::Xy;
+use trifacet::tuning::plan::{Plan, um};
+use trifacet::tuning::task::Audience;
+
+/// Writes to standard error; the bar only to a terminal.
+pub(super) struct Show {
+    dry: bool,
+    bar: Option<ProgressBar>,
+}
+
+impl Show {
+    /// With `dry` it is said what would be done, and no more.
+    pub(super) fn new(dry: bool) -> Self {
+        eprintln!("looking at the light and the stage, nothing moves");
+        Self { dry, bar: None }
+    }
+
+    /// The last word of the bar.
+    pub(super) fn end(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+impl Audience for Show {
+    fn plan(&mut self, plan: &Plan, source: &Identity) -> bool {
+        let um = |at: Xy| format!("{} {} um", um(at[0]), um(at[1]));
+        let half = plan.step / 2.0 * 1e6;
+        eprintln!("source: {}", source.name);
+        eprintln!("the stage stands at {}, the beam {} off the apex", um(plan.found), um(plan.offset));
+        eprintln!(
+            "each axis goes {half:.3} um to either side of that, {} steps of {:.3} um, within +-{:.1} um; \
+             this takes {:.0} s",
+            plan.steps,
+            plan.step * 1e6,
+            plan.limit * 1e6,
+            plan.duration
+        );
+        eprintln!("then the stage is left at {}; Ctrl-C brings it there at any time", um(plan.end));
+        if !self.dry {
+            let style = ProgressStyle::with_template("{bar:40} {pos}/{len} steps, {eta} left");
+            let bar = ProgressBar::new(u64::from(2 * plan.steps));
+            self.bar = Some(bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar())));
+        }
+        !self.dry
+    }
+
+    fn progress(&mut self, made: u32, _of: u32) {
+        if let Some(bar) = &self.bar {
+            bar.set_position(made.into());
+        }
+    }
+
+    fn back(&mut self, position: Xy, complaint: Option<&str>) {
+        self.end();
+        let at = format!("{} {} um", um(position[0]), um(position[1]));
+        match complaint {
+            None => eprintln!("the stage is left at {at}, acknowledged"),
+            Some(complaint) => eprintln!("the stage was sent to {at}, but {complaint}"),
+        }
+    }
+}

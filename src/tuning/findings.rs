@@ -1,0 +1,340 @@
+//! From a recording to what the configuration should say, with deviations and doubts.
+
+use super::look::{self, Look};
+use super::plan::{Plan, refused, um};
+use super::response::{self, Response, Windows};
+use super::task::{Recording, Step};
+use crate::exit::Failure;
+use crate::steering::Xy;
+
+/// Steps that must be left of all.
+const USED: f64 = 0.8;
+/// A gain below this, or below so many of its deviations, is no movement.
+const MOVES: f64 = 0.01;
+const MOVES_SIGMAS: f64 = 5.0;
+/// Largest deviation of a gain, in parts of it.
+const GAIN_SIGMA: f64 = 0.03;
+/// Largest difference between response and fit, in parts of the movement.
+const MISFIT: f64 = 0.1;
+/// The movement must be over within a dwell: this many lags after the delay.
+const SETTLED: f64 = 4.0;
+/// Columns with a smaller sine between them count as parallel; the configuration refuses them.
+const PARALLEL: f64 = 0.1;
+/// A readback whose scale is off by more is worth a remark; and one that is off by this much, metres.
+const SCALE: f64 = 0.03;
+const OFFSET: f64 = 1e-6;
+
+/// A number with one standard deviation.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Measured {
+    /// The number.
+    pub value: f64,
+    /// Its deviation.
+    pub sigma: f64,
+}
+
+/// The readback of an axis against what was commanded.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Readback {
+    /// Movement read back per movement commanded.
+    pub scale: Measured,
+    /// What it reads more than commanded, metres.
+    pub offset: f64,
+    /// White noise at rest, metres.
+    pub noise: f64,
+}
+
+/// What was found.
+#[derive(Clone, Debug)]
+pub struct Findings {
+    /// The steering matrix, rows x and y of the beam, a column for each axis.
+    pub matrix: [[Measured; 2]; 2],
+    /// Where the beam crosses the plane of the apex while the stage stands at zero, metres.
+    pub origin: [Measured; 2],
+    /// From a sample to the start of the effect of its command, seconds.
+    pub delay: Measured,
+    /// First-order lag, seconds.
+    pub lag: Measured,
+    /// Of the delay from step to step, seconds.
+    pub jitter: f64,
+    /// The part of the delay from a sample to its command: the middle one and the longest, seconds.
+    pub computed: [f64; 2],
+    /// White noise of the offset at rest, metres.
+    pub noise: Xy,
+    /// By axis, if the stage has one.
+    pub readback: Option<[Readback; 2]>,
+    /// The response to each axis.
+    pub responses: [Response; 2],
+    /// Why this is not to be trusted; empty if it is.
+    pub doubts: Vec<String>,
+    /// What a person should know besides.
+    pub remarks: Vec<String>,
+}
+
+/// The names of the axes.
+pub const AXES: [&str; 2] = ["x", "y"];
+
+impl Findings {
+    /// From a recording with so much time between its samples, seconds.
+    pub fn new(recording: &Recording, period: f64) -> Result<Self, Failure> {
+        let fit = |axis: usize| {
+            response::fit(&windows(recording, axis, period)).ok_or_else(|| {
+                refused(format!("too few steps of the {} axis came without a lost sample", AXES[axis]))
+            })
+        };
+        let responses = [fit(0)?, fit(1)?];
+        let cell = |row: usize, axis: usize| {
+            let response = &responses[axis];
+            Measured { value: response.gain[row], sigma: response.gain_sigma[row] }
+        };
+        let matrix = [[cell(0, 0), cell(0, 1)], [cell(1, 0), cell(1, 1)]];
+        let computed = || recording.steps.iter().map(|step| step.computed);
+        let mut findings = Self {
+            matrix,
+            origin: origin(recording, &matrix),
+            delay: Measured::default(),
+            lag: Measured::default(),
+            jitter: responses[0].jitter.max(responses[1].jitter),
+            computed: [median(computed()), computed().fold(0.0, f64::max)],
+            noise: recording.plan.noise,
+            readback: readback(recording),
+            responses,
+            doubts: Vec::new(),
+            remarks: Vec::new(),
+        };
+        findings.join(period);
+        findings.judge(&recording.plan, period);
+        findings.remark();
+        Ok(findings)
+    }
+
+    /// One delay and one lag for the loop, from two axes: their mean if they agree, or else the longer
+    /// delay and the shorter lag, which make for the more careful gains.
+    fn join(&mut self, period: f64) {
+        let [x, y] = &self.responses;
+        let delays = [(x.delay, x.delay_sigma), (y.delay, y.delay_sigma)];
+        let lags = [(x.lag, x.lag_sigma), (y.lag, y.lag_sigma)];
+        let agree = |[a, b]: [(f64, f64); 2]| (a.0 - b.0).abs() <= 3.0 * a.1.hypot(b.1) + 0.05 * period;
+        if agree(delays) && agree(lags) && (x.lag > 0.0) == (y.lag > 0.0) {
+            (self.delay, self.lag) = (mean(delays), mean(lags));
+            return;
+        }
+        let pick = |pair: [(f64, f64); 2], second: bool| {
+            let (value, sigma) = pair[usize::from(second)];
+            Measured { value, sigma }
+        };
+        self.delay = pick(delays, delays[1].0 > delays[0].0);
+        self.lag = pick(lags, lags[1].0 < lags[0].0);
+        self.remarks.push(format!(
+            "the axes differ: x has a delay of {:.3} ms and a lag of {:.3} ms, y {:.3} ms and {:.3} ms; \
+             the longer delay and the shorter lag are taken",
+            x.delay * 1e3,
+            x.lag * 1e3,
+            y.delay * 1e3,
+            y.lag * 1e3
+        ));
+    }
+
+    fn judge(&mut self, plan: &Plan, period: f64) {
+        let mut doubts = Vec::new();
+        for (axis, response) in self.responses.iter().enumerate() {
+            let read = self.readback.map(|readback| readback[axis].scale.value);
+            doubts.extend(doubts_of(AXES[axis], response, read, plan, period));
+        }
+        let [[a, b], [c, d]] = self.matrix.map(|row| row.map(|cell| cell.value));
+        let sine = (a * d - b * c) / (a.hypot(c) * b.hypot(d));
+        if doubts.is_empty() && sine.abs() < PARALLEL {
+            doubts.push(format!(
+                "both axes move the beam in the same direction, or nearly: the sine of the angle between them is {:.3}, \
+                 needed is {PARALLEL}", sine.abs()
+            ));
+        }
+        self.doubts = doubts;
+    }
+
+    fn remark(&mut self) {
+        if self.lag.value == 0.0 {
+            self.remarks.push(
+                "the lag is too short to be seen at this rate; the delay ends at the first sample that shows the whole effect".into(),
+            );
+        }
+        for (axis, readback) in self.readback.iter().flatten().enumerate() {
+            let Readback { scale, offset, .. } = *readback;
+            if (scale.value - 1.0).abs() > SCALE + 3.0 * scale.sigma {
+                self.remarks.push(format!(
+                    "the readback of the {} axis moves by {:.3} of what is commanded: channels.readback_um_per_v should be \
+                     {:.4} of what it is, or steering.full_scale_um is wrong",
+                    AXES[axis], scale.value, 1.0 / scale.value
+                ));
+            }
+            if offset.abs() > OFFSET {
+                self.remarks.push(format!(
+                    "the readback of the {} axis is {} um off the command",
+                    AXES[axis],
+                    um(offset)
+                ));
+            }
+        }
+    }
+}
+
+/// What speaks against the response to an axis, of whose movement the readback shows the part `read`.
+fn doubts_of(name: &str, response: &Response, read: Option<f64>, plan: &Plan, period: f64) -> Vec<String> {
+    let Response { gain, gain_sigma, delay, lag, .. } = *response;
+    let (size, sigma) = (gain[0].hypot(gain[1]), gain_sigma[0].hypot(gain_sigma[1]));
+    let fits = size >= MOVES && size >= MOVES_SIGMAS * sigma;
+    if !fits {
+        let moved = format!(
+            "the beam moves by {} +- {} um for a step of {} um",
+            um(size * plan.step),
+            um(sigma * plan.step),
+            um(plan.step)
+        );
+        return vec![match read {
+            Some(read) if read.abs() < 0.5 => {
+                format!(
+                    "the stage does not follow on the {name} axis: its readback moves by {} um and {moved}",
+                    um(read * plan.step)
+                )
+            }
+            Some(_) => format!(
+                "the {name} axis does not move the beam: the stage follows by its readback, but {moved}"
+            ),
+            None => format!("the stage does not follow on the {name} axis: {moved}"),
+        }];
+    }
+    let mut doubts = Vec::new();
+    if response.unfollowed > 0 {
+        doubts.push(format!(
+            "the stage did not follow {} of {} steps of the {name} axis",
+            response.unfollowed, plan.steps
+        ));
+    }
+    if (response.used as f64) < USED * f64::from(plan.steps) {
+        doubts.push(format!(
+            "of {} steps of the {name} axis only {} can be used, the rest came late ({} by the beam alone), or with samples lost: is the machine busy?",
+            plan.steps, response.used, response.outliers
+        ));
+    }
+    if sigma > GAIN_SIGMA * size {
+        doubts.push(format!("the gain of the {name} axis, {size:.3}, is only known to {sigma:.3}: take more --steps, or a larger --step"));
+    }
+    let dwell = plan.dwell as f64 * period;
+    if delay + SETTLED * lag > dwell {
+        doubts.push(format!(
+            "the {name} axis has not settled {:.0} ms after a step (delay {:.1} ms, lag {:.1} ms): take a longer --dwell",
+            dwell * 1e3, delay * 1e3, lag * 1e3
+        ));
+    }
+    if response.misfit > MISFIT {
+        doubts.push(format!(
+            "the response of the {name} axis is no delay with a first-order lag: it is up to {:.0} % off, allowed are {:.0} %",
+            response.misfit * 1e2, MISFIT * 1e2
+        ));
+    }
+    if response.jitter > 0.5 * (delay + lag) {
+        doubts.push(format!(
+            "the delay of the {name} axis changes by {:.3} ms from step to step, and is {:.3} ms",
+            response.jitter * 1e3,
+            delay * 1e3
+        ));
+    }
+    if response.delay_sigma > (0.2 * delay).max(period / 2.0) {
+        doubts.push(format!(
+            "the delay of the {name} axis, {:.3} ms, is only known to {:.3} ms: take more --steps, or a larger --step",
+            delay * 1e3, response.delay_sigma * 1e3
+        ));
+    }
+    doubts
+}
+
+/// The windows around the steps of an axis, those without a lost sample and with a command that was not
+/// held up.
+fn windows(recording: &Recording, axis: usize, period: f64) -> Windows {
+    let dwell = recording.plan.dwell;
+    let usual = median(recording.steps.iter().map(|step| step.computed)) + period / 2.0;
+    let mut windows = Windows { period, step: recording.plan.step, ..Windows::default() };
+    for step in recording.steps.iter().filter(|step| step.axis == axis && step.computed <= usual) {
+        let range = (step.on + 1).saturating_sub(dwell / 2)..=step.on + dwell;
+        let Some(looks) = recording.looks.get(range) else { continue };
+        let whole = looks[looks.len() - 1].index - looks[0].index + 1 == looks.len() as u64;
+        if !whole {
+            continue;
+        }
+        let sign = if step.forth { 1.0 } else { -1.0 };
+        let zero = recording.looks[step.on].time;
+        windows.times.resize(looks.len(), 0.0);
+        for (time, look) in windows.times.iter_mut().zip(looks) {
+            *time += look.time.seconds_since(zero);
+        }
+        windows.offsets.push(looks.iter().map(|look| look.offset.map(|d| sign * d)).collect());
+    }
+    let count = windows.offsets.len() as f64;
+    windows.times.iter_mut().for_each(|time| *time /= count);
+    windows
+}
+
+/// What is seen after a step, once the stage has come to rest.
+fn settled<'a>(recording: &'a Recording, step: &Step) -> &'a [Look] {
+    let dwell = recording.plan.dwell;
+    recording.looks.get(step.on + 1 + dwell / 2..=step.on + dwell).unwrap_or_default()
+}
+
+/// The beam less what the stage contributes, by its readback or else by the command.
+fn origin(recording: &Recording, matrix: &[[Measured; 2]; 2]) -> [Measured; 2] {
+    let (mut at_zero, mut stands) = (Vec::new(), [0.0_f64; 2]);
+    for step in &recording.steps {
+        for look in settled(recording, step) {
+            let q = look.readback.unwrap_or(step.to);
+            let moved = matrix.map(|[a, b]| a.value * q[0] + b.value * q[1]);
+            at_zero.push([look.beam[0] - moved[0], look.beam[1] - moved[1]]);
+            stands = [stands[0].max(q[0].abs()), stands[1].max(q[1].abs())];
+        }
+    }
+    let Some(mean) = look::mean(at_zero.iter().copied()) else { return [Measured::default(); 2] };
+    let count = at_zero.len() as f64;
+    [0, 1].map(|k| {
+        let scatter: f64 = at_zero.iter().map(|p| (p[k] - mean[k]).powi(2)).sum::<f64>() / (count * count);
+        let by_matrix: f64 = (0..2).map(|axis| (matrix[k][axis].sigma * stands[axis]).powi(2)).sum();
+        Measured { value: mean[k], sigma: (scatter + by_matrix).sqrt() }
+    })
+}
+
+/// The readback against the commands.
+fn readback(recording: &Recording) -> Option<[Readback; 2]> {
+    let before = recording.steps.first()?.on.saturating_sub(recording.plan.dwell);
+    let rest: Vec<Xy> = recording.looks.get(..before)?.iter().filter_map(|look| look.readback).collect();
+    let noise = look::noise(&rest)?;
+    let of = |axis: usize| {
+        let (mut forth, mut back, mut off) = (Vec::new(), Vec::new(), Vec::new());
+        for step in recording.steps.iter().filter(|step| step.axis == axis) {
+            let read = look::mean(settled(recording, step).iter().filter_map(|look| look.readback))?[axis];
+            off.push(read - step.to[axis]);
+            if step.forth { forth.push(read) } else { back.push(read) }
+        }
+        let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+        let settled_looks = (recording.plan.dwell / 2 * recording.plan.steps as usize / 2) as f64;
+        Some(Readback {
+            scale: Measured {
+                value: (mean(&forth) - mean(&back)) / recording.plan.step,
+                sigma: noise[axis] * (2.0 / settled_looks).sqrt() / recording.plan.step,
+            },
+            offset: mean(&off),
+            noise: noise[axis],
+        })
+    };
+    Some([of(0)?, of(1)?])
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or_default()
+}
+
+/// The mean of two numbers by their deviations.
+fn mean([(a, a_sigma), (b, b_sigma)]: [(f64, f64); 2]) -> Measured {
+    let weight = |sigma: f64| 1.0 / (sigma * sigma).max(1e-30);
+    let (p, q) = (weight(a_sigma), weight(b_sigma));
+    Measured { value: (a * p + b * q) / (p + q), sigma: (p + q).sqrt().recip() }
+}

@@ -1,0 +1,340 @@
+//! The task: stands where centering does, takes samples, makes the steps, and brings the stage back.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::mpsc;
+use tokio::time::timeout;
+use tokio_util::sync::CancellationToken;
+
+use super::look::{self, Look, Looker};
+use super::plan::{Plan, Settings, refused, um};
+use crate::acquisition::Identity;
+use crate::acquisition::task::Acquired;
+use crate::clock::Clock;
+use crate::exit::{self, Failure};
+use crate::steering::{Ack, Command, Driver, Event, Xy};
+
+/// The longest wait for the first sample.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// The longest wait for the next one, besides five periods.
+const SILENCE: Duration = Duration::from_millis(500);
+/// The longest wait for the stage, in times of the rest.
+const STAGE: usize = 5;
+/// How long the last command may wait for its acknowledgement.
+const LAST_ACK: Duration = Duration::from_secs(1);
+/// A sample on which a step is made is at most this part of a period older than most are.
+const FRESH: f64 = 0.25;
+/// So many times the samples of a dwell without one that is the newest: the machine is too slow.
+const BEHIND: usize = 20;
+
+/// The edges of the task.
+#[derive(Debug)]
+pub struct Edges {
+    /// Samples in order, from acquisition.
+    pub samples: mpsc::Receiver<Acquired>,
+    /// Ends it; the stage is brought back all the same.
+    pub stop: CancellationToken,
+}
+
+/// Who is told what goes on.
+pub trait Audience {
+    /// What will be done, before anything moves; `false` if nothing shall.
+    fn plan(&mut self, plan: &Plan, source: &Identity) -> bool;
+
+    /// How many of all steps are made. Called where a pause does not matter.
+    fn progress(&mut self, made: u32, of: u32);
+
+    /// The stage is brought back: it has acknowledged that, or why that is not sure.
+    fn back(&mut self, position: Xy, complaint: Option<&str>);
+}
+
+/// A step of one axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Step {
+    /// 0 or 1.
+    pub axis: usize,
+    /// Forth or back.
+    pub forth: bool,
+    /// Where to, metres.
+    pub to: Xy,
+    /// Index of the look on which it was made.
+    pub on: usize,
+    /// From the sample to its command, seconds.
+    pub computed: f64,
+}
+
+/// All that was seen and done.
+#[derive(Clone, Debug)]
+pub struct Recording {
+    /// What was to be done.
+    pub plan: Plan,
+    /// Each sample in order.
+    pub looks: Vec<Look>,
+    /// The steps in order.
+    pub steps: Vec<Step>,
+}
+
+/// Measures. `None` if the audience does not want it.
+pub async fn run<D: Driver, C: Clock>(
+    settings: Settings,
+    looker: Looker,
+    driver: D,
+    clock: C,
+    edges: Edges,
+    audience: &mut dyn Audience,
+) -> Result<Option<Recording>, Failure> {
+    let Edges { samples, stop } = edges;
+    let mut tuner = Tuner {
+        settings,
+        looker,
+        driver,
+        clock,
+        samples,
+        stop,
+        source: None,
+        ready: false,
+        unready: "it says nothing".into(),
+        said: None,
+        commanded: None,
+        commands: 0,
+        looks: Vec::new(),
+        ages: Vec::new(),
+        fresh: f64::INFINITY,
+        lost: 0,
+    };
+    let plan = tuner.rest().await?;
+    let Some(source) = tuner.source.clone() else { return Err(refused("the source is gone")) };
+    if !audience.plan(&plan, &source) {
+        return Ok(None);
+    }
+    let steps = tuner.steps(&plan, audience).await;
+    let complaint = tuner.finish(plan.end).await;
+    audience.back(plan.end, complaint.as_deref());
+    Ok(Some(Recording { plan, steps: steps?, looks: tuner.looks }))
+}
+
+/// The stage, and what is seen of it.
+struct Tuner<D, C> {
+    settings: Settings,
+    looker: Looker,
+    driver: D,
+    clock: C,
+    samples: mpsc::Receiver<Acquired>,
+    stop: CancellationToken,
+    source: Option<Arc<Identity>>,
+    /// The stage takes commands.
+    ready: bool,
+    /// Why not, as far as it is known.
+    unready: String,
+    /// Where the stage said that it stands.
+    said: Option<Xy>,
+    commanded: Option<Xy>,
+    commands: u32,
+    looks: Vec<Look>,
+    /// How old the samples were when they were looked at, while nothing moved; seconds.
+    ages: Vec<f64>,
+    /// A step is made on a sample that is no older.
+    fresh: f64,
+    lost: u64,
+}
+
+impl<D: Driver, C: Clock> Tuner<D, C> {
+    /// Looks on while nothing moves, and makes the plan.
+    async fn rest(&mut self) -> Result<Plan, Failure> {
+        while self.looks.len() < self.settings.rest || !self.ready {
+            let look = self.next().await?;
+            self.ages.push(self.clock.now().seconds_since(look.time));
+            if self.looks.len() > STAGE * self.settings.rest {
+                return Err(unavailable(format!("the stage does not take commands: {}", self.unready)));
+            }
+        }
+        self.ages.sort_by(f64::total_cmp);
+        self.fresh = self.ages[self.ages.len() / 2] + FRESH * self.settings.period;
+        let rest = &self.looks[self.looks.len() - self.settings.rest..];
+        self.settings.plan(rest, self.said, self.lost)
+    }
+
+    /// All steps of both axes. Whatever goes wrong ends it at once.
+    async fn steps(&mut self, plan: &Plan, audience: &mut dyn Audience) -> Result<Vec<Step>, Failure> {
+        self.take_over(plan).await?;
+        let (mut steps, all) = (Vec::new(), 2 * plan.steps);
+        for axis in 0..2 {
+            let place = |forth: bool| {
+                let mut to = plan.found;
+                to[axis] += if forth { plan.step / 2.0 } else { -plan.step / 2.0 };
+                to
+            };
+            self.go(place(false), plan).await?;
+            self.dwell(plan.dwell, plan).await?;
+            for k in 0..plan.steps {
+                let (forth, to) = (k % 2 == 0, place(k % 2 == 0));
+                let computed = self.go(to, plan).await?;
+                steps.push(Step { axis, forth, to, on: self.looks.len() - 1, computed });
+                self.dwell(plan.dwell / 2, plan).await?;
+                audience.progress(steps.len() as u32, all);
+                self.dwell(plan.dwell - plan.dwell / 2, plan).await?;
+            }
+            self.go(plan.found, plan).await?;
+            self.dwell(plan.dwell, plan).await?;
+        }
+        Ok(steps)
+    }
+
+    /// The first command: stay. If the stage goes somewhere else, its readback is not to be trusted.
+    async fn take_over(&mut self, plan: &Plan) -> Result<(), Failure> {
+        let beam = |looks: &[Look]| look::mean(looks.iter().rev().take(plan.dwell / 2).map(|l| l.beam));
+        let before = beam(&self.looks);
+        self.go(plan.found, plan).await?;
+        self.dwell(plan.dwell, plan).await?;
+        let Some((before, after)) = before.zip(beam(&self.looks)) else { return Ok(()) };
+        let moved = (after[0] - before[0]).hypot(after[1] - before[1]);
+        if moved > plan.step {
+            return Err(refused(format!(
+                "the beam moved by {} um when the stage was sent to where it is said to stand, {} {} um: \
+                 channels.readback_um_per_v (or --at) is wrong, or something else moves it",
+                um(moved),
+                um(plan.found[0]),
+                um(plan.found[1])
+            )));
+        }
+        Ok(())
+    }
+
+    /// Sends the stage somewhere on the next sample that comes as fresh as most do; gives the time from the
+    /// sample to the command.
+    async fn go(&mut self, to: Xy, plan: &Plan) -> Result<f64, Failure> {
+        for _ in 0..BEHIND * plan.dwell {
+            let look = self.watch(plan).await?;
+            let age = self.clock.now().seconds_since(look.time);
+            if self.samples.is_empty() && age <= self.fresh {
+                self.send(to);
+                return Ok(self.clock.now().seconds_since(look.time));
+            }
+        }
+        Err(refused("this machine is too busy: hardly a sample is looked at as soon as it comes"))
+    }
+
+    /// Stays for so many samples. Each renews the lease, as the loop does.
+    async fn dwell(&mut self, samples: usize, plan: &Plan) -> Result<(), Failure> {
+        for _ in 0..samples {
+            self.watch(plan).await?;
+            if let Some(position) = self.commanded
+                && self.samples.is_empty()
+            {
+                self.send(position);
+            }
+        }
+        Ok(())
+    }
+
+    /// The next look, with the beam where it may be.
+    async fn watch(&mut self, plan: &Plan) -> Result<Look, Failure> {
+        let look = self.next().await?;
+        let far = look.offset[0].hypot(look.offset[1]);
+        if far > plan.reach {
+            return Err(refused(format!(
+                "the beam is {} um off the apex, allowed are {} um while steps are made",
+                um(far),
+                um(plan.reach)
+            )));
+        }
+        Ok(look)
+    }
+
+    fn send(&mut self, position: Xy) {
+        let limit = self.settings.limit();
+        let position = position.map(|p| p.clamp(-limit, limit));
+        self.commands = self.commands.wrapping_add(1);
+        self.commanded = Some(position);
+        let Settings { lease_ms, on_expiry, .. } = self.settings;
+        self.driver.steer(Command { id: self.commands, position, lease_ms, on_expiry });
+    }
+
+    /// The next look at a sample, and what the stage says meanwhile.
+    async fn next(&mut self) -> Result<Look, Failure> {
+        let mut why = "nothing came from the source".to_owned();
+        let first = self.looks.is_empty();
+        let patience =
+            if first { PATIENCE } else { SILENCE + Duration::from_secs_f64(5.0 * self.settings.period) };
+        let mut deadline = std::pin::pin!(tokio::time::sleep(patience));
+        loop {
+            tokio::select! {
+                biased;
+                () = self.stop.cancelled() => return Err(Failure::new(exit::INTERRUPTED, "interrupted")),
+                event = self.driver.next() => self.hear(event)?,
+                acquired = self.samples.recv() => match acquired {
+                    Some(Acquired::Sample(sample)) => {
+                        let look = self.looker.look(&sample).map_err(refused)?;
+                        self.lost += if first { 0 } else { u64::from(sample.lost) };
+                        self.looks.push(look);
+                        return Ok(look);
+                    }
+                    Some(Acquired::Up(source)) => self.source = Some(source),
+                    Some(Acquired::Down(down)) if first => why = down.to_string(),
+                    Some(Acquired::Down(down)) => return Err(unavailable(format!("the source is down: {down}"))),
+                    Some(Acquired::Changed(_)) => {}
+                    None => return Err(Failure::new(exit::SOFTWARE, "task acquisition ended by itself")),
+                },
+                () = &mut deadline => return Err(unavailable(why)),
+            }
+        }
+    }
+
+    /// What the stage says.
+    fn hear(&mut self, event: Event) -> Result<(), Failure> {
+        match event {
+            Event::Up if self.commanded.is_some() => {
+                Err(unavailable("the stage came up anew: it may stand anywhere"))
+            }
+            Event::Up => {
+                self.ready = true;
+                Ok(())
+            }
+            Event::At(position) => {
+                self.said = Some(position);
+                Ok(())
+            }
+            Event::Ack(Ack { accepted: false, .. }) => Err(refused("the stage refused a command")),
+            Event::Ack(_) => Ok(()),
+            // Before the first command it may still be on its way.
+            Event::Down(reason) if self.commanded.is_none() => {
+                (self.ready, self.unready) = (false, reason);
+                Ok(())
+            }
+            Event::Down(reason) => Err(unavailable(format!("the stage does not take commands: {reason}"))),
+        }
+    }
+
+    /// Sends the last command and waits until the stage has taken it; what is wrong if it has not.
+    async fn finish(&mut self, end: Xy) -> Option<String> {
+        self.commanded?;
+        self.send(end);
+        let last = self.commands;
+        let answer = async {
+            loop {
+                match self.driver.next().await {
+                    Event::Ack(Ack { id, accepted }) if id == last => return accepted,
+                    _ => {}
+                }
+            }
+        };
+        // Acquisition carries commands and answers; samples must not fill its queue meanwhile.
+        let samples = &mut self.samples;
+        let drain = async { while samples.recv().await.is_some() {} };
+        let accepted = tokio::select! {
+            accepted = timeout(LAST_ACK, answer) => accepted,
+            () = drain => return Some("acquisition ended before the stage answered".into()),
+        };
+        let complaint = match accepted {
+            Ok(true) => return None,
+            Ok(false) => "it refused that",
+            Err(_) => "it did not acknowledge that within a second; look where it stands",
+        };
+        Some(complaint.into())
+    }
+}
+
+fn unavailable(why: impl Into<String>) -> Failure {
+    Failure::new(exit::UNAVAILABLE, why)
+}
