@@ -6,25 +6,18 @@
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use trifacet::centering::LockState;
-use trifacet::config::{Axis, Config, Fault, FaultKind, Motion, MotionKind, parse};
+use trifacet::config::{Axis, Config, Fault, FaultKind, Motion, MotionKind};
 use trifacet::estimation::Status;
 use trifacet::rig::{Rig, Turn};
+
+use crate::{bench, motion, wide_bench};
 
 /// The range of the stage, micrometres.
 const LIMIT_UM: f64 = 2000.0;
 
-const BENCH: &str = "\
-    acquisition.rate_hz = 10000\n\
-    estimation.power_noise = 5e-4\n\
-    [channels]\npower_mw_per_v = 0.1\nreadback_um_per_v = 250\n\
-    [centering]\nloop_delay_ms = 0.4\nlag_ms = 0\n\
-    [steering]\nfull_scale_um = 2400\nlimit_um = 2000\nslew_mm_per_s = 500\n\
-    [twin]\npower_noise = 5e-4\n\
-    [twin.steering]\ndelay_ms = 0.39\nlag_ms = 0\nlimit_um = 2200\n\
-    [[twin.motion]]\naxis = 'tx'\namount_um = 50\nkind = 'sine'\nfrequency_hz = 1.1\n\
-    [[twin.motion]]\naxis = 'ty'\namount_um = 40\nkind = 'sine'\nfrequency_hz = 0.7\n\
-    [[twin.motion]]\naxis = 'pitch'\namount_urad = 200\nkind = 'sine'\nfrequency_hz = 0.9\n\
-    [[twin.motion]]\naxis = 'roll'\namount_urad = 150\nkind = 'sine'\nfrequency_hz = 0.5\n";
+/// How the mirror wanders all the time: axis, um or urad, Hz.
+const WANDER: [(Axis, f64, f64); 4] =
+    [(Axis::Tx, 50.0, 1.1), (Axis::Ty, 40.0, 0.7), (Axis::Pitch, 200.0, 0.9), (Axis::Roll, 150.0, 0.5)];
 
 /// A sequence: its configuration, when all is over, and after which stalls the board is another one.
 struct Sequence {
@@ -36,8 +29,12 @@ struct Sequence {
 
 fn sequence(seed: u64) -> Sequence {
     let mut random = Pcg64::seed_from_u64(seed);
-    let mut config = parse(BENCH, None).unwrap();
+    let mut config = wide_bench(LIMIT_UM);
     config.twin.seed = seed;
+    config.twin.motion = WANDER
+        .into_iter()
+        .map(|(axis, amount, hz)| Motion { frequency_hz: Some(hz), ..motion(axis, MotionKind::Sine, amount) })
+        .collect();
     let (mut at_s, mut over_s, mut bursts) = (0.3, 0.0_f64, Vec::new());
     let mut jumped = false;
     for _ in 0..random.random_range(2..=5) {
@@ -79,15 +76,9 @@ fn sequence(seed: u64) -> Sequence {
 fn jump(config: &mut Config, from_s: f64, until_s: Option<f64>, amount_um: f64, angle: f64) {
     for (axis, part) in [(Axis::Tx, angle.cos()), (Axis::Ty, angle.sin())] {
         config.twin.motion.push(Motion {
-            axis,
-            amount_um: Some(amount_um * part),
-            amount_urad: None,
-            kind: MotionKind::Step,
             from_s,
             until_s,
-            frequency_hz: None,
-            high_hz: None,
-            phase_deg: 0.0,
+            ..motion(axis, MotionKind::Step, amount_um * part)
         });
     }
 }
@@ -203,7 +194,7 @@ fn try_out(label: &str, sequences: u64, signals: fn(&mut Config)) {
         lie_s * 1e3,
         relocked_s.unwrap_or(f64::NAN)
     );
-    let lock_s = parse(BENCH, None).unwrap().centering.lock_time_ms * 1e-3;
+    let lock_s = bench().centering.lock_time_ms * 1e-3;
     for (seed, worst, sequence) in &all {
         let fine = worst.lie_s <= lock_s && worst.error <= 7.0 && worst.relocked_s.is_some();
         assert!(fine, "seed {seed}: {worst:?}\n{:?}", sequence.config.twin);

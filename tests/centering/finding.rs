@@ -3,38 +3,15 @@
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use trifacet::centering::LockState;
-use trifacet::config::{Axis, Config, Motion, MotionKind, parse};
+use trifacet::config::{Axis, Config, MotionKind};
 use trifacet::rig::Rig;
 
-/// The stage reaches 8 mm to each side; the mirror has a radius of 5 mm. All light on one PSD must not clip it,
-/// else its spot cannot be seen, and only the search helps.
-const WIDE: &str = "\
-    acquisition.rate_hz = 10000\n\
-    estimation.power_noise = 5e-4\n\
-    [channels]\npower_mw_per_v = 0.1\nreadback_um_per_v = 1000\n\
-    [centering]\nloop_delay_ms = 0.4\nlag_ms = 0\n\
-    [steering]\nfull_scale_um = 10000\nlimit_um = 8000\nslew_mm_per_s = 500\n\
-    [twin]\npower_noise = 5e-4\nmotion = []\n\
-    [twin.steering]\ndelay_ms = 0.39\nlag_ms = 0\nlimit_um = 9000\n";
+use crate::{motion, wide_bench};
 
-/// The mirror stands there from the start: metres and radians.
-fn rest(config: &mut Config, pose: [f64; 6]) {
-    use Axis::{Pitch, Roll, Tx, Ty, Tz, Yaw};
-    for (axis, amount) in [Tx, Ty, Tz, Roll, Pitch, Yaw].into_iter().zip(pose) {
-        let amount = Some(amount * 1e6);
-        config.twin.motion.push(Motion {
-            axis,
-            amount_um: amount.filter(|_| !axis.is_turn()),
-            amount_urad: amount.filter(|_| axis.is_turn()),
-            kind: MotionKind::Step,
-            from_s: 0.0,
-            until_s: None,
-            frequency_hz: None,
-            high_hz: None,
-            phase_deg: 0.0,
-        });
-    }
-}
+/// The stage reaches so far to each side, micrometres; the mirror has a radius of 5 mm.
+const REACH_UM: f64 = 8000.0;
+/// The axes in the order of a pose.
+const AXES: [Axis; 6] = [Axis::Tx, Axis::Ty, Axis::Tz, Axis::Roll, Axis::Pitch, Axis::Yaw];
 
 /// Seconds until it says that it is locked, which must then be true; none within `most_s`.
 fn seconds_to_lock(config: &Config, most_s: f64) -> Option<f64> {
@@ -72,7 +49,7 @@ fn report(label: &str, times: Vec<f64>) {
 /// A beam at a random place between two distances of the apex, over a mirror that stands somewhere and is turned
 /// by up to 2 mrad: which the loop does not know.
 fn start(random: &mut Pcg64, from: f64, to: f64) -> Config {
-    let mut config = parse(WIDE, None).unwrap();
+    let mut config = wide_bench(REACH_UM);
     let mut symmetric = |most: f64| most * (2.0 * random.random::<f64>() - 1.0);
     let pose = [
         symmetric(1e-3),
@@ -86,7 +63,8 @@ fn start(random: &mut Pcg64, from: f64, to: f64) -> Config {
     let angle = std::f64::consts::TAU * random.random::<f64>();
     config.twin.laser_offset_um =
         [pose[0] + distance * angle.cos(), pose[1] + distance * angle.sin()].map(|m| m * 1e6);
-    rest(&mut config, pose);
+    config.twin.motion =
+        AXES.into_iter().zip(pose).map(|(axis, at)| motion(axis, MotionKind::Step, at * 1e6)).collect();
     config.twin.seed = random.random_range(0..1000);
     config
 }

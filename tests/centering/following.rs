@@ -2,38 +2,32 @@
 //!
 //! 10 kHz; a command computed from sample k acts on sample k+4. One tuning for all rows.
 
-use trifacet::config::{Config, parse};
+use trifacet::config::{Axis, Config, Motion, MotionKind};
 use trifacet::rig::Rig;
+
+use crate::{bench, motion};
 
 /// From a sample to the effect of its command, in samples.
 const DELAY: usize = 4;
-
-/// The bench: spot noise 1.08 um, power noise 5e-4 of each power, readback noise 0.1 um. The dead time of the
-/// stage is a little less than four samples, so that its commands act on the fourth.
-const BENCH: &str = "\
-    acquisition.rate_hz = 10000\n\
-    estimation.power_noise = 5e-4\n\
-    [centering]\nloop_delay_ms = 0.4\nlag_ms = 0\n\
-    [steering]\nslew_mm_per_s = 500\n\
-    [twin]\npower_noise = 5e-4\n\
-    [twin.steering]\ndelay_ms = 0.39\nlag_ms = 0\n";
-
-/// The rows: name, motion of the mirror along x, when it starts and ends.
-const STEP: &str = "amount_um = 100\nkind = 'step'\nfrom_s = 0.2";
-const RAMP: &str = "amount_um = 300\nkind = 'ramp'\nfrom_s = 0.2\nuntil_s = 0.5";
-const SINE_10: &str = "amount_um = 100\nkind = 'sine'\nfrequency_hz = 10";
-const SINE_50: &str = "amount_um = 20\nkind = 'sine'\nfrequency_hz = 50";
 
 /// What a row changes of the bench.
 type Change = fn(&mut Config);
 
 /// The true offset of the beam along x, micrometres, of every scan.
-fn offsets(change: Change, motion: &str, samples: usize) -> Vec<f64> {
-    let text = format!("{BENCH}\n[[twin.motion]]\naxis = 'tx'\n{motion}\n");
-    let mut config = parse(&text, None).unwrap();
+fn offsets(change: Change, motion: &Motion, samples: usize) -> Vec<f64> {
+    let mut config = bench();
+    config.twin.motion.push(motion.clone());
     change(&mut config);
     let mut rig = Rig::new(&config).unwrap();
     (0..samples).map(|_| rig.turn().scan.truth.offset.x * 1e6).collect()
+}
+
+fn along_x(kind: MotionKind, amount_um: f64) -> Motion {
+    motion(Axis::Tx, kind, amount_um)
+}
+
+fn sine(amount_um: f64, frequency_hz: f64) -> Motion {
+    Motion { frequency_hz: Some(frequency_hz), ..along_x(MotionKind::Sine, amount_um) }
 }
 
 fn rms(x: &[f64]) -> f64 {
@@ -50,7 +44,7 @@ struct Step {
 }
 
 fn step(change: Change) -> Step {
-    let after = &offsets(change, STEP, 3000)[2000..];
+    let after = &offsets(change, &Motion { from_s: 0.2, ..along_x(MotionKind::Step, 100.0) }, 3000)[2000..];
     // The mirror moves along +x, so the beam is off along -x, and an overshoot is positive.
     let settled = after.iter().rposition(|x| x.abs() >= 1.0).map_or(0, |k| k + 1);
     Step { settled, overshoot: after.iter().copied().fold(0.0, f64::max) }
@@ -67,14 +61,15 @@ struct Row {
 
 /// Ramp and sines rms over whole periods after a start-up of 0.2 s; the ramp with its onset.
 fn row(label: &'static str, change: Change) -> Row {
-    let sine = |motion| rms(&offsets(change, motion, 12_000)[2000..]);
+    let rms_of = |motion| rms(&offsets(change, &motion, 12_000)[2000..]);
+    let ramp = Motion { from_s: 0.2, until_s: Some(0.5), ..along_x(MotionKind::Ramp, 300.0) };
     Row {
         label,
         step: step(change),
-        ramp: rms(&offsets(change, RAMP, 5000)[2000..]),
-        sine_10: sine(SINE_10),
-        sine_50: sine(SINE_50),
-        rest: sine("amount_um = 0\nkind = 'step'"),
+        ramp: rms(&offsets(change, &ramp, 5000)[2000..]),
+        sine_10: rms_of(sine(100.0, 10.0)),
+        sine_50: rms_of(sine(20.0, 50.0)),
+        rest: rms_of(along_x(MotionKind::Step, 0.0)),
     }
 }
 
