@@ -44,7 +44,7 @@ fn a_daemon_that_is_fine_is_said_to_be_over_every_way() {
 #[test]
 fn what_is_wrong_with_the_light_is_said() {
     let daemon = Daemon::start(
-        "tcp = '127.0.0.1:0'\nudp = []\n[[twin.fault]]\nat_s = 0.0\nkind = 'psd-dark'\npsd = 1",
+        "tcp = '127.0.0.1:0'\nudp = []\n[centering]\nsearch = false\n[[twin.fault]]\nat_s = 0.0\nkind = 'psd-dark'\npsd = 1",
     );
     wrong(&[&format!("tcp://{}", daemon.tcp())], &["not valid", "PSD_B_LOW", "NOT_LOCKED"]);
     let daemon =
