@@ -5,11 +5,12 @@ use super::lock::{Doing, Lock, LockState, Seen, Transition};
 use super::lookout::Lookout;
 use super::sight::Sight;
 use super::stage::Stage;
+use super::told::{LoopState, LoopView, Outcome, TimedPose};
 use super::tuning::Tuning;
 use crate::acquisition::Sample;
 use crate::clock::Mono;
 use crate::config::{Config, LoopMode, OnExit};
-use crate::optics::{HeadError, Optics, Pose};
+use crate::optics::{HeadError, Optics};
 use crate::steering::{Command, Expiry, Xy};
 
 /// The time between samples counts as at most so many periods.
@@ -20,54 +21,6 @@ const WORTH_A_JUMP: f64 = 0.25;
 pub(super) const TOO_LATE: &str = "samples come later than centering.loop_delay_ms";
 pub(super) const STUCK: &str = "the stage does not follow its commands";
 pub(super) const NO_STAGE: &str = "the stage takes no commands";
-
-/// What the rest of the house is told of the loop.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LoopState {
-    /// The lock state.
-    pub lock: LockState,
-    /// Where the stage was last commanded to, metres; none unless the loop has it.
-    pub position: Option<Xy>,
-}
-
-/// What a person may want to know of the loop.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LoopView {
-    /// What it does.
-    pub mode: LoopMode,
-    /// The lock state.
-    pub lock: LockState,
-    /// The offset of the beam in the last sample, metres; not looked at while the loop is off.
-    pub offset: Option<Xy>,
-    /// Velocity of the apex by the tracking filter, metres per second.
-    pub velocity: Xy,
-    /// Where the stage was last commanded to, metres; none unless the loop has it.
-    pub commanded: Option<Xy>,
-    /// In the shadow: where the stage stands, and where the loop would send it next, metres.
-    pub shadow: Option<(Xy, Xy)>,
-    /// Searches in vain since it was last locked.
-    pub attempts: u32,
-}
-
-/// What follows from a sample.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Outcome {
-    /// The command for the stage, unless it is not the loop's.
-    pub command: Option<Command>,
-    /// The sample came too late to act on it: the command holds.
-    pub late: bool,
-    /// The lock state has changed.
-    pub transition: Option<Transition>,
-}
-
-/// A pose with the time of its sample.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TimedPose {
-    /// The pose, in the sensor's world.
-    pub pose: Pose,
-    /// When its signals were taken.
-    pub time: Mono,
-}
 
 /// The loop.
 #[derive(Clone, Debug)]

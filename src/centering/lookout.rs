@@ -1,8 +1,8 @@
 //! What the loop knows of the mirror: where its apex is, and how fast it moves.
 
-use super::core::TimedPose;
 use super::sight::Sight;
 use super::stage::read_back;
+use super::told::TimedPose;
 use super::tracking::Tracking;
 use super::tuning::Tuning;
 use crate::acquisition::{PsdState, Sample};

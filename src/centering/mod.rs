@@ -1,6 +1,7 @@
 //! Task 2: finds the apex, brings the beam onto it, and keeps it there.
 //!
 //! - [`core`]: a sample and the last pose in, a steering command out; pure.
+//! - [`told`]: what goes in besides samples, and what comes out.
 //! - [`sight`], [`lookout`]: what a sample says of the beam, and what is known of the mirror.
 //! - [`stage`], [`trail`]: where the stage was sent, and whether it follows.
 //! - [`lock`]: what the loop may claim of itself, and what it does next.
@@ -22,10 +23,12 @@ pub mod stage;
 pub mod task;
 #[cfg(test)]
 mod tests;
+pub mod told;
 pub mod tracking;
 pub mod trail;
 pub mod tuning;
 
-pub use self::core::{Centering, LoopState, LoopView, Outcome, TimedPose};
+pub use self::core::Centering;
 pub use lock::LockState;
+pub use told::{LoopState, LoopView, Outcome, TimedPose};
 pub use tuning::Tuning;

@@ -8,8 +8,9 @@ use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 
-use super::core::{Centering, LoopState, LoopView, TimedPose};
+use super::core::Centering;
 use super::lock::{LockState, Transition};
+use super::told::{LoopState, LoopView, TimedPose};
 use super::tuning::Tuning;
 use crate::acquisition::{Sample, task::Newest};
 use crate::clock::{Clock, Mono};

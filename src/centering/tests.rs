@@ -1,7 +1,8 @@
 //! The loop with a stage that does at once what it is told, and a mirror at rest.
 
-use super::core::{Centering, Outcome, TOO_LATE, TimedPose};
+use super::core::{Centering, TOO_LATE};
 use super::lock::LockState;
+use super::told::{Outcome, TimedPose};
 use super::tuning::Tuning;
 use crate::acquisition::{PsdState, Sample};
 use crate::clock::Mono;
