@@ -1,17 +1,15 @@
 //! Whether gains and delay go together.
 
-use crate::config::Gains;
-
 /// The loop is computed in steps of at least this part of its delay.
 const FINEST: f64 = 1.0 / 32.0;
 /// It is looked at over so many delays and time constants.
 const HORIZON: f64 = 100.0;
 
-/// Whether an error of the loop dies out, rather than ring ever louder: for a stage of gain 1 that follows
+/// Whether an error of a loop with these gains (proportional, and integral per second) dies out, rather than ring ever louder: for a stage of gain 1 that follows
 /// after `delay_s` with the time constant `lag_s`, sampled every `period_s`.
 ///
 /// The loop itself is computed, and the largest errors of an early and of a late time are compared.
-pub fn is_stable(gains: Gains, delay_s: f64, lag_s: f64, period_s: f64) -> bool {
+pub fn is_stable([kp, ki_per_s]: [f64; 2], delay_s: f64, lag_s: f64, period_s: f64) -> bool {
     let dt = period_s.max(FINEST * delay_s);
     let delay = (delay_s / dt).round().max(1.0) as usize;
     let left = if lag_s > 0.0 { (-dt / lag_s).exp() } else { 0.0 };
@@ -23,7 +21,7 @@ pub fn is_stable(gains: Gains, delay_s: f64, lag_s: f64, period_s: f64) -> bool 
     for k in 0..steps {
         beam = commands[k] + (beam - commands[k]) * left;
         let error = 1.0 - beam;
-        command += gains.kp * (error - last) + gains.ki_per_s * dt * error;
+        command += kp * (error - last) + ki_per_s * dt * error;
         commands[k + delay] = command;
         last = error;
         if !error.is_finite() {
@@ -42,7 +40,7 @@ mod tests {
     use super::*;
 
     fn stable(kp: f64, ki_per_s: f64, lag_ms: f64) -> bool {
-        is_stable(Gains { kp, ki_per_s }, 2.5e-3, lag_ms * 1e-3, 1e-3)
+        is_stable([kp, ki_per_s], 2.5e-3, lag_ms * 1e-3, 1e-3)
     }
 
     #[test]
@@ -51,7 +49,7 @@ mod tests {
         let limit = |period_s| {
             (1..400)
                 .map(|k| f64::from(k) * 0.01)
-                .find(|k| !is_stable(Gains { kp: 0.0, ki_per_s: k / 2.5e-3 }, 2.5e-3, 0.0, period_s))
+                .find(|k| !is_stable([0.0, k / 2.5e-3], 2.5e-3, 0.0, period_s))
         };
         assert!((limit(1e-6).unwrap() - 1.57).abs() < 0.05, "{:?}", limit(1e-6));
         assert!(stable(0.0, 0.0, 0.5), "a loop that does nothing");
@@ -71,7 +69,7 @@ mod tests {
                     };
                     let (gains, delay_s) = (config.gains(rate_hz), config.loop_delay_s(rate_hz));
                     assert!(
-                        is_stable(gains, delay_s, lag_ms * 1e-3, 1.0 / rate_hz),
+                        is_stable([gains.kp, gains.ki_per_s], delay_s, lag_ms * 1e-3, 1.0 / rate_hz),
                         "{delay_ms} {lag_ms} {rate_hz}"
                     );
                 }

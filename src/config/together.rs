@@ -105,7 +105,7 @@ fn gains(config: &Config, at: &mut Checker<'_>) {
     let (gains, delay_s) = (centering.gains(rate_hz), centering.loop_delay_s(rate_hz));
     let safe = CenteringConfig { kp: None, ki_per_s: None, ..centering.clone() }.gains(rate_hz);
     at.agree(
-        is_stable(gains, delay_s, centering.lag_ms * 1e-3, 1.0 / rate_hz),
+        is_stable([gains.kp, gains.ki_per_s], delay_s, centering.lag_ms * 1e-3, 1.0 / rate_hz),
         "centering.ki_per_s",
         &["centering.kp", "centering.loop_delay_ms"],
         format!("{} with kp = {}", gains.ki_per_s, gains.kp),
