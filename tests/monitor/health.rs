@@ -26,10 +26,11 @@ fn since_ns(ready: &Value, name: &str) -> i64 {
     since.as_nanosecond() as i64
 }
 
-/// By the daemon's time stamps it was so within a second of the order.
+/// By the daemon's time stamps it was so within a second of the order. A sample that was due before the order
+/// and late may have it already.
 fn within_a_second(ready: &Value, name: &str, ordered_ns: i64) {
     let late_ns = since_ns(ready, name) - ordered_ns;
-    assert!((0..1_000_000_000).contains(&late_ns), "{late_ns} ns: {ready}");
+    assert!((-100_000_000..1_000_000_000).contains(&late_ns), "{late_ns} ns: {ready}");
 }
 
 /// A fault of a while, seen to come and to go.
