@@ -31,7 +31,11 @@ use crate::control::{self, AtFast, Command, Live, server::Socket};
 use crate::estimation::{self, Estimation};
 use crate::exit::{self, Failure};
 use crate::logging::Logging;
-use crate::monitor::{self, Counters, guard::Hosts, view::View};
+use crate::monitor::{
+    self, Counters,
+    guard::Hosts,
+    view::{self, View},
+};
 use crate::publishing::descriptor::StreamFacts;
 use crate::publishing::{
     Descriptor, Outlets, PoseFrame, Publisher, PublisherSettings, StreamId, subscribe, subscription, tcp,
@@ -117,7 +121,12 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
             start_fast(parts, || Ok(source))?
         }
     };
-    let view = View::new(Arc::clone(&counters), descriptor_now.clone(), config_now);
+    let view = View::new(view::Sources {
+        counters: Arc::clone(&counters),
+        descriptor: descriptor_now.clone(),
+        config: config_now,
+        subscribers: desk.as_ref().map(subscribe::Desk::subscribers),
+    });
     let slow = Slow {
         server: server.map(|listener| Server { listener, frames, descriptor: descriptor_now }),
         monitor: monitor.map(|listener| Monitor { listener, frames: monitored, view }),

@@ -73,6 +73,20 @@ bits! {
 }
 
 impl Status {
+    /// With any of these there is no pose.
+    pub const FATAL: Status = Status(
+        Status::PSD_A_LOW.0
+            | Status::PSD_B_LOW.0
+            | Status::PSD_C_LOW.0
+            | Status::PSD_A_CLIPPED.0
+            | Status::PSD_B_CLIPPED.0
+            | Status::PSD_C_CLIPPED.0
+            | Status::NOT_CONVERGED.0
+            | Status::OUT_OF_RANGE.0
+            | Status::SOURCE_DOWN.0
+            | Status::POWER_STEP.0,
+    );
+
     /// Whether all bits of `other` are set.
     pub fn has(self, other: Status) -> bool {
         self.0 & other.0 == other.0

@@ -8,9 +8,11 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::Router;
-use axum::http::{Request, StatusCode};
+use axum::extract::State;
+use axum::http::{HeaderName, Request, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use axum::{Json, Router};
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::{Service, service_fn};
@@ -33,6 +35,9 @@ const PATIENCE: Duration = Duration::from_secs(30);
 const STALL_MS: u32 = 10_000;
 /// At the end: how long answers that are under way may take.
 const DRAIN: Duration = Duration::from_millis(500);
+
+/// What is told is true now, and not to be kept.
+const FRESH: [(HeaderName, &str); 1] = [(header::CACHE_CONTROL, "no-store")];
 
 /// Opens the port and logs where the page is. Fails with [`crate::exit::IN_USE`] if someone else has it.
 pub async fn bind(address: SocketAddr) -> Result<TcpListener, Failure> {
@@ -61,7 +66,32 @@ pub async fn serve(listener: TcpListener, mut frames: mpsc::Receiver<PoseFrame>,
 
 /// Every page. A handler takes `State<Arc<View>>`.
 fn router(view: &Arc<View>) -> Router {
-    Router::new().with_state(Arc::clone(view))
+    Router::new()
+        .route("/healthz", get(healthz))
+        .route("/readyz", get(readyz))
+        .route("/metrics", get(metrics))
+        .with_state(Arc::clone(view))
+}
+
+async fn healthz(State(view): State<Arc<View>>) -> Response {
+    let answer = match view.dead() {
+        None => (StatusCode::OK, "ok\n".to_owned()),
+        Some(why) => (StatusCode::SERVICE_UNAVAILABLE, why + "\n"),
+    };
+    (FRESH, answer).into_response()
+}
+
+async fn readyz(State(view): State<Arc<View>>) -> Response {
+    let readiness = view.readiness();
+    let code = if readiness.ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
+    (code, FRESH, Json(readiness)).into_response()
+}
+
+async fn metrics(State(view): State<Arc<View>>) -> Response {
+    match super::metrics::render(view) {
+        Ok(text) => ([(header::CONTENT_TYPE, super::metrics::CONTENT_TYPE)], FRESH, text).into_response(),
+        Err(e) => (StatusCode::INTERNAL_SERVER_ERROR, format!("{e}\n")).into_response(),
+    }
 }
 
 struct Server {
@@ -90,7 +120,7 @@ impl Server {
         if self.open.len() < CONNECTIONS {
             self.open.spawn(talk(stream, Arc::clone(&self.view), self.hosts.clone(), self.router.clone()));
         } else {
-            self.view.counters.monitor_refused.one();
+            self.view.sources.counters.monitor_refused.one();
             tracing::warn!("monitor: refused a connection, {CONNECTIONS} are open already");
         }
     }
@@ -106,7 +136,7 @@ async fn talk(stream: TcpStream, view: Arc<View>, hosts: Hosts, router: Router) 
     let service = service_fn(|request: Request<Incoming>| {
         let refusal = hosts.refusal(request.headers(), own.ip());
         let answer = refusal.is_none().then(|| router.call(request));
-        let counters = &view.counters;
+        let counters = &view.sources.counters;
         async move {
             match answer {
                 Some(answer) => answer.await,

@@ -2,21 +2,30 @@
 //!
 //! - [`Counters`]: what is counted. One place for every loss, so that none is silent.
 //! - [`view`]: frames, configuration and counters, for whoever looks.
+//! - [`health`], [`tally`], [`trend`]: what becomes of every frame. Pure.
+//! - [`metrics`]: all that as Prometheus reads it.
 //! - [`http`]: the server. [`guard`]: which requests are meant for it.
 
 pub mod guard;
+pub mod health;
 pub mod http;
+pub mod metrics;
+pub mod tally;
+pub mod trend;
 pub mod view;
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
 macro_rules! counters {
-    ($($(#[$doc:meta])* $name:ident),* $(,)?) => {
+    ($($(#[doc = $doc:literal])* $name:ident),* $(,)?) => {
         /// Every counter of the daemon. Shared, lock-free; each only ever grows.
         #[derive(Debug, Default)]
-        pub struct Counters { $($(#[$doc])* pub $name: Counter),* }
+        pub struct Counters { $($(#[doc = $doc])* pub $name: Counter),* }
 
         impl Counters {
+            /// What each of them counts, in the order of [`Counters::list`].
+            pub const MEANINGS: &[&str] = &[$(concat!($($doc),*).trim_ascii()),*];
+
             /// All of them by name, in the order of the flow.
             pub fn list(&self) -> Vec<(&'static str, u64)> {
                 vec![$((stringify!($name), self.$name.get())),*]
@@ -81,6 +90,10 @@ counters! {
     tcp_dropped,
     /// Requests for UDP subscriptions that were not granted, or were none.
     udp_refused,
+    /// TCP clients that were let in.
+    tcp_connected,
+    /// TCP clients that have gone again.
+    tcp_disconnected,
     /// TCP clients that were not let in: too many, or not of an allowed network.
     tcp_refused,
     /// Frames that never reached the monitor because it was behind.

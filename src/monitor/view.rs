@@ -1,6 +1,6 @@
 //! What the pages are made of. Fed on the main thread, read by every request.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use tokio::sync::{broadcast, mpsc, mpsc::error::TryRecvError, watch};
@@ -8,30 +8,56 @@ use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 
 use super::Counters;
+use super::health::{Checks, Readiness};
+use super::tally::Tally;
 use crate::clock::{Clock, Mono, SystemClock};
 use crate::config::Config;
+use crate::publishing::target::Subscriber;
 use crate::publishing::{Descriptor, PoseFrame};
 
 /// How often new frames are looked for. A frame wakes nobody, so its rate costs little here.
 const LOOK: Duration = Duration::from_millis(20);
+/// A side that does nothing for longer stands still; seconds.
+const STANDSTILL_S: f64 = 1.0;
 /// Most frames that are taken at a time.
 const BATCH: usize = 16 * 1024;
 /// Batches that a viewer may be behind before it loses the oldest: about 1.3 s.
 const BEHIND: usize = 64;
 
-/// What is known of the daemon, for whoever looks.
+/// What the rest of the daemon lets the monitor see.
 #[derive(Debug)]
-pub struct View {
+pub struct Sources {
     /// Every counter.
     pub counters: Arc<Counters>,
     /// What the stream says of itself at present.
     pub descriptor: watch::Receiver<Descriptor>,
     /// The configuration that holds at present.
     pub config: watch::Receiver<Config>,
+    /// Who subscribes to datagrams at present, if anyone may.
+    pub subscribers: Option<watch::Receiver<Arc<[Subscriber]>>>,
+}
+
+/// What is known of the daemon, for whoever looks.
+#[derive(Debug)]
+pub struct View {
+    /// From elsewhere.
+    pub sources: Sources,
     /// Cancelled when the daemon ends: whoever still sends says goodbye.
     pub ending: CancellationToken,
     newest: watch::Sender<Option<Newest>>,
+    books: Mutex<Books>,
     batches: broadcast::Sender<Arc<[PoseFrame]>>,
+}
+
+/// What is kept of every frame.
+#[derive(Debug)]
+pub(super) struct Books {
+    /// When frames were last looked for.
+    looked: Mono,
+    /// The newest frame, or the start, was seen then.
+    heard: Mono,
+    pub(super) checks: Checks,
+    pub(super) tally: Tally,
 }
 
 /// The newest frame.
@@ -45,13 +71,16 @@ pub struct Newest {
 
 impl View {
     /// A view of a daemon that has not made a frame yet.
-    pub fn new(
-        counters: Arc<Counters>,
-        descriptor: watch::Receiver<Descriptor>,
-        config: watch::Receiver<Config>,
-    ) -> Self {
-        let (newest, batches) = (watch::channel(None).0, broadcast::channel(BEHIND).0);
-        Self { counters, descriptor, config, ending: CancellationToken::new(), newest, batches }
+    pub fn new(sources: Sources) -> Self {
+        let now = SystemClock.now();
+        let books = Books { looked: now, heard: now, checks: Checks::default(), tally: Tally::new(now) };
+        Self {
+            sources,
+            ending: CancellationToken::new(),
+            newest: watch::channel(None).0,
+            books: books.into(),
+            batches: broadcast::channel(BEHIND).0,
+        }
     }
 
     /// The newest frame, if there is one; can be waited on.
@@ -65,6 +94,38 @@ impl View {
         self.batches.subscribe()
     }
 
+    /// How many take batches.
+    pub fn viewers(&self) -> usize {
+        self.batches.receiver_count()
+    }
+
+    /// Which part of the daemon stands still, if one does.
+    pub fn dead(&self) -> Option<String> {
+        let period_s = 1.0 / self.sources.descriptor.borrow().rate_hz;
+        let books = self.books();
+        let held_up_s = SystemClock.now().seconds_since(books.looked);
+        let silent_s = books.looked.seconds_since(books.heard);
+        if held_up_s > STANDSTILL_S {
+            Some(format!("the main side was held up for {held_up_s:.1} s"))
+        } else if silent_s > STANDSTILL_S.max(3.0 * period_s) {
+            Some(format!("the fast side has made no frame for {silent_s:.1} s"))
+        } else {
+            None
+        }
+    }
+
+    /// Whether poses can be used.
+    pub fn readiness(&self) -> Readiness {
+        let dead = self.dead();
+        let newest = self.newest.borrow().map(|newest| newest.frame);
+        self.books().checks.readiness(newest.as_ref(), dead.as_deref())
+    }
+
+    /// Nothing can panic while they are open, so they are never torn.
+    pub(super) fn books(&self) -> MutexGuard<'_, Books> {
+        self.books.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Takes frames until none can come any more.
     pub(super) async fn feed(&self, frames: &mut mpsc::Receiver<PoseFrame>) {
         let mut looks = interval(LOOK);
@@ -73,6 +134,7 @@ impl View {
         loop {
             looks.tick().await;
             let gone = drain(frames, &mut batch);
+            self.enter(&batch);
             if let Some(frame) = batch.last() {
                 self.newest.send_replace(Some(Newest { frame: *frame, seen: SystemClock.now() }));
                 if self.batches.receiver_count() > 0 {
@@ -85,6 +147,22 @@ impl View {
                 return;
             }
         }
+    }
+
+    /// Enters frames into the books.
+    fn enter(&self, batch: &[PoseFrame]) {
+        let half_m = self.sources.config.borrow().head.psd_size_mm * 0.5e-3;
+        let mut books = self.books();
+        books.looked = SystemClock.now();
+        for frame in batch {
+            books.checks.frame(frame);
+            books.tally.frame(frame, half_m);
+        }
+        if !batch.is_empty() {
+            books.heard = books.looked;
+        }
+        let now = books.looked;
+        books.tally.tick(now);
     }
 }
 

@@ -40,6 +40,11 @@ pub fn open(address: SocketAddr) -> Result<(Desk, Subscribers), Failure> {
 }
 
 impl Desk {
+    /// Those who subscribe at present.
+    pub fn subscribers(&self) -> watch::Receiver<Arc<[Subscriber]>> {
+        self.list.subscribe()
+    }
+
     /// Takes requests until `stop`. Fails if the runtime does not take the socket.
     pub async fn run(
         self,

@@ -10,3 +10,5 @@ mod receiving;
 mod tables;
 mod tools;
 mod twincat;
+#[path = "../shared/venv.rs"]
+mod venv;

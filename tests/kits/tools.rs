@@ -2,11 +2,14 @@
 
 use std::{
     path::{Path, PathBuf},
-    process::{Command, Output},
+    process::Command,
     sync::OnceLock,
 };
 
 use tempfile::TempDir;
+
+use crate::venv;
+pub(crate) use crate::venv::succeeded;
 
 /// A file of the repository.
 pub(crate) fn root(path: &str) -> PathBuf {
@@ -35,20 +38,7 @@ pub(crate) fn python_with_packages() -> Command {
     static VENV: OnceLock<PathBuf> = OnceLock::new();
     let python = VENV.get_or_init(|| {
         need("python3", "the Python kit is tested with it");
-        let place = Path::new(env!("CARGO_TARGET_TMPDIR")).join("kits-venv");
-        let python = place.join("bin/python");
-        let has_all = |python: &Path| {
-            let check = Command::new(python).args(["-c", "import numpy, blark"]).output();
-            check.is_ok_and(|o| o.status.success())
-        };
-        if !has_all(&python) {
-            let what =
-                "NumPy and blark cannot be installed for the tests (python3-venv and a network are needed)";
-            succeeded(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&place), what);
-            let install = ["-m", "pip", "install", "--quiet", "numpy", "blark==0.8.3"];
-            succeeded(Command::new(&python).args(install), what);
-        }
-        python
+        venv::python("kits-venv", "numpy, blark", &["numpy", "blark==0.8.3"])
     });
     let mut command = Command::new(python);
     for_python(&mut command);
@@ -70,17 +60,4 @@ pub(crate) fn compile(source: &str, more: &[&str]) -> (TempDir, PathBuf) {
 fn need(program: &str, why: &str) {
     let found = Command::new(program).arg("--version").output();
     assert!(found.is_ok(), "{program} is not installed: {why}");
-}
-
-/// Runs a program that must succeed.
-pub(crate) fn succeeded(command: &mut Command, what: &str) -> Output {
-    let output = command.output().unwrap_or_else(|e| panic!("{what}: {e}"));
-    assert!(
-        output.status.success(),
-        "{what}: {}\n{}{}",
-        output.status,
-        String::from_utf8_lossy(&output.stdout),
-        String::from_utf8_lossy(&output.stderr)
-    );
-    output
 }

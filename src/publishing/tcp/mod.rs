@@ -161,9 +161,12 @@ impl Server {
             self.refuse(stream, address, &why);
         } else {
             let client = Client::new(stream, ring.resubscribe(), Arc::clone(&self.house));
+            let house = Arc::clone(&self.house);
+            house.counters.tcp_connected.one();
             self.clients.spawn(async move {
                 tracing::info!(client = %address, "connected");
                 client.run(address).await;
+                house.counters.tcp_disconnected.one();
             });
         }
     }

@@ -1,0 +1,183 @@
+//! Whether the daemon lives, and whether its poses can be used. Pure.
+
+use jiff::Timestamp;
+use serde::Serialize;
+
+use crate::centering::LockState;
+use crate::estimation::Status;
+use crate::publishing::PoseFrame;
+
+/// What must hold before poses can be used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Subject {
+    /// Samples come.
+    Samples,
+    /// The light gives a pose.
+    Optics,
+    /// The loop holds the beam on the apex.
+    Lock,
+}
+
+impl Subject {
+    /// In the order of the flow.
+    pub const ALL: [Subject; 3] = [Subject::Samples, Subject::Optics, Subject::Lock];
+
+    /// As a word.
+    pub fn name(self) -> &'static str {
+        match self {
+            Subject::Samples => "samples",
+            Subject::Optics => "optics",
+            Subject::Lock => "lock",
+        }
+    }
+
+    fn holds(self, frame: &PoseFrame) -> bool {
+        match self {
+            Subject::Samples => !frame.status.has(Status::SOURCE_DOWN),
+            Subject::Optics => frame.status.has(Status::POSE_VALID),
+            Subject::Lock => frame.lock == LockState::Locked,
+        }
+    }
+
+    /// Why it does not hold on this frame: status bits, or the lock state.
+    fn reason(self, frame: &PoseFrame) -> String {
+        match self {
+            Subject::Samples => "SOURCE_DOWN".into(),
+            Subject::Optics => {
+                let fatal: Vec<_> = Status(frame.status.0 & Status::FATAL.0).names().collect();
+                // Nothing else makes a frame invalid: a gap within an averaged block.
+                if fatal.is_empty() { "SAMPLE_GAP".into() } else { fatal.join(", ") }
+            }
+            Subject::Lock => frame.lock.name().into(),
+        }
+    }
+}
+
+/// Since when each subject holds, or does not.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Checks([Option<Check>; 3]);
+
+#[derive(Clone, Copy, Debug)]
+struct Check {
+    ok: bool,
+    /// Time of the first such frame, UTC.
+    since_ns: i64,
+}
+
+impl Checks {
+    /// Takes every frame in turn.
+    pub fn frame(&mut self, frame: &PoseFrame) {
+        for (check, subject) in self.0.iter_mut().zip(Subject::ALL) {
+            let ok = subject.holds(frame);
+            if check.is_none_or(|check| check.ok != ok) {
+                *check = Some(Check { ok, since_ns: frame.time_ns });
+            }
+        }
+    }
+
+    /// What this means while `newest` is the newest frame; `dead` says why no newer one can be expected,
+    /// if so.
+    pub fn readiness(&self, newest: Option<&PoseFrame>, dead: Option<&str>) -> Readiness {
+        let checks = Subject::ALL.iter().zip(self.0).map(|(subject, check)| {
+            let (Some(frame), Some(check)) = (newest, check) else {
+                let reason = Some(dead.unwrap_or("no frame has been made yet").to_owned());
+                return Finding { name: subject.name(), ok: false, since: None, reason };
+            };
+            let (ok, since_ns, reason) = match dead {
+                // The last that is known is that it was so then.
+                Some(why) => (false, if check.ok { frame.time_ns } else { check.since_ns }, Some(why.into())),
+                None => (check.ok, check.since_ns, (!check.ok).then(|| subject.reason(frame))),
+            };
+            Finding { name: subject.name(), ok, since: utc(since_ns), reason }
+        });
+        let checks: Vec<_> = checks.collect();
+        Readiness { ready: checks.iter().all(|check| check.ok), checks }
+    }
+}
+
+/// Whether poses can be used, and if not, why.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Readiness {
+    /// All checks are fine.
+    pub ready: bool,
+    /// In the order of [`Subject::ALL`].
+    pub checks: Vec<Finding>,
+}
+
+/// One check.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Finding {
+    /// Of the subject.
+    pub name: &'static str,
+    /// It holds.
+    pub ok: bool,
+    /// UTC of the first frame since which it is as it is; none before the first frame.
+    pub since: Option<String>,
+    /// Why it does not hold.
+    pub reason: Option<String>,
+}
+
+fn utc(ns: i64) -> Option<String> {
+    Timestamp::from_nanosecond(ns.into()).ok().map(|time| time.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::publishing::stamp::tests::{report, stamp};
+
+    fn frames() -> [PoseFrame; 3] {
+        let good = PoseFrame {
+            time_ns: 1_000_000_000,
+            lock: LockState::Locked,
+            ..PoseFrame::from_report(&report(), stamp())
+        };
+        let dark = Status::PSD_A_LOW | Status::PSD_B_LOW | Status::UNCALIBRATED;
+        let held = PoseFrame { time_ns: 2_000_000_000, status: dark, lock: LockState::Held, ..good };
+        let lost = PoseFrame { time_ns: 3_000_000_000, lock: LockState::Lost, ..held };
+        [good, held, lost]
+    }
+
+    fn told(readiness: &Readiness) -> Vec<(bool, &str, &str)> {
+        let text = |text: &'static str| text;
+        let checks = readiness.checks.iter();
+        checks
+            .map(|c| (c.ok, c.since.as_deref().unwrap_or(text("")), c.reason.as_deref().unwrap_or("")))
+            .collect()
+    }
+
+    #[test]
+    fn each_check_says_since_when_and_why() {
+        let [good, held, lost] = frames();
+        let mut checks = Checks::default();
+        checks.frame(&good);
+        let readiness = checks.readiness(Some(&good), None);
+        assert!(readiness.ready);
+        assert_eq!(told(&readiness), [(true, "1970-01-01T00:00:01Z", ""); 3]);
+        checks.frame(&held);
+        checks.frame(&lost);
+        let readiness = checks.readiness(Some(&lost), None);
+        assert!(!readiness.ready);
+        let at = "1970-01-01T00:00:02Z";
+        let dark = (false, at, "PSD_A_LOW, PSD_B_LOW");
+        assert_eq!(told(&readiness), [(true, "1970-01-01T00:00:01Z", ""), dark, (false, at, "lost")]);
+    }
+
+    #[test]
+    fn nothing_stays_green_when_no_frame_comes() {
+        let [good, held, _] = frames();
+        let mut checks = Checks::default();
+        assert_eq!(told(&checks.readiness(None, None)), [(false, "", "no frame has been made yet"); 3]);
+        assert_eq!(told(&checks.readiness(None, Some("dead"))), [(false, "", "dead"); 3]);
+        checks.frame(&good);
+        let at = "1970-01-01T00:00:01Z";
+        assert_eq!(told(&checks.readiness(Some(&good), Some("dead"))), [(false, at, "dead"); 3]);
+        checks.frame(&held);
+        let down = PoseFrame { status: Status::SOURCE_DOWN, time_ns: 5_000_000_000, ..held };
+        checks.frame(&down);
+        assert_eq!(
+            told(&checks.readiness(Some(&down), None))[0],
+            (false, "1970-01-01T00:00:05Z", "SOURCE_DOWN")
+        );
+    }
+}

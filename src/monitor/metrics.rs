@@ -1,0 +1,161 @@
+//! The page `/metrics`. docs/monitoring.md has the table of what is on it; a test compares them.
+
+use std::fmt;
+use std::sync::Arc;
+
+use prometheus_client::collector::Collector;
+use prometheus_client::encoding::text::encode;
+use prometheus_client::encoding::{DescriptorEncoder, EncodeMetric, MetricEncoder};
+use prometheus_client::metrics::{
+    MetricType, counter::ConstCounter, gauge::ConstGauge, histogram::Histogram,
+};
+use prometheus_client::registry::Registry;
+use rustix::time::{ClockId, clock_gettime};
+
+use super::Counters;
+use super::tally::{Second, Tally};
+use super::view::View;
+use crate::centering::LockState;
+use crate::estimation::Status;
+
+/// Of the page: OpenMetrics, which Prometheus reads as it reads its own older text.
+pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+const PSDS: [&str; 3] = ["A", "B", "C"];
+
+/// The page as it is now.
+pub fn render(view: Arc<View>) -> Result<String, fmt::Error> {
+    let mut registry = Registry::with_prefix("trifacet");
+    registry.register_collector(Box::new(view));
+    let mut text = String::new();
+    encode(&mut text, &registry)?;
+    Ok(text)
+}
+
+impl Collector for View {
+    fn encode(&self, encoder: DescriptorEncoder) -> fmt::Result {
+        let mut page = Page(encoder);
+        page.daemon(self)?;
+        page.clients(self)?;
+        for ((name, count), meaning) in self.sources.counters.list().into_iter().zip(Counters::MEANINGS) {
+            page.put(name, meaning.trim_end_matches('.'), &ConstCounter::new(count))?;
+        }
+        page.state(self)?;
+        let books = self.books();
+        page.frames(&books.tally)?;
+        page.second(&books.tally.second)?;
+        let trend = books.tally.trend.per_second();
+        page.known(
+            "power_trend_watts_per_second",
+            "Slope of the total power over the last ten minutes",
+            trend,
+        )
+    }
+}
+
+struct Page<'a>(DescriptorEncoder<'a>);
+
+impl Page<'_> {
+    fn put(&mut self, name: &str, help: &str, metric: &impl EncodeMetric) -> fmt::Result {
+        metric.encode(self.0.encode_descriptor(name, help, None, metric.metric_type())?)
+    }
+
+    fn gauge(&mut self, name: &str, help: &str, value: f64) -> fmt::Result {
+        self.put(name, help, &ConstGauge::new(value))
+    }
+
+    /// A gauge that is absent while it is not known: zero would be a lie.
+    fn known(&mut self, name: &str, help: &str, value: Option<f64>) -> fmt::Result {
+        value.map_or(Ok(()), |value| self.gauge(name, help, value))
+    }
+
+    /// A number for each value of a label. Those that are not known are absent.
+    fn each<M: EncodeMetric>(
+        &mut self,
+        name: &str,
+        help: &str,
+        label: &'static str,
+        metrics: impl IntoIterator<Item = (&'static str, M)>,
+    ) -> fmt::Result {
+        let mut metrics = metrics.into_iter().peekable();
+        let Some((_, first)) = metrics.peek() else { return Ok(()) };
+        let mut family: MetricEncoder = self.0.encode_descriptor(name, help, None, first.metric_type())?;
+        metrics.try_for_each(|(value, metric)| metric.encode(family.encode_family(&[(label, value)])?))
+    }
+
+    fn daemon(&mut self, view: &View) -> fmt::Result {
+        let version = [("version", env!("CARGO_PKG_VERSION"))];
+        self.0
+            .encode_descriptor("build", "The program that runs", None, MetricType::Info)?
+            .encode_info(&version)?;
+        let cpu = clock_gettime(ClockId::ProcessCPUTime);
+        let cpu_s = cpu.tv_sec as f64 + cpu.tv_nsec as f64 * 1e-9;
+        self.put("process_cpu_seconds", "CPU time of all threads", &ConstCounter::new(cpu_s))?;
+        self.known("process_resident_memory_bytes", "Memory that is in RAM", resident_bytes())?;
+        let rate_hz = view.sources.config.borrow().acquisition.rate_hz;
+        self.gauge("sample_rate_hertz", "Samples per second by the configuration", rate_hz)
+    }
+
+    fn clients(&mut self, view: &View) -> fmt::Result {
+        let counters = &view.sources.counters;
+        let tcp = counters.tcp_connected.get().saturating_sub(counters.tcp_disconnected.get());
+        let udp = view.sources.subscribers.as_ref().map_or(0, |list| list.borrow().len());
+        let clients = [("tcp", tcp), ("udp", udp as u64), ("page", view.viewers() as u64)];
+        let gauges = clients.map(|(kind, n)| (kind, ConstGauge::new(n)));
+        self.each("clients", "TCP clients, subscribers to datagrams, viewers of the page", "kind", gauges)
+    }
+
+    /// What holds at this moment.
+    fn state(&mut self, view: &View) -> fmt::Result {
+        let readiness = view.readiness();
+        let checks = readiness.checks.iter().map(|check| (check.name, flag(check.ok)));
+        self.each("ready", "1 if the check of /readyz holds", "check", checks)?;
+        let lock = view.newest().borrow().filter(|_| view.dead().is_none()).map(|newest| newest.frame.lock);
+        let states = LockState::ALL.map(|state| (state.name(), flag(lock == Some(state))));
+        self.each("lock_state", "1 for the state of the loop", "state", states)
+    }
+
+    /// What was added up over every frame.
+    fn frames(&mut self, tally: &Tally) -> fmt::Result {
+        let bits = Status::NAMES.iter().zip(tally.status).map(|((_, name), n)| (*name, ConstCounter::new(n)));
+        self.each("status_frames", "Pose frames with this status bit", "bit", bits)?;
+        let states = LockState::ALL.map(LockState::name).into_iter();
+        let states = states.zip(tally.lock.map(ConstCounter::new));
+        self.each("lock_frames", "Pose frames in this state of the loop", "state", states)?;
+        let mut histogram = |name, help, histogram: &Histogram| self.put(name, help, histogram);
+        histogram("solve_delay_seconds", "From the sample to the solved pose", &tally.solve_delay)?;
+        histogram("send_delay_seconds", "From the solved pose to its sending", &tally.send_delay)?;
+        histogram("solver_iterations", "Steps of the solver, where it ran", &tally.steps)?;
+        histogram("beam_distance_meters", "From the beam's centre to the apex", &tally.offset)
+    }
+
+    /// The means of the last second.
+    fn second(&mut self, second: &Second) -> fmt::Result {
+        let axes = ["x", "y"].into_iter().zip(second.offset.into_iter().flatten().map(ConstGauge::new));
+        self.each("beam_offset_meters", "Beam's centre minus apex, mean of the last second", "axis", axes)?;
+        let help = "Distance of the beam's centre from the apex, rms of the last second";
+        self.known("beam_offset_rms_meters", help, second.offset_rms)?;
+        let edges = PSDS.into_iter().zip(second.edge);
+        let edges = edges.filter_map(|(psd, edge)| Some((psd, ConstGauge::new(edge?))));
+        self.each("psd_edge_distance_meters", "Least from a spot to the edge, last second", "psd", edges)?;
+        let psds = |numbers: Option<[f64; 3]>| {
+            PSDS.into_iter().zip(numbers.into_iter().flatten().map(ConstGauge::new))
+        };
+        self.each("psd_power_watts", "Mean power of the last second", "psd", psds(second.powers))?;
+        let total = second.powers.map(|powers| powers.iter().sum());
+        self.known("power_watts", "Mean total power of the last second", total)?;
+        let shares = second.lit.map(|lit| lit.map(|power| power / lit.iter().sum::<f64>()));
+        self.each("psd_power_ratio", "Share of the total power while all have light", "psd", psds(shares))
+    }
+}
+
+fn flag(on: bool) -> ConstGauge<u64> {
+    ConstGauge::new(on.into())
+}
+
+/// As the kernel tells it, in kB.
+fn resident_bytes() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let kb = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+    kb.trim().strip_suffix(" kB")?.parse::<f64>().ok().map(|kb| kb * 1024.0)
+}

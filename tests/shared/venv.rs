@@ -1,0 +1,37 @@
+//! Python with packages, which are installed under `target/` once.
+
+use std::{
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+
+/// The Python of a virtual environment in which these modules can be imported; made of these packages
+/// where it is not there yet.
+pub(crate) fn python(name: &str, modules: &str, packages: &[&str]) -> PathBuf {
+    let place = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let python = place.join("bin/python");
+    let has_all = |python: &Path| {
+        let check = Command::new(python).args(["-c", &format!("import {modules}")]).output();
+        check.is_ok_and(|o| o.status.success())
+    };
+    if !has_all(&python) {
+        let what =
+            format!("{modules} cannot be installed for the tests (python3-venv and a network are needed)");
+        succeeded(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&place), &what);
+        succeeded(Command::new(&python).args(["-m", "pip", "install", "--quiet"]).args(packages), &what);
+    }
+    python
+}
+
+/// Runs a program that must succeed.
+pub(crate) fn succeeded(command: &mut Command, what: &str) -> Output {
+    let output = command.output().unwrap_or_else(|e| panic!("{what}: {e}"));
+    assert!(
+        output.status.success(),
+        "{what}: {}\n{}{}",
+        output.status,
+        String::from_utf8_lossy(&output.stdout),
+        String::from_utf8_lossy(&output.stderr)
+    );
+    output
+}
