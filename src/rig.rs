@@ -4,7 +4,7 @@
 //! A scan is mapped, centering acts on it, estimation solves it, as in the daemon; the command takes effect
 //! after the delay of the twin's stage, and computing takes no time.
 
-use crate::acquisition::{ChannelMap, Channels, Expiry, OutputCommand, Sample};
+use crate::acquisition::{Ack, ChannelMap, Channels, Expiry, OutputCommand, Sample};
 use crate::centering::lock::Transition;
 use crate::centering::{Centering, LoopState, Outcome, TimedPose};
 use crate::clock::{Mono, NS_PER_S};
@@ -157,8 +157,10 @@ impl Rig {
     fn steer(&mut self, command: Command, t_s: f64, time: Mono) {
         let codes = outputs::codes(command.position, self.full_scale, OUTPUT_BITS);
         let Command { id, lease_ms, on_expiry, .. } = command;
-        if self.outputs.take(&OutputCommand { id, codes, lease_ms, on_expiry }, time) {
+        let accepted = self.outputs.take(&OutputCommand { id, codes, lease_ms, on_expiry }, time);
+        if accepted {
             self.twin.steer(codes, t_s);
         }
+        self.centering.stage_answers(Ack { id, accepted });
     }
 }

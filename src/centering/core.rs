@@ -11,7 +11,7 @@ use crate::acquisition::Sample;
 use crate::clock::Mono;
 use crate::config::{Config, LoopMode, OnExit};
 use crate::optics::{HeadError, Optics};
-use crate::steering::{Command, Expiry, Xy};
+use crate::steering::{Ack, Command, Expiry, Xy};
 
 /// The time between samples counts as at most so many periods.
 const MOST_PERIODS: f64 = 5.0;
@@ -20,6 +20,7 @@ const WORTH_A_JUMP: f64 = 0.25;
 
 pub(super) const TOO_LATE: &str = "samples come later than centering.loop_delay_ms";
 pub(super) const STUCK: &str = "the stage does not follow its commands";
+pub(super) const REFUSED: &str = "the stage refuses its commands";
 pub(super) const NO_STAGE: &str = "the stage takes no commands";
 
 /// The loop.
@@ -91,12 +92,20 @@ impl Centering {
         self.stage.shift_setpoint(tuning.map.stage_step(step));
         if tuning.map != old.map {
             self.lookout.forget();
-            self.guide = Guide::Still;
+        }
+        if tuning.map != old.map || tuning.controller != old.controller {
+            self.guide = self.guide.anew(&tuning, 2.0 * self.lookout.beam_sigma());
         }
         self.lock.retune(tuning.limits);
         let mut outcome = Outcome::default();
+        if let (Some(offset), true) = (self.offset, tuning.setpoint != old.setpoint) {
+            // Locked there, and not yet here.
+            let error = self.error(offset);
+            let seen = Seen::Error { size: error[0].hypot(error[1]), railed: false };
+            outcome.transition = self.lock.update(seen, false, 0.0).transition;
+        }
         if tuning.mode != old.mode {
-            outcome.transition = self.lock.switch(tuning.mode);
+            outcome.transition = self.lock.switch(tuning.mode).or(outcome.transition);
             (self.offset, self.shadow, self.guide) = (None, None, Guide::Still);
             if matches!(tuning.mode, LoopMode::Off | LoopMode::Shadow) {
                 let stay = self.stage.commanded().map(|position| self.command(position));
@@ -150,6 +159,11 @@ impl Centering {
     /// The stage takes no commands until it comes back.
     pub fn stage_down(&mut self) {
         self.stage.set_gone(true);
+    }
+
+    /// The stage has taken or refused a command.
+    pub fn stage_answers(&mut self, answer: Ack) {
+        self.stage.answers(answer.id, answer.accepted);
     }
 
     /// Where the stage says that it stands, metres.
@@ -229,6 +243,7 @@ impl Centering {
     fn trouble(&self) -> Option<&'static str> {
         match () {
             () if self.stage.is_gone() => Some(NO_STAGE),
+            () if self.stage.refuses() => Some(REFUSED),
             () if self.late_s > self.tuning.patience_s => Some(TOO_LATE),
             () => None,
         }
@@ -253,12 +268,17 @@ impl Centering {
                 let railed = sample.output_railed || self.stage.commanded().is_some_and(at_limit);
                 Seen::Error { size: error[0].hypot(error[1]), railed }
             }
-            Sight::Some { apex, covered } => {
+            Sight::Some { apex, covered, cause } => {
                 let (to, radius) = (self.place_for(apex), self.beam_radius());
                 let far = |from: Xy| (to[0] - from[0]).hypot(to[1] - from[1]);
                 let elsewhere = self.stage.commanded().is_some_and(|at| far(at) > WORTH_A_JUMP * radius);
                 let news = self.gave_up.is_none_or(|at| far(at) > radius);
-                Seen::Some { elsewhere, covered: covered && !elsewhere && self.lookout.knows_apex(), news }
+                Seen::Some {
+                    elsewhere,
+                    covered: covered && !elsewhere && self.lookout.knows_apex(),
+                    news,
+                    cause,
+                }
             }
             Sight::Dark => Seen::Dark,
             Sight::Unclear(cause) => Seen::Unclear(cause),
@@ -382,6 +402,7 @@ impl Centering {
     fn command(&mut self, position: Xy) -> Command {
         self.commands = self.commands.wrapping_add(1);
         let Tuning { lease_ms, on_lease, .. } = self.tuning;
+        self.stage.commands(self.commands, position);
         Command { id: self.commands, position, lease_ms, on_expiry: on_lease }
     }
 }

@@ -40,6 +40,16 @@ impl Guide {
         Guide::Search { spiral, at: centre, over: false }
     }
 
+    /// The same movement under another tuning: a spiral starts over, where it is, within the new limits.
+    #[must_use]
+    pub fn anew(self, tuning: &Tuning, radius: f64) -> Self {
+        match self {
+            Guide::Still => Guide::Still,
+            Guide::Jump { to, left_s } => Guide::Jump { to: tuning.controller.within(to), left_s },
+            Guide::Search { at, .. } => Guide::search(at, radius, tuning),
+        }
+    }
+
     /// Whether it has come to its end.
     pub fn arrived(&self) -> bool {
         match *self {

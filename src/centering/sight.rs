@@ -1,7 +1,7 @@
 //! What a sample says of the beam and the apex.
 
 use crate::acquisition::{PsdState, Sample};
-use crate::optics::{Optics, Pose, Vec2};
+use crate::optics::{Model, Optics, Pose, Vec2};
 use crate::steering::Xy;
 
 /// A PSD is covered if it is dark although this fraction of the beam should fall on it.
@@ -16,8 +16,10 @@ pub enum Sight {
     Some {
         /// Where the apex should be, as far as their spots show.
         apex: Xy,
-        /// The beam should light a PSD that is dark.
+        /// The beam may well be on the apex: a PSD is covered, or a channel is clipped.
         covered: bool,
+        /// What is missing.
+        cause: &'static str,
     },
     /// None does.
     Dark,
@@ -35,17 +37,44 @@ impl Sight {
                 Ok(offset) => Sight::Offset(offset.into()),
                 Err(_) => Sight::Unclear("the powers give no offset"),
             },
-            (0, _) => Sight::Unclear("a channel is clipped"),
+            // Too much light, and no movement would help.
+            (0, 3) => Sight::Unclear("every PSD is clipped"),
+            // One channel may be broken, or nearly all light fall on one PSD: that is three times what it gets at
+            // the apex.
+            (0, _) => Sight::Some { apex, covered: true, cause: "a channel is clipped" },
             (3, _) => Sight::Dark,
-            // All the light on one PSD is three times what it gets at the apex: that may well be clipped,
-            // and is light.
-            _ => Self::of_some(sample, beam, pose, apex, optics),
+            _ => {
+                let cause = "a PSD sees too little light";
+                if Self::covered(sample, beam, pose, apex, optics) {
+                    return Sight::Some { apex, covered: true, cause };
+                }
+                Sight::Some {
+                    apex: Self::apex_by_spots(sample, beam, pose, apex, optics),
+                    covered: false,
+                    cause,
+                }
+            }
         }
+    }
+
+    /// Whether a PSD is dark that the beam should light, and the other spots are where they are with the beam
+    /// on this apex.
+    fn covered(sample: &Sample, beam: Xy, pose: &Pose, apex: Xy, optics: &Optics) -> bool {
+        let offset = Vec2::from(beam) - Vec2::from(apex);
+        let (spots, fractions) = optics.trace_each(Model::Gaussian, pose, offset);
+        let as_expected = |i: usize| match (sample.psds[i], spots[i]) {
+            (PsdState::Good, Ok([u, v])) => {
+                (sample.spots[2 * i] - u).hypot(sample.spots[2 * i + 1] - v) < optics.sigma()
+            }
+            (PsdState::Good, Err(_)) => false,
+            _ => true,
+        };
+        (0..3).all(as_expected) && (0..3).any(|i| sample.psds[i] == PsdState::Low && fractions[i] > COVERED)
     }
 
     /// Each spot shows how far downhill from the apex the beam is; along the contour of its facet, where the
     /// apex was must do.
-    fn of_some(sample: &Sample, beam: Xy, pose: &Pose, apex: Xy, optics: &Optics) -> Self {
+    fn apex_by_spots(sample: &Sample, beam: Xy, pose: &Pose, apex: Xy, optics: &Optics) -> Xy {
         let (beam, mut apex) = (Vec2::from(beam), Vec2::from(apex));
         for facet in (0..3).filter(|i| sample.psds[*i] == PsdState::Good) {
             let spot = [sample.spots[2 * facet], sample.spots[2 * facet + 1]];
@@ -54,8 +83,6 @@ impl Sight {
                 apex += glimpse.downhill * (distance - glimpse.distance());
             }
         }
-        let expected = optics.fractions(beam - apex, pose);
-        let covered = (0..3).any(|i| sample.psds[i] == PsdState::Low && expected[i] > COVERED);
-        Sight::Some { apex: apex.into(), covered }
+        apex.into()
     }
 }

@@ -1,10 +1,15 @@
 //! The stage as the loop knows it: where it was sent, where it stands, whether it follows.
 
+use std::collections::VecDeque;
+
 use super::controller::Memory;
 use super::trail::Trail;
 use super::tuning::Tuning;
 use crate::acquisition::Sample;
 use crate::steering::Xy;
+
+/// Commands whose answers are waited for.
+const MOST_UNANSWERED: usize = 1024;
 
 /// The stage.
 #[derive(Clone, Debug)]
@@ -15,8 +20,12 @@ pub struct Stage {
     apart: bool,
     /// Nothing but the loop has moved it since it was taken over.
     ours: bool,
-    /// It takes no commands.
+    /// It takes no commands, or refuses them.
     gone: bool,
+    refuses: bool,
+    /// Ids and positions of the commands that it has not answered, and the last position that it has taken.
+    unanswered: VecDeque<(u32, Xy)>,
+    accepted: Option<Xy>,
     /// Where it says itself that it stands, if not in the samples.
     reported: Option<Xy>,
     trail: Trail,
@@ -31,6 +40,9 @@ impl Default for Stage {
             apart: true,
             ours: false,
             gone: false,
+            refuses: false,
+            unanswered: VecDeque::new(),
+            accepted: None,
             reported: None,
             trail: Trail::default(),
             stuck_s: 0.0,
@@ -52,6 +64,32 @@ impl Stage {
     /// It takes no commands until it comes back.
     pub fn set_gone(&mut self, gone: bool) {
         self.gone = gone;
+    }
+
+    /// A command with this id goes out.
+    pub fn commands(&mut self, id: u32, position: Xy) {
+        if self.unanswered.len() >= MOST_UNANSWERED {
+            self.unanswered.pop_front(); // a stage that answers nothing, or only the newest
+        }
+        self.unanswered.push_back((id, position));
+    }
+
+    /// It has taken the command with this id, or refused it: then the last one that it has taken counts.
+    pub fn answers(&mut self, id: u32, accepted: bool) {
+        let Some(place) = self.unanswered.iter().position(|(sent, _)| *sent == id) else { return };
+        let position = self.unanswered[place].1;
+        self.unanswered.drain(..=place);
+        self.refuses = !accepted;
+        if accepted {
+            self.accepted = Some(position);
+        } else if let (Some(accepted), false) = (self.accepted, self.apart) {
+            self.memory = Some(Memory::at(accepted));
+        }
+    }
+
+    /// Whether it has refused the last command.
+    pub fn refuses(&self) -> bool {
+        self.refuses
     }
 
     /// Whether it takes no commands.
@@ -84,7 +122,8 @@ impl Stage {
     pub fn released(&mut self, park: Option<Xy>) {
         let park = park.filter(|_| !self.apart);
         self.memory = self.memory.map(|m| Memory::at(park.unwrap_or(m.position)));
-        (self.apart, self.ours) = (true, false);
+        (self.apart, self.ours, self.refuses, self.accepted) = (true, false, false, None);
+        self.unanswered.clear();
     }
 
     /// Takes it over where it stands, if it is not the loop's yet; says whether it was not.

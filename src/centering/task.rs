@@ -129,7 +129,7 @@ impl<D: Driver> Side<D> {
                 tracing::warn!(reason, "the stage takes no commands");
                 self.centering.stage_down();
             }
-            Event::Ack(_) => {}
+            Event::Ack(answer) => self.centering.stage_answers(*answer),
         }
     }
 

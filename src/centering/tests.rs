@@ -8,7 +8,7 @@ use crate::acquisition::{PsdState, Sample};
 use crate::clock::Mono;
 use crate::config::{Config, LoopMode, OnExit};
 use crate::optics::{Model, Optics, Pose, Vec2};
-use crate::steering::{Expiry, Xy};
+use crate::steering::{Ack, Expiry, Xy};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -277,6 +277,41 @@ fn a_source_that_is_always_late_is_said_to_be() {
     let sample = bench.beside_the_point();
     bench.centering.sample(&sample, None, sample.time);
     assert_eq!(bench.centering.state().lock, LockState::Acquiring);
+}
+
+#[test]
+fn a_stage_that_refuses_is_held_where_it_last_obeyed() {
+    let mut bench = Bench::new(|_| {});
+    bench.run(500);
+    let obeyed = bench.stage_um;
+    bench.laser_um[0] += 100.0;
+    for _ in 0..500 {
+        let sample = bench.sample();
+        let command = bench.centering.sample(&sample, None, sample.time).command.unwrap();
+        let accepted = (command.position[0] * 1e6 - obeyed[0]).abs() < 1e-3;
+        bench.centering.stage_answers(Ack { id: command.id, accepted });
+        assert!((command.position[0] * 1e6 - obeyed[0]).abs() < 60.0, "it does not run away");
+        assert_ne!(bench.lock(), LockState::Locked);
+    }
+    assert!(matches!(bench.lock(), LockState::Held | LockState::Lost | LockState::Acquiring));
+}
+
+#[test]
+fn a_search_goes_on_within_limits_that_have_come_closer() {
+    let mut bench = Bench::new(|config| config.steering.slew_mm_per_s = 5.0);
+    bench.run(300);
+    let dark = |bench: &mut Bench| {
+        let mut sample = bench.sample();
+        (sample.psds, sample.powers) = ([PsdState::Low; 3], [0.0; 3]);
+        let outcome = bench.centering.sample(&sample, None, sample.time);
+        bench.obey(outcome);
+    };
+    (0..300).for_each(|_| dark(&mut bench));
+    assert_eq!(bench.lock(), LockState::Searching);
+    bench.retune(|config| config.steering.limit_um = 50.0);
+    (0..3000).for_each(|_| dark(&mut bench));
+    assert_eq!(bench.lock(), LockState::Held, "searched in vain, not for ever");
+    assert!(bench.stage_um.iter().all(|um| um.abs() <= 50.001), "{:?}", bench.stage_um);
 }
 
 #[test]

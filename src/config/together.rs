@@ -7,6 +7,9 @@ use crate::acquisition::scan::SIGNALS;
 use crate::centering::stability::is_stable;
 use crate::optics::{Optics, Pose, Vec2};
 
+/// Gains are refused if the loop would ring ever louder with so many times as much.
+const MARGIN: f64 = 1.2;
+
 /// All of them. Run once every value is in its own range.
 pub(super) fn check(config: &Config, at: &mut Checker<'_>) {
     light_at_rest(config, at);
@@ -105,7 +108,7 @@ fn gains(config: &Config, at: &mut Checker<'_>) {
     let (gains, delay_s) = (centering.gains(rate_hz), centering.loop_delay_s(rate_hz));
     let safe = CenteringConfig { kp: None, ki_per_s: None, ..centering.clone() }.gains(rate_hz);
     at.agree(
-        is_stable([gains.kp, gains.ki_per_s], delay_s, centering.lag_ms * 1e-3, 1.0 / rate_hz),
+        is_stable([MARGIN * gains.kp, MARGIN * gains.ki_per_s], delay_s, centering.lag_ms * 1e-3, 1.0 / rate_hz),
         "centering.ki_per_s",
         &["centering.kp", "centering.loop_delay_ms"],
         format!("{} with kp = {}", gains.ki_per_s, gains.kp),

@@ -62,7 +62,7 @@ impl Default for TwinConfig {
         Self {
             seed: 1,
             mirror_radius_mm: 5.0,
-            laser_mw: 0.8,
+            laser_mw: 0.6,
             laser_offset_um: [0.0; 2],
             spot_noise_um: 1.08,
             power_noise: 1e-3,

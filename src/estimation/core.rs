@@ -45,9 +45,11 @@ impl Estimation {
     /// From the next sample on, all is to be done with other settings: the samples before and after make
     /// no common mean.
     pub fn retune(&mut self, settings: Settings) {
+        if settings.readback != self.settings.readback {
+            self.integrity = Integrity::default();
+        }
         self.settings = settings;
         self.interrupt();
-        self.integrity = Integrity::default();
         self.warm = None;
     }
 

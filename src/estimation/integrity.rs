@@ -16,7 +16,7 @@ const WINDOW: f64 = 100.0;
 const MEAN_LIMIT: f64 = 3.0;
 
 /// From the stage's readback to where the beam stands.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Readback {
     matrix: Matrix2<f64>,
     origin: Vec2,

@@ -51,11 +51,6 @@ impl Optics {
         reached.then_some(Glimpse { downhill, offset })
     }
 
-    /// The fractions of the beam that fall on A, B and C.
-    pub fn fractions(&self, offset: Vec2, pose: &Pose) -> [f64; 3] {
-        self.trace_each(super::Model::Gaussian, pose, offset).1
-    }
-
     /// A point of the world, such as the apex, seen across the beam, metres.
     pub fn seen(&self, point: Vec3) -> [f64; 2] {
         self.across(point).into()

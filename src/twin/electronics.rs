@@ -175,10 +175,10 @@ mod tests {
         for power in [1.0, 0.5] {
             near(volts(&config, 0, SPOT, power), 5.0);
             near(volts(&config, 1, SPOT, power), -2.5);
-            near(volts(&config, 2, SPOT, power), 0.2 * power / 0.0667);
+            near(volts(&config, 2, SPOT, power), 0.15 * power / 0.0667);
             near(volts(&config, 3, SPOT, power), -2.5 + 0.1);
             near(volts(&config, 4, SPOT, power), -2.5 + 0.2);
-            near(volts(&config, 5, SPOT, power), 0.4 * power / 0.0667 + 0.3);
+            near(volts(&config, 5, SPOT, power), 0.3 * power / 0.0667 + 0.3);
         }
         for (channel, dark) in [(3, 0.1), (4, 0.2), (5, 0.3)] {
             near(volts(&config, channel, None, 1.0), dark);

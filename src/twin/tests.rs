@@ -59,7 +59,7 @@ fn the_noise_is_that_of_the_configuration() {
         for axis in 0..2 {
             check(3 * psd + axis, 6.5e-3 / 10.0, spot.at[axis], 1.08e-6);
         }
-        let power_mw = 0.8 * spot.power;
+        let power_mw = 0.6 * spot.power;
         check(3 * psd + 2, 0.0667, power_mw, 1e-3 * power_mw);
     }
     check(9, 50e-6, 0.0, 0.1e-6);

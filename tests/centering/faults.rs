@@ -218,3 +218,62 @@ fn nor_with_eleven_signals() {
         config.steering.deviation_um = 0.1;
     });
 }
+
+/// The demo as it comes, at rest, with one fault from 0.5 s on.
+fn demo(kind: FaultKind, for_s: f64) -> Config {
+    let mut config = Config::default();
+    config.twin.motion.clear();
+    config.twin.fault = vec![Fault { at_s: 0.5, for_s: Some(for_s), kind }];
+    config
+}
+
+#[test]
+fn with_the_light_of_the_demo_it_is_locked_again_too() {
+    let kinds = [
+        FaultKind::BeamBlocked,
+        FaultKind::PsdDark { psd: 0 },
+        FaultKind::PsdDark { psd: 1 },
+        FaultKind::SteeringStuck,
+        FaultKind::LaserBump { shift_um: [200.0, 0.0] },
+    ];
+    for kind in kinds {
+        for step in 0..10 {
+            let mut config = demo(kind, 0.12 + 0.2 * f64::from(step));
+            config.twin.laser_mw = [0.6, 0.8][step as usize % 2]; // 0.8 mW on one PSD clip it
+            config.twin.steering.readback_noise_um = None;
+            let over_s = 0.62 + 0.2 * f64::from(step);
+            let mut rig = Rig::new(&config).unwrap();
+            let locked = std::iter::repeat_with(|| rig.turn())
+                .take_while(|turn| turn.scan.t_s < over_s + 5.0)
+                .any(|turn| turn.scan.t_s > over_s && turn.state.lock == LockState::Locked);
+            assert!(locked, "{kind:?} until {over_s}");
+        }
+    }
+}
+
+#[test]
+fn a_hand_on_one_psd_does_not_send_the_stage_away() {
+    for psd in 0..3 {
+        let mut rig = Rig::new(&demo(FaultKind::PsdDark { psd }, 0.9)).unwrap();
+        while rig.turn().scan.t_s < 1.5 {
+            let [x, y] = rig.centering().state().position.unwrap();
+            assert!(x.hypot(y) < 3e-6, "psd {psd}: {x} {y}");
+        }
+        assert_eq!(rig.centering().state().lock, LockState::Locked);
+    }
+}
+
+#[test]
+fn a_stage_that_moves_the_beam_the_other_way_is_given_up_and_never_locked() {
+    for matrix in [[[-1.0, 0.0], [0.0, -1.0]], [[0.0, 1.0], [1.0, 0.0]]] {
+        let mut config = Config::default();
+        config.steering.matrix = matrix;
+        let mut rig = Rig::new(&config).unwrap();
+        let mut locked_late = false;
+        let last = std::iter::repeat_with(|| rig.turn()).take(30_000).inspect(|turn| {
+            locked_late |= turn.scan.t_s > 1.0 && turn.state.lock == LockState::Locked;
+        });
+        assert_eq!(last.last().unwrap().state.lock, LockState::Held);
+        assert!(!locked_late);
+    }
+}

@@ -27,6 +27,11 @@ const MOST_JUMPS: u32 = 8;
 /// A PSD that is dark although the beam meets its facet is covered, most likely by a hand: looking elsewhere
 /// would lose what is there, so it has that many times the patience.
 const COVERED: f64 = 20.0;
+/// An apex that is found and lost again so many times in a row, without a lock, will not be locked to: most
+/// likely the stage moves the beam another way than is thought.
+const MOST_SLIPS: u32 = 10;
+/// The stage is off its limit when it has been for this part of the confirmation time.
+const OFF_RAIL: f64 = 0.2;
 
 /// In its rms an offset counts as at most so many times the limit: one that comes from afar is not held
 /// against the loop for ever.
@@ -74,10 +79,12 @@ pub enum Seen {
     Some {
         /// It says that the apex is elsewhere, and the stage can go there.
         elsewhere: bool,
-        /// It says that the beam meets the facet of a dark PSD.
+        /// The beam may well be on the apex: a PSD is covered, or a channel is clipped.
         covered: bool,
         /// It says something else than when the loop gave up.
         news: bool,
+        /// What is missing.
+        cause: &'static str,
     },
     /// None does.
     Dark,
@@ -138,6 +145,12 @@ pub struct Lock {
     jumps: u32,
     /// Searches in vain since the last lock.
     attempts: u32,
+    /// Light was found by a jump or a search, and not yet locked to.
+    found: bool,
+    /// Times it was found and lost again since the last lock.
+    slips: u32,
+    /// How long the stage has been off its limits, seconds.
+    off_rail_s: f64,
 }
 
 /// The next state.
@@ -172,12 +185,18 @@ impl Lock {
             dark: false,
             jumps: 0,
             attempts: 0,
+            found: false,
+            slips: 0,
+            off_rail_s: f64::INFINITY,
         }
     }
 
-    /// Goes on with other limits.
+    /// Goes on with other limits. What must not be any more ends at once.
     pub fn retune(&mut self, limits: LockLimits) {
         self.limits = limits;
+        if !limits.search && matches!(self.doing, Doing::Jumping | Doing::Searching) {
+            self.doing = Doing::Holding;
+        }
     }
 
     /// Starts over in another mode.
@@ -197,7 +216,7 @@ impl Lock {
         if self.doing != Doing::Regulating {
             (self.doing, self.blind_s) = (Doing::Holding, f64::INFINITY);
         }
-        (self.jumps, self.attempts) = (0, 0);
+        (self.jumps, self.attempts, self.slips) = (0, 0, 0);
     }
 
     /// The state.
@@ -216,13 +235,17 @@ impl Lock {
         if matches!(self.state, LockState::Off | LockState::Manual) {
             return Verdict { doing: Doing::Holding, begins: false, transition: None };
         }
+        if self.doing == Doing::Regulating && !matches!(seen, Seen::Error { .. }) {
+            self.slips += u32::from(std::mem::take(&mut self.found));
+        }
         let next = match seen {
+            _ if self.slips >= MOST_SLIPS => Self::give_up(),
             Seen::Error { size, railed } => self.regulate(size, railed, dt),
-            Seen::Some { elsewhere, covered, news } => {
+            Seen::Some { elsewhere, covered, news, cause } => {
                 if news && self.doing == Doing::Waiting {
                     (self.doing, self.attempts, self.jumps) = (Doing::Holding, 0, 0);
                 }
-                self.some_light(elsewhere, covered, arrived, dt)
+                self.some_light(elsewhere, covered, cause, arrived, dt)
             }
             Seen::Dark => self.no_light(arrived, dt),
             Seen::Unclear(cause) => self.hold(cause, dt),
@@ -236,7 +259,12 @@ impl Lock {
     }
 
     fn regulate(&mut self, size: f64, railed: bool, dt: f64) -> Next {
+        let found = matches!(self.doing, Doing::Jumping | Doing::Searching);
+        self.found |= found;
         (self.blind_s, self.jumps) = (0.0, 0);
+        // A limit that is left and come to again and again is one event.
+        self.off_rail_s = if railed { 0.0 } else { self.off_rail_s + dt };
+        let railed = self.off_rail_s < OFF_RAIL * self.limits.lock_s || railed;
         let LockLimits { offset: limit, lock_s, .. } = self.limits;
         // The mean over about the confirmation time; the first sample after darkness starts it.
         let fresh = !self.mean_square.is_finite();
@@ -246,15 +274,17 @@ impl Lock {
         self.mean_square = before + weight * (square - before);
         // Written so that a NaN is outside.
         let within = size <= limit && self.mean_square.sqrt() <= limit;
-        let (state, cause) = if railed {
+        let (state, cause) = if found && !railed {
+            (LockState::Acquiring, "all PSDs see light")
+        } else if railed {
             (LockState::Railed, "the steering stands at a limit")
         } else if !within {
             (LockState::Acquiring, "the offset, or its rms, is above the limit")
         } else if self.state == LockState::Locked || self.good_s + dt >= lock_s {
-            self.attempts = 0;
+            (self.attempts, self.slips, self.found) = (0, 0, false);
             (LockState::Locked, "the offset is within the limit")
         } else {
-            (LockState::Acquiring, "the offset is within the limit")
+            (LockState::Acquiring, "the offset is within the limit, not yet for long enough")
         };
         self.good_s = if within && !railed { self.good_s + dt } else { 0.0 };
         Next::go_on(Doing::Regulating, state, cause)
@@ -289,17 +319,23 @@ impl Lock {
         }
     }
 
-    fn some_light(&mut self, elsewhere: bool, covered: bool, arrived: bool, dt: f64) -> Next {
-        const CAUSE: &str = "a PSD sees too little light";
+    fn some_light(
+        &mut self,
+        elsewhere: bool,
+        covered: bool,
+        cause: &'static str,
+        arrived: bool,
+        dt: f64,
+    ) -> Next {
         let leap = elsewhere && self.jumps < MOST_JUMPS;
         match self.doing {
             Doing::Regulating | Doing::Holding => {
-                let held = self.hold(CAUSE, dt);
+                let held = self.hold(cause, dt);
                 let LockLimits { lost_s, search, .. } = self.limits;
                 let patience = if covered { COVERED } else { 2.0 };
                 match (search, leap) {
                     (true, true) if self.blind_s >= lost_s => self.leap(),
-                    (true, false) if self.blind_s >= patience * lost_s => Self::look(CAUSE),
+                    (true, false) if self.blind_s >= patience * lost_s => Self::look(cause),
                     _ => held,
                 }
             }
@@ -307,7 +343,7 @@ impl Lock {
             Doing::Jumping if leap => self.leap(),
             Doing::Jumping => Self::look("a PSD sees too little light where the apex should be"),
             Doing::Searching if self.dark && leap => self.leap(),
-            Doing::Searching => self.look_on(arrived, CAUSE),
+            Doing::Searching => self.look_on(arrived, cause),
             Doing::Waiting => Self::wait(),
         }
     }
@@ -332,6 +368,11 @@ impl Lock {
         }
         (self.attempts, self.jumps) = (self.attempts + 1, 0);
         if self.attempts >= self.limits.attempts { Self::wait() } else { Self::look(cause) }
+    }
+
+    fn give_up() -> Next {
+        let cause = "found and lost again too often (is steering.matrix right?): waits for a person who says `search`";
+        Next::go_on(Doing::Waiting, LockState::Held, cause)
     }
 
     fn wait() -> Next {

@@ -4,9 +4,9 @@ use super::*;
 
 const LIMITS: LockLimits = LockLimits { offset: 3e-6, lock_s: 0.05, lost_s: 0.05, search: true, attempts: 2 };
 const DT: f64 = 1e-3;
-const COVERED_ONE: Seen = Seen::Some { elsewhere: false, covered: true, news: false };
-const ELSEWHERE: Seen = Seen::Some { elsewhere: true, covered: false, news: false };
-const HERE: Seen = Seen::Some { elsewhere: false, covered: false, news: false };
+const COVERED_ONE: Seen = Seen::Some { elsewhere: false, covered: true, news: false, cause: "some light" };
+const ELSEWHERE: Seen = Seen::Some { elsewhere: true, covered: false, news: false, cause: "some light" };
+const HERE: Seen = Seen::Some { elsewhere: false, covered: false, news: false, cause: "some light" };
 
 fn new() -> Lock {
     Lock::new(LIMITS, LoopMode::On)
@@ -53,7 +53,34 @@ fn railed_is_not_locked() {
     feed(&mut lock, off_by(0.0), 60);
     let railed = Seen::Error { size: 0.0, railed: true };
     assert_eq!(feed(&mut lock, railed, 1), LockState::Railed);
-    assert_eq!(feed(&mut lock, off_by(0.0), 10), LockState::Acquiring);
+    assert_eq!(feed(&mut lock, off_by(0.0), 9), LockState::Railed, "not off and on and off");
+    assert_eq!(feed(&mut lock, off_by(0.0), 2), LockState::Acquiring);
+}
+
+#[test]
+fn what_must_not_search_any_more_stops() {
+    let mut lock = new();
+    feed(&mut lock, Seen::Dark, 150);
+    assert_eq!(lock.state(), LockState::Searching);
+    lock.retune(LockLimits { search: false, ..LIMITS });
+    assert_eq!(course(&mut lock, Seen::Dark, 1000), [(Doing::Holding, LockState::Lost)]);
+}
+
+#[test]
+fn what_is_found_and_lost_again_and_again_is_given_up() {
+    let mut lock = new();
+    let mut found = 0;
+    while lock.state() != LockState::Held || found < 5 {
+        feed(&mut lock, Seen::Dark, 150);
+        found += u32::from(lock.update(off_by(100e-6), false, DT).doing == Doing::Regulating);
+        assert!(found < 100);
+    }
+    for seen in [off_by(0.0), Seen::Dark, ELSEWHERE] {
+        assert_eq!(course(&mut lock, seen, 1000), [(Doing::Waiting, LockState::Held)]);
+    }
+    assert!(found == MOST_SLIPS, "{found}");
+    lock.search();
+    assert_eq!(feed(&mut lock, off_by(0.0), 200), LockState::Locked);
 }
 
 #[test]
@@ -126,7 +153,7 @@ fn after_so_many_searches_in_vain_it_waits_for_light_or_a_person() {
     lock.search();
     assert_eq!(searched(&mut lock), 2, "a person");
     assert_eq!(course(&mut lock, ELSEWHERE, 1000), [(Doing::Waiting, LockState::Held)], "no news");
-    let news = Seen::Some { elsewhere: true, covered: false, news: true };
+    let news = Seen::Some { elsewhere: true, covered: false, news: true, cause: "some light" };
     assert_eq!(lock.update(news, false, DT).doing, Doing::Jumping);
     feed(&mut lock, off_by(0.0), 60);
     assert_eq!((lock.state(), lock.attempts()), (LockState::Locked, 0));

@@ -51,8 +51,8 @@ fn search(config: &Config) -> String {
     }
     let spiral = Spiral::of(&Tuning::new(config), [0.0; 2], config.head.beam_diameter_mm * 0.5e-3);
     format!(
-        "what is lost is searched for within the limits, {:.2} s for each of {} times",
-        spiral.duration(),
+        "what is lost is searched for within the limits, {:.2} s from their middle, at most {} times",
+        spiral.duration(1.0 / config.acquisition.rate_hz),
         centering.search_attempts
     )
 }
