@@ -73,6 +73,20 @@ bits! {
 }
 
 impl Status {
+    /// The bits for which there is no pose.
+    pub const FATAL: Status = Status(
+        Self::PSD_A_LOW.0
+            | Self::PSD_B_LOW.0
+            | Self::PSD_C_LOW.0
+            | Self::PSD_A_CLIPPED.0
+            | Self::PSD_B_CLIPPED.0
+            | Self::PSD_C_CLIPPED.0
+            | Self::NOT_CONVERGED.0
+            | Self::OUT_OF_RANGE.0
+            | Self::SOURCE_DOWN.0
+            | Self::POWER_STEP.0,
+    );
+
     /// Whether all bits of `other` are set.
     pub fn has(self, other: Status) -> bool {
         self.0 & other.0 == other.0

@@ -1,11 +1,14 @@
 //! What people and machines see of a running daemon. Nothing here can hold up the fast side.
 //!
 //! - [`Counters`]: what is counted. One place for every loss, so that none is silent.
+//! - [`turns`]: signs of life of the fast side's tasks. [`glance`]: what the newest frame says.
 //! - [`view`]: frames, configuration and counters, for whoever looks.
 //! - [`http`]: the server. [`guard`]: which requests are meant for it.
 
+pub mod glance;
 pub mod guard;
 pub mod http;
+pub mod turns;
 pub mod view;
 
 use std::sync::atomic::{AtomicU64, Ordering};
