@@ -11,6 +11,7 @@
 //!
 //! The fast thread never waits for the main thread: frames that do not fit into the channel are counted.
 
+use std::cell::Cell;
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
@@ -20,7 +21,7 @@ use anyhow::Context;
 use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{Mutex, mpsc, oneshot, watch};
-use tokio::task::LocalSet;
+use tokio::task::{self, LocalSet};
 use tokio_util::sync::CancellationToken;
 
 use crate::acquisition::{self, Channels, SerialSource, Source};
@@ -31,6 +32,8 @@ use crate::control::{self, AtFast, Command, Live, server::Socket};
 use crate::estimation::{self, Estimation};
 use crate::exit::{self, Failure};
 use crate::logging::Logging;
+use crate::monitor::glance::Glance;
+use crate::monitor::turns::{Task, Turns, counted};
 use crate::monitor::{
     self, Counters,
     guard::Hosts,
@@ -41,6 +44,7 @@ use crate::publishing::{
     Descriptor, Outlets, PoseFrame, Publisher, PublisherSettings, StreamId, subscribe, subscription, tcp,
 };
 use crate::realtime;
+use crate::service::{Notify, Service};
 use crate::steering::{self, Gcs, Outputs, Stage, gcs};
 use crate::twin::{Twin, TwinSource};
 
@@ -56,6 +60,8 @@ const TO_MAIN: usize = 16 * 1024;
 pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::Result<()> {
     let started = SystemClock.now();
     let counters = Arc::new(Counters::default());
+    let (turns, glance) = <(Arc<Turns>, Arc<Glance>)>::default();
+    let service = Service::new(&config.realtime, Arc::clone(&turns), Arc::clone(&glance));
     let channels = Channels::load(config)?;
     let calibration = config.calibration_id().context("cannot read a correction table")?;
     let id = StreamId::new(config.id(calibration));
@@ -105,6 +111,8 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         channels,
         publisher,
         counters: Arc::clone(&counters),
+        turns: Arc::clone(&turns),
+        glance,
         stop: CancellationToken::new(),
         control: at_fast,
         config: config.clone(),
@@ -128,6 +136,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         subscribers: desk.as_ref().map(subscribe::Desk::subscribers),
     });
     let slow = Slow {
+        service: &service,
         server: server.map(|listener| Server { listener, frames, descriptor: descriptor_now }),
         monitor: monitor.map(|listener| Monitor { listener, frames: monitored, view }),
         desk,
@@ -146,9 +155,10 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         steering,
         log: Arc::clone(log),
         counters: Arc::clone(&counters),
+        turns,
         started,
     };
-    let control = control(Arc::new(Mutex::new(live)), socket, hangup);
+    let control = control(Arc::new(Mutex::new(live)), socket, hangup, &service.notify);
     let result = serve(&main, config, slow, control, fast, &counters, &stop);
     let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
     tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
@@ -166,12 +176,15 @@ struct Parts {
     gcs: Option<Gcs>,
     publisher: Publisher<SystemClock>,
     counters: Arc<Counters>,
+    turns: Arc<Turns>,
+    glance: Arc<Glance>,
     control: AtFast,
     stop: CancellationToken,
 }
 
 /// What the main thread serves.
-struct Slow {
+struct Slow<'a> {
+    service: &'a Service,
     server: Option<Server>,
     monitor: Option<Monitor>,
     desk: Option<subscribe::Desk>,
@@ -222,8 +235,8 @@ async fn fast<S: Source + 'static>(
     parts: Parts,
     source: impl FnOnce() -> io::Result<S>,
 ) -> anyhow::Result<()> {
-    let Parts { config, channels, estimation, centering, gcs, mut publisher, counters, control, stop } =
-        parts;
+    let Parts { config, channels, estimation, centering, gcs, mut publisher, .. } = parts;
+    let Parts { counters, turns, glance, control, stop, .. } = parts;
     let AtFast { changes, questions, orders } = control;
     let source = source().context("cannot start the source")?;
     let (samples_in, samples) = mpsc::channel(QUEUE);
@@ -236,35 +249,50 @@ async fn fast<S: Source + 'static>(
     let (poses_in, poses) = watch::channel(None);
     let stop_acquisition = CancellationToken::new();
 
-    let mut acquisition = tokio::task::spawn_local(acquisition::task::run(
-        source,
-        channels,
-        SystemClock,
-        Arc::clone(&counters),
-        acquisition::task::Edges {
-            samples: samples_in,
-            newest: newest_in,
-            answers: answers_in,
-            commands,
-            changes,
-        },
-        stop_acquisition.clone(),
-    ));
-    let mut centering = tokio::task::spawn_local(centering::task::run(
-        centering,
-        driver,
-        SystemClock,
-        counters,
-        centering::task::Edges { newest, poses, state: state_in, orders },
-        stop.clone(),
-    ));
-    let publish = move |report: &_| publisher.publish(report);
-    let mut estimation = tokio::task::spawn_local(estimation::task::run(
-        estimation,
-        config.acquisition.rate_hz,
-        SystemClock,
-        estimation::task::Edges { samples, questions, steering, newest: poses_in, publish },
-    ));
+    let mut acquisition = spawn(
+        acquisition::task::run(
+            source,
+            channels,
+            SystemClock,
+            Arc::clone(&counters),
+            acquisition::task::Edges {
+                samples: samples_in,
+                newest: newest_in,
+                answers: answers_in,
+                commands,
+                changes,
+            },
+            stop_acquisition.clone(),
+        ),
+        &turns,
+        Task::Acquisition,
+    );
+    let mut centering = spawn(
+        centering::task::run(
+            centering,
+            driver,
+            SystemClock,
+            counters,
+            centering::task::Edges { newest, poses, state: state_in, orders },
+            stop.clone(),
+        ),
+        &turns,
+        Task::Centering,
+    );
+    let publish = move |report: &_| {
+        publisher.publish(report);
+        glance.at(report);
+    };
+    let mut estimation = spawn(
+        estimation::task::run(
+            estimation,
+            config.acquisition.rate_hz,
+            SystemClock,
+            estimation::task::Edges { samples, questions, steering, newest: poses_in, publish },
+        ),
+        &turns,
+        Task::Estimation,
+    );
 
     let ended = tokio::select! {
         biased;
@@ -285,8 +313,14 @@ async fn fast<S: Source + 'static>(
     estimation.await.context("task estimation failed at the end")
 }
 
+/// A task whose turns are counted.
+fn spawn(task: impl Future<Output = ()> + 'static, turns: &Arc<Turns>, name: Task) -> task::JoinHandle<()> {
+    let turns = Arc::clone(turns);
+    task::spawn_local(async move { counted(task, turns.of(name)).await })
+}
+
 /// Commands and SIGHUP, for ever.
-async fn control(live: Arc<Mutex<Live>>, socket: Option<Socket>, mut hangup: Signal) {
+async fn control(live: Arc<Mutex<Live>>, socket: Option<Socket>, mut hangup: Signal, notify: &Notify) {
     let commands = async {
         match socket {
             Some(socket) => socket.serve(Arc::clone(&live)).await,
@@ -295,7 +329,9 @@ async fn control(live: Arc<Mutex<Live>>, socket: Option<Socket>, mut hangup: Sig
     };
     let reloads = async {
         while hangup.recv().await.is_some() {
+            notify.reloading();
             let answer = live.lock().await.obey(Command::Reload).await;
+            notify.reloaded();
             control::server::note(&Command::Reload, None, &answer);
         }
     };
@@ -306,7 +342,7 @@ async fn control(live: Arc<Mutex<Live>>, socket: Option<Socket>, mut hangup: Sig
 fn serve(
     main: &Runtime,
     config: &Config,
-    slow: Slow,
+    slow: Slow<'_>,
     control: impl Future<Output = ()>,
     fast: Fast,
     counters: &Arc<Counters>,
@@ -321,8 +357,10 @@ fn serve(
     let publishing = &config.publishing;
     let subscriptions =
         subscription::Subscriptions::new(slow.session, publishing.subscribers, publishing.allow.clone());
-    let Slow { server, monitor, desk, stage, .. } = slow;
+    let Slow { service, server, monitor, desk, stage, .. } = slow;
     let Fast { thread, mut ended } = fast;
+    // A fast thread that does not come back is left behind: its end is that of the process.
+    let left_behind = Cell::new(false);
     let result = main.block_on(async {
         let (mut terminate, mut interrupt) =
             (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
@@ -361,6 +399,7 @@ fn serve(
         };
         let mut serving = std::pin::pin!(serving);
         let mut steering = std::pin::pin!(steering);
+        let mut watching = std::pin::pin!(service.run());
         let asked = tokio::select! {
             biased;
             end = &mut ended => return fast_end(end),
@@ -371,6 +410,10 @@ fn serve(
             () = &mut steering => return fast_end(ended.await), // likewise
             end = subscribing => end.context("cannot take UDP subscriptions").map(|()| "subscriptions ended"),
             () = control => Err(Failure::new(exit::SOFTWARE, "the control task ended by itself").into()),
+            stalled = &mut watching => {
+                left_behind.set(true);
+                return Err(stalled.into());
+            }
             _ = terminate.recv() => Ok("SIGTERM"),
             _ = interrupt.recv() => Ok("SIGINT"),
         };
@@ -378,10 +421,19 @@ fn serve(
             tracing::info!("{signal}: stopping");
         }
         stop.cancel();
-        let (end, (), ()) = tokio::join!(ended, serving, steering);
-        fast_end(end)?;
+        service.ending();
+        tokio::select! {
+            (end, (), ()) = async { tokio::join!(ended, serving, steering) } => fast_end(end)?,
+            late = watching => {
+                left_behind.set(true);
+                return Err(late.into());
+            }
+        }
         asked.map(|_| ())
     });
+    if left_behind.get() {
+        return result;
+    }
     // It has said that it ended; only a panic is news now.
     if thread.join().is_err() {
         return Err(Failure::new(exit::SOFTWARE, "the fast thread panicked").into());

@@ -1,12 +1,23 @@
-//! Log lines on standard error, written by a thread of their own: no task ever waits for a terminal.
+//! Log lines on standard error or in the journal, written by a thread of their own: no task ever waits for a
+//! terminal.
+//!
+//! - `limit`: lines that come again and again. `journal`: entries with fields.
 
+mod journal;
+mod limit;
+
+use std::path::Path;
 use std::{fmt, io};
 
 use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::layer::{Layer as _, SubscriberExt};
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{EnvFilter, reload};
 
 use crate::config::{LogConfig, LogFormat};
 use crate::exit::{self, Failure};
+use journal::{Entries, Journal};
+use limit::Limiter;
 
 /// Lines that may wait to be written. Further ones are dropped.
 const QUEUE: usize = 10_000;
@@ -16,6 +27,7 @@ type Refilter = dyn Fn(EnvFilter) -> Result<(), String> + Send + Sync;
 /// The log of the process. Dropping it writes what is still queued.
 pub struct Logging {
     refilter: Box<Refilter>,
+    limiter: Limiter,
     _written_at_the_end: WorkerGuard,
 }
 
@@ -27,23 +39,35 @@ impl fmt::Debug for Logging {
 
 /// Starts logging for the process.
 pub fn start(config: &LogConfig) -> Result<Logging, Failure> {
-    let filter = filter(&config.level)?;
-    let (writer, guard) = NonBlockingBuilder::default().buffered_lines_limit(QUEUE).finish(io::stderr());
-    let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(writer).with_ansi(false);
-    let (started, refilter): (_, Box<Refilter>) = match config.format {
-        LogFormat::Text => {
-            let lines = lines.with_target(false).with_filter_reloading();
-            let handle = lines.reload_handle();
-            (lines.try_init(), Box::new(move |filter| handle.reload(filter).map_err(|e| e.to_string())))
-        }
-        LogFormat::Json => {
-            let lines = lines.json().flatten_event(true).with_filter_reloading();
-            let handle = lines.reload_handle();
-            (lines.try_init(), Box::new(move |filter| handle.reload(filter).map_err(|e| e.to_string())))
-        }
+    let failed = |e: &dyn fmt::Display| Failure::new(exit::SOFTWARE, format!("logging cannot start: {e}"));
+    let (filter, handle) = reload::Layer::new(filter(&config.level)?);
+    let limiter = Limiter::start().map_err(|e| failed(&e))?;
+    let journal = (config.format == LogFormat::Text && journal::is_standard_error())
+        .then(|| Journal::connect(Path::new(journal::SOCKET), io::stderr()).ok())
+        .flatten();
+    let queue = NonBlockingBuilder::default().buffered_lines_limit(QUEUE);
+    let (entries, lines, guard) = if let Some(journal) = journal {
+        let (writer, guard) = queue.finish(journal);
+        (Some(Entries(writer)), None, guard)
+    } else {
+        let (writer, guard) = queue.finish(io::stderr());
+        let lines = tracing_subscriber::fmt::layer().with_writer(writer).with_ansi(false);
+        let lines = match config.format {
+            LogFormat::Text => lines.with_target(false).boxed(),
+            LogFormat::Json => lines.json().flatten_event(true).boxed(),
+        };
+        (None, Some(lines), guard)
     };
-    started.map_err(|e| Failure::new(exit::SOFTWARE, format!("logging cannot start: {e}")))?;
-    Ok(Logging { refilter, _written_at_the_end: guard })
+    let all = tracing_subscriber::registry().with(lines).with(entries).with(limiter.clone()).with(filter);
+    all.try_init().map_err(|e| failed(&e))?;
+    let refilter: Box<Refilter> = Box::new(move |filter| handle.reload(filter).map_err(|e| e.to_string()));
+    Ok(Logging { refilter, limiter, _written_at_the_end: guard })
+}
+
+impl Drop for Logging {
+    fn drop(&mut self) {
+        self.limiter.sum_up_all();
+    }
 }
 
 impl Logging {
@@ -55,5 +79,7 @@ impl Logging {
 }
 
 fn filter(level: &str) -> Result<EnvFilter, Failure> {
-    EnvFilter::try_new(level).map_err(|e| Failure::new(exit::CONFIG, format!("log.level = {level:?}: {e}")))
+    let wrong = |e: &dyn fmt::Display| Failure::new(exit::CONFIG, format!("log.level = {level:?}: {e}"));
+    let filter = EnvFilter::try_new(level).map_err(|e| wrong(&e))?;
+    Ok(filter.add_directive(limit::ALWAYS.parse().map_err(|e| wrong(&e))?))
 }

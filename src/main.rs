@@ -5,7 +5,7 @@ mod commands;
 use std::io::Write;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use trifacet::{config::ConfigError, exit};
 
 /// Six degrees of freedom from a three-facet mirror, a laser and three position-sensitive detectors.
@@ -44,6 +44,13 @@ enum Command {
     Doctor(commands::DoctorArgs),
     /// Print the frames of a running daemon
     Watch(commands::WatchArgs),
+    /// Say how a running daemon is doing: balance, pose, lock, losses
+    Status(commands::StatusArgs),
+    /// Send the stage to its parking position while no daemon runs
+    Park(commands::ParkArgs),
+    /// Write man pages and shell completions, for a package
+    #[command(hide = true)]
+    Generate(commands::GenerateArgs),
 }
 
 fn main() -> ExitCode {
@@ -66,6 +73,9 @@ fn main() -> ExitCode {
         Command::Simulate(args) => commands::simulate(&args),
         Command::Doctor(args) => commands::doctor(&args),
         Command::Watch(args) => commands::watch(&args),
+        Command::Status(args) => commands::status(&args),
+        Command::Park(args) => commands::park(&args),
+        Command::Generate(args) => commands::generate(&args, Cli::command()),
     };
     result.map_or_else(|error| report(&error), |()| ExitCode::SUCCESS)
 }

@@ -194,6 +194,85 @@ fn the_service_unit_passes_systemds_own_check() {
 }
 
 #[test]
+fn the_service_unit_exposes_little() {
+    if Command::new("systemd-analyze").arg("--version").output().is_err() {
+        assert!(std::env::var_os("CI").is_none(), "systemd-analyze is needed to check the unit");
+        eprintln!("systemd-analyze is not installed: the unit is not checked");
+        return;
+    }
+    // 2.0 at most, in tenths.
+    let output = Command::new("systemd-analyze")
+        .args(["security", "--offline=true", "--no-pager", "--threshold=20"])
+        .arg(root("systemd/trifacet.service"))
+        .output()
+        .unwrap();
+    let told = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success() && told.contains("Overall exposure level"), "{told}");
+}
+
+#[test]
+fn the_unit_and_the_package_say_the_same() {
+    let unit = read("systemd/trifacet.service");
+    let value = |key: &str| unit.lines().find_map(|l| l.strip_prefix(key)?.strip_prefix('=')).unwrap();
+    assert_eq!(value("Type"), "notify");
+    let watchdog_ms = 1000 * value("WatchdogSec").parse::<u32>().unwrap();
+    assert!(watchdog_ms > 2 * Config::default().realtime.stall_ms, "the daemon names the task first");
+    assert!(value("ExecStopPost").contains("trifacet park --as-configured"));
+    let user = value("User");
+    assert!(read("packaging/sysusers.d/trifacet.conf").lines().any(|l| l.starts_with(&format!("u {user} "))));
+    assert!(read("packaging/60-trifacet.rules").contains(value("SupplementaryGroups")));
+    let manifest = read("Cargo.toml");
+    for part in ["etc/trifacet/trifacet.toml", "sysusers.d/", "udev/rules.d/", "man/man1/", "completions/"] {
+        assert!(manifest.contains(part), "{part}");
+    }
+}
+
+#[test]
+fn every_command_has_a_man_page_that_can_be_set_and_there_are_completions() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = trifacet(&["generate", folder.path().to_str().unwrap()]);
+    assert!(output.status.success(), "{output:?}");
+    let mut wanted = vec!["trifacet".to_owned()];
+    for command in commands(&["--help"]) {
+        if command == "ctl" {
+            wanted.extend(commands(&["ctl", "--help"]).iter().map(|order| format!("trifacet-ctl-{order}")));
+        }
+        wanted.push(format!("trifacet-{command}"));
+    }
+    wanted.sort();
+    let mut pages: Vec<_> = std::fs::read_dir(folder.path().join("man"))
+        .unwrap()
+        .map(|page| page.unwrap().path())
+        .inspect(|page| set_in_type(page))
+        .map(|page| page.file_stem().unwrap().to_str().unwrap().to_owned())
+        .collect();
+    pages.sort();
+    assert_eq!(pages, wanted);
+    assert!(pages.len() > 20, "{pages:?}");
+    let bash = std::fs::read_to_string(folder.path().join("completions/trifacet.bash")).unwrap();
+    assert!(bash.contains("--as-configured"));
+}
+
+/// The commands that a help text lists, without `help`.
+fn commands(help: &[&str]) -> Vec<String> {
+    let text = String::from_utf8(trifacet(help).stdout).unwrap();
+    let list = text.split("Commands:\n").nth(1).unwrap().split("\n\n").next().unwrap();
+    let names = list.lines().filter_map(|line| line.strip_prefix("  ")?.split(' ').next());
+    names.filter(|name| !name.is_empty() && *name != "help").map(str::to_owned).collect()
+}
+
+/// No complaint of the formatter, where there is one.
+fn set_in_type(page: &Path) {
+    let set = Command::new("man").args(["--warnings", "-l"]).arg(page).env("MANROFFOPT", "-ww").output();
+    let Ok(set) = set else {
+        assert!(std::env::var_os("CI").is_none(), "man is needed to check the man pages");
+        return;
+    };
+    let told = String::from_utf8_lossy(&set.stderr);
+    assert!(set.status.success() && told.is_empty() && !set.stdout.is_empty(), "{}: {told}", page.display());
+}
+
+#[test]
 fn links_in_the_documents_lead_somewhere() {
     let mut links = 0;
     let pages = std::fs::read_dir(root("docs")).unwrap().map(|entry| entry.unwrap().path());

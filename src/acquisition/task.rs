@@ -4,12 +4,13 @@ use std::sync::Arc;
 
 use tokio::sync::mpsc::{self, error::TrySendError};
 use tokio::sync::{oneshot, watch};
+use tokio::time::interval;
 use tokio_util::sync::CancellationToken;
 
 use super::{ChannelMap, Channels, Down, Event, Identity, OutputCommand, Sample, Source};
 use crate::clock::Clock;
 use crate::estimation;
-use crate::monitor::Counters;
+use crate::monitor::{Counters, turns::HEARTBEAT};
 use crate::steering::outputs::Answers;
 
 /// What estimation gets, in order.
@@ -82,6 +83,7 @@ pub async fn run<S: Source, C: Clock>(
         dropped: 0,
         change: None,
     };
+    let mut heartbeat = interval(HEARTBEAT);
     loop {
         tokio::select! {
             biased;
@@ -94,6 +96,7 @@ pub async fn run<S: Source, C: Clock>(
             }
             Some(change) = changes.recv() => intake.change(change),
             event = source.next() => intake.take(event),
+            _ = heartbeat.tick() => {}
         }
     }
     source.close().await;

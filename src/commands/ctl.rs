@@ -7,6 +7,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use trifacet::config::LoopMode;
 use trifacet::control::{self, Command};
 use trifacet::exit::{self, Failure};
+use trifacet::monitor::turns::{Drill, Task};
 
 use super::written;
 
@@ -60,6 +61,15 @@ enum Order {
     Park,
     /// Look for the apex now, however often that was in vain
     Search,
+    /// Let a task of the daemon misbehave, to see whether your supervision notices; with the twin only
+    Drill {
+        /// What it shall do
+        #[arg(value_enum)]
+        what: What,
+        /// The task
+        #[arg(value_enum)]
+        task: Which,
+    },
     /// Read the configuration file again, as on SIGHUP
     Reload,
 }
@@ -90,6 +100,43 @@ enum Mode {
     Manual,
 }
 
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum What {
+    /// Wait for ever, while the others go on
+    Stall,
+    /// Never come back, so that all wait for it
+    Block,
+    /// End by itself
+    End,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Which {
+    Acquisition,
+    Centering,
+    Estimation,
+}
+
+impl From<What> for Drill {
+    fn from(what: What) -> Self {
+        match what {
+            What::Stall => Self::Stall,
+            What::Block => Self::Block,
+            What::End => Self::End,
+        }
+    }
+}
+
+impl From<Which> for Task {
+    fn from(task: Which) -> Self {
+        match task {
+            Which::Acquisition => Self::Acquisition,
+            Which::Centering => Self::Centering,
+            Which::Estimation => Self::Estimation,
+        }
+    }
+}
+
 impl Order {
     fn command(&self) -> Command {
         match *self {
@@ -105,6 +152,7 @@ impl Order {
             Order::Search => Command::Search,
             Order::Setpoint { x_um, y_um } => Command::Setpoint([x_um, y_um]),
             Order::Gains { kp, ki_per_s } => Command::Gains { kp, ki_per_s },
+            Order::Drill { what, task } => Command::Drill(what.into(), task.into()),
             Order::Reload => Command::Reload,
         }
     }

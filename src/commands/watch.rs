@@ -19,7 +19,7 @@ use trifacet::{
 use super::written;
 
 /// Over UDP nothing says that a daemon is there; after this long without a frame, say so.
-const SILENCE: Duration = Duration::from_secs(3);
+pub(super) const SILENCE: Duration = Duration::from_secs(3);
 /// Text shows at most a frame in this time.
 const READABLE: Duration = Duration::from_millis(200);
 
@@ -114,11 +114,11 @@ async fn follow(args: &WatchArgs) -> Result<()> {
     }
 }
 
-fn unavailable(message: String) -> anyhow::Error {
+pub(super) fn unavailable(message: String) -> anyhow::Error {
     Failure::new(exit::UNAVAILABLE, message).into()
 }
 
-fn opening_failed(endpoint: &Endpoint, error: &ClientError) -> anyhow::Error {
+pub(super) fn opening_failed(endpoint: &Endpoint, error: &ClientError) -> anyhow::Error {
     let kind = match error {
         ClientError::Open { source, .. } => source.kind(),
         _ => io::ErrorKind::Other,

@@ -4,8 +4,11 @@ use serde::{Deserialize, Serialize};
 
 use super::check::Checker;
 
+/// Anything shorter would end daemons on machines that are only busy.
+const SHORTEST_STALL_MS: u32 = 200;
+
 /// `[realtime]`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RealtimeConfig {
     /// `SCHED_FIFO` priority of the fast thread, 1 to 99; 0 leaves it an ordinary thread.
@@ -14,11 +17,23 @@ pub struct RealtimeConfig {
     pub cpu: Option<usize>,
     /// Keep all memory in RAM.
     pub lock_memory: bool,
+    /// A task of the fast side that makes no turn for so long ends the daemon, milliseconds; 0 never.
+    pub stall_ms: u32,
+}
+
+impl Default for RealtimeConfig {
+    fn default() -> Self {
+        Self { priority: 0, cpu: None, lock_memory: false, stall_ms: 2000 }
+    }
 }
 
 impl RealtimeConfig {
     pub(super) fn check(&self, mut at: Checker<'_>) {
         at.number("priority", self.priority, 0.0..=99.0);
         at.optional("cpu", self.cpu.map(|cpu| cpu as f64), 0.0..=1023.0);
+        at.number("stall_ms", self.stall_ms, 0.0..=60_000.0);
+        let fine = self.stall_ms == 0 || self.stall_ms >= SHORTEST_STALL_MS;
+        let allowed = format!("0 (never), or at least {SHORTEST_STALL_MS}: a machine may be busy");
+        at.demand(fine, "stall_ms", self.stall_ms, allowed);
     }
 }

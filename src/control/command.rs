@@ -4,6 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use crate::config::LoopMode;
+use crate::monitor::turns::{Drill, Task};
 
 /// A command.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,6 +40,8 @@ pub enum Command {
     Park,
     /// Looks for the apex now.
     Search,
+    /// Lets a task misbehave, to see whether the supervision notices; the twin only.
+    Drill(Drill, Task),
     /// Reads the configuration file again.
     Reload,
 }
@@ -52,7 +55,8 @@ pub struct NoCommand {
 
 /// Every command in its form.
 pub const ALLOWED: &str = "status, tare [poses=N] [save], tare clear [save], loop on|off|shadow|manual, \
-    setpoint X_UM Y_UM, gains KP KI_PER_S, move X_UM Y_UM, park, search, reload";
+    setpoint X_UM Y_UM, gains KP KI_PER_S, move X_UM Y_UM, park, search, reload, \
+    drill stall|block|end acquisition|centering|estimation";
 
 impl FromStr for Command {
     type Err = NoCommand;
@@ -73,6 +77,10 @@ fn parse(word: &str, rest: &[&str]) -> Option<Command> {
         ("park", []) => Command::Park,
         ("search", []) => Command::Search,
         ("move", [x, y]) => Command::Move([number(x)?, number(y)?]),
+        ("drill", [drill, task]) => Command::Drill(
+            Drill::ALL.into_iter().find(|d| d.name() == *drill)?,
+            Task::ALL.into_iter().find(|t| t.name() == *task)?,
+        ),
         ("setpoint", [x, y]) => Command::Setpoint([number(x)?, number(y)?]),
         ("gains", [kp, ki]) => Command::Gains { kp: number(kp)?, ki_per_s: number(ki)? },
         ("tare", ["clear"]) => Command::ClearTare { save: false },
@@ -112,6 +120,7 @@ impl fmt::Display for Command {
             Command::Move([x, y]) => write!(f, "move {x:?} {y:?}"),
             Command::Park => f.write_str("park"),
             Command::Search => f.write_str("search"),
+            Command::Drill(drill, task) => write!(f, "drill {} {task}", drill.name()),
             Command::Reload => f.write_str("reload"),
         }
     }
@@ -138,6 +147,9 @@ mod tests {
             Command::Search,
             Command::Setpoint([-1.5, 1e-3]),
             Command::Gains { kp: 0.1, ki_per_s: 200.0 },
+            Command::Drill(Drill::Stall, Task::Centering),
+            Command::Drill(Drill::Block, Task::Acquisition),
+            Command::Drill(Drill::End, Task::Estimation),
             Command::Reload,
         ];
         for command in commands {
@@ -171,6 +183,10 @@ mod tests {
             "gains inf 1",
             "gains 0,1 200",
             "reload /etc/passwd",
+            "drill",
+            "drill stall",
+            "drill stall publishing",
+            "drill kill centering",
             "\u{fc}",
         ];
         for line in bad {

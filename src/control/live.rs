@@ -14,11 +14,14 @@ use crate::centering::{Tuning, task::Order};
 use crate::clock::{Clock, Mono, SystemClock};
 use crate::config::edit::{self, Edit};
 use crate::config::reload::reload;
-use crate::config::{self, Config, FramesConfig, LoopMode, SteeringConfig, TransformConfig};
+use crate::config::{
+    self, Config, FramesConfig, LoopMode, SourceKind, SteeringConfig, SteeringKind, TransformConfig,
+};
 use crate::estimation::{self, Frames, task::Question};
 use crate::exit::{self, Failure};
 use crate::logging::Logging;
 use crate::monitor::Counters;
+use crate::monitor::turns::{Drill, Task, Turns};
 use crate::optics::Pose;
 use crate::publishing::{Descriptor, descriptor::StreamFacts};
 use crate::steering::Xy;
@@ -53,6 +56,8 @@ pub struct Live {
     pub log: Arc<Logging>,
     /// Every counter.
     pub counters: Arc<Counters>,
+    /// The turns of the fast side's tasks.
+    pub turns: Arc<Turns>,
     /// When the daemon started.
     pub started: Mono,
 }
@@ -73,6 +78,7 @@ impl Live {
             Command::Move(um) => self.move_to(um).await,
             Command::Park => self.park().await,
             Command::Search => self.search().await,
+            Command::Drill(drill, task) => self.drill(drill, task),
             Command::Reload => self.reload().await,
         };
         answer.unwrap_or_else(|failure| error(&failure))
@@ -102,6 +108,17 @@ impl Live {
 
     async fn search(&mut self) -> Result<Value, Failure> {
         self.order(Order::Search).await
+    }
+
+    /// Only where nothing real hangs on it.
+    fn drill(&self, drill: Drill, task: Task) -> Result<Value, Failure> {
+        let Config { acquisition, steering, .. } = &self.running;
+        if acquisition.source != SourceKind::Twin || steering.kind != SteeringKind::Outputs {
+            let why = "a drill is for the twin with its own stage only: acquisition.source, steering.kind";
+            return Err(Failure::new(exit::USAGE, why));
+        }
+        self.turns.of(task).drill(drill);
+        Ok(json!({ "drill": drill.name(), "task": task.name() }))
     }
 
     /// Tells the loop something that it may refuse.

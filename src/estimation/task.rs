@@ -4,12 +4,13 @@ use std::time::Duration;
 
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::yield_now;
-use tokio::time::{Instant, sleep_until};
+use tokio::time::{Instant, interval, sleep_until};
 
 use super::{Estimation, PoseReport, Status};
 use crate::acquisition::{Identity, Role, task::Acquired};
 use crate::centering::LoopState;
 use crate::clock::Clock;
+use crate::monitor::turns::HEARTBEAT;
 use crate::optics::Pose;
 
 /// How often silence is reported, at most.
@@ -54,6 +55,7 @@ pub async fn run<C: Clock>(
     let mut last = None;
     let mut mean: Option<PoseMean> = None;
     let mut doubts = Doubts::default();
+    let mut heartbeat = interval(HEARTBEAT);
     loop {
         let report = tokio::select! {
             biased;
@@ -101,6 +103,7 @@ pub async fn run<C: Clock>(
                 let steering = *steering.borrow();
                 Some(estimation.silence(clock.now(), &steering))
             }
+            _ = heartbeat.tick() => None,
         };
         if let Some(mut report) = report {
             report.solved = clock.now();

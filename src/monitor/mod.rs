@@ -1,17 +1,20 @@
 //! What people and machines see of a running daemon. Nothing here can hold up the fast side.
 //!
 //! - [`Counters`]: what is counted. One place for every loss, so that none is silent.
+//! - [`turns`]: signs of life of the fast side's tasks. [`glance`]: what the newest frame says.
 //! - [`view`]: frames, configuration and counters, for whoever looks.
 //! - [`health`], [`tally`], [`trend`]: what becomes of every frame. Pure.
 //! - [`metrics`]: all that as Prometheus reads it.
 //! - [`http`]: the server. [`guard`]: which requests are meant for it.
 
+pub mod glance;
 pub mod guard;
 pub mod health;
 pub mod http;
 pub mod metrics;
 pub mod tally;
 pub mod trend;
+pub mod turns;
 pub mod view;
 
 use std::sync::atomic::{AtomicU64, Ordering};

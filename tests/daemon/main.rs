@@ -13,3 +13,4 @@ mod fixture;
 mod gcs;
 mod loop_closed;
 mod running;
+mod service;

@@ -1,0 +1,133 @@
+//! `trifacet park`: sends the stage to its parking position without a daemon, as after one that was killed.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use clap::Args;
+use tokio::sync::watch;
+use tokio::time::timeout;
+use trifacet::acquisition::{Event as SourceEvent, Expiry, OutputCommand, SerialSource, Source};
+use trifacet::clock::{Clock, SystemClock};
+use trifacet::config::{Config, OnExit, SourceKind, SteeringKind};
+use trifacet::control;
+use trifacet::exit::{self, Failure};
+use trifacet::monitor::Counters;
+use trifacet::steering::{Command, Driver, Event, Xy, gcs, outputs::codes};
+
+use super::ConfigArg;
+
+/// All of it takes at most so long.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Options of `park`.
+#[derive(Debug, Args)]
+pub(crate) struct ParkArgs {
+    #[command(flatten)]
+    config: ConfigArg,
+    /// Only if the configuration parks at the end (`steering.on_exit = "park"`); for supervisors
+    #[arg(long)]
+    as_configured: bool,
+}
+
+/// Parks, and waits for the acknowledgement. Refuses while a daemon has the stage ([`exit::IN_USE`]).
+pub(crate) fn park(args: &ParkArgs) -> anyhow::Result<()> {
+    let config = args.config.load()?;
+    let steering = &config.steering;
+    if args.as_configured && steering.on_exit == OnExit::Hold {
+        eprintln!("nothing is parked: steering.on_exit is \"hold\"");
+        return Ok(());
+    }
+    if let Some(socket) = &config.control.socket
+        && control::client::ask(socket, &control::Command::Status).is_ok()
+    {
+        let why = format!("a daemon listens on {}: tell it with `trifacet ctl park`", socket.display());
+        return Err(Failure::new(exit::IN_USE, why).into());
+    }
+    // The port is held for as long as this takes, also where the stage has a controller of its own: no daemon
+    // can be there then.
+    let counters = Arc::new(Counters::default());
+    let source = match config.acquisition.source {
+        SourceKind::Serial => Some(SerialSource::open(&config, SystemClock, Arc::clone(&counters))?),
+        SourceKind::Twin => None,
+    };
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let parking = async {
+        match (steering.kind, source) {
+            (SteeringKind::Outputs, None) => Ok(None),
+            (SteeringKind::Outputs, Some(source)) => outputs(source, &config).await.map(Some),
+            (SteeringKind::Gcs, _held) => stage(&config, &counters).await.map(Some),
+        }
+    };
+    let parked = runtime.block_on(parking);
+    runtime.shutdown_background(); // a port that is still being opened is not waited for
+    match parked? {
+        None => eprintln!("nothing is parked: the stage of the twin goes with its daemon"),
+        Some(at) => eprintln!("parked at {at:?} um"),
+    }
+    Ok(())
+}
+
+/// The outputs of the board.
+async fn outputs(mut source: impl Source, config: &Config) -> Result<Xy, Failure> {
+    let steering = &config.steering;
+    let position = steering.park_um.map(|um| um * 1e-6);
+    let mut why = "the board does not answer".to_owned();
+    let parked = timeout(PATIENCE, async {
+        let (mut bits, mut sent) = (None, false);
+        loop {
+            match source.next().await {
+                SourceEvent::Up(identity) => (bits, sent) = (Some(identity.output_bits), false),
+                SourceEvent::Down(down) => why = down.to_string(),
+                // The board has been started: now it takes commands.
+                SourceEvent::Scan(_) if !sent => {
+                    let Some(bits) = bits else { continue };
+                    let codes = codes(position, steering.full_scale_um * 1e-6, bits);
+                    let lease_ms = steering.lease_ms;
+                    let command = OutputCommand { id: 1, codes, lease_ms, on_expiry: Expiry::Hold };
+                    source.steer(command, SystemClock.now());
+                    (why, sent) = ("the board does not acknowledge".into(), true);
+                }
+                SourceEvent::Scan(_) => {}
+                SourceEvent::Ack(ack) => return ack.accepted,
+            }
+        }
+    })
+    .await;
+    source.close().await;
+    answered(parked.ok(), &why, steering.park_um)
+}
+
+/// A stage with a controller of its own.
+async fn stage(config: &Config, counters: &Counters) -> Result<Xy, Failure> {
+    let (_limits, limits) = watch::channel(config.steering.clone());
+    let Some((mut driver, task)) = gcs::pair(config, limits) else {
+        return Err(Failure::new(exit::SOFTWARE, "a stage without a driver"));
+    };
+    let position = config.steering.park_um.map(|um| um * 1e-6);
+    let command = Command { id: 1, position, lease_ms: config.steering.lease_ms, on_expiry: Expiry::Hold };
+    let mut why = "the controller does not answer".to_owned();
+    let talk = async {
+        loop {
+            match driver.next().await {
+                Event::Up => driver.steer(command),
+                Event::Ack(ack) => return ack.accepted,
+                Event::Down(reason) => why = reason,
+                Event::At(_) => {}
+            }
+        }
+    };
+    let parked = tokio::select! {
+        parked = timeout(PATIENCE, talk) => parked.ok(),
+        () = task.run(counters) => None,
+    };
+    answered(parked, &why, config.steering.park_um)
+}
+
+fn answered(accepted: Option<bool>, why: &str, park_um: Xy) -> Result<Xy, Failure> {
+    let failed = |why: &str| Err(Failure::new(exit::UNAVAILABLE, format!("not parked: {why}")));
+    match accepted {
+        Some(true) => Ok(park_um),
+        Some(false) => failed("the stage refuses the parking position"),
+        None => failed(why),
+    }
+}

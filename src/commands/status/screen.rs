@@ -1,0 +1,252 @@
+//! What `trifacet status` says, as text.
+
+use serde_json::Value;
+use trifacet::centering::LockState;
+use trifacet::client::PoseFrame;
+use trifacet::estimation::Status;
+
+use super::Known;
+
+/// Counters of what got lost, or was refused.
+const LOSSES: [&str; 13] = [
+    "scans_lost",
+    "frames_corrupted",
+    "frames_unknown",
+    "board_errors",
+    "converter_overruns",
+    "leases_expired",
+    "source_downs",
+    "commands_refused",
+    "estimation_overflows",
+    "centering_skips",
+    "udp_dropped",
+    "tcp_overflows",
+    "tcp_dropped",
+];
+/// Bits that are told elsewhere on the page, or are no news.
+const TOLD: Status = Status(Status::POSE_VALID.0 | Status::NOT_LOCKED.0 | Status::STEERING_MEASURED.0);
+
+/// The page, line by line.
+pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
+    let mut lines = vec![head(source, known)];
+    let Some(frame) = &known.frame else {
+        lines.push(row("pose", "no frame came since the last look"));
+        lines.push(row("losses", &losses(known)));
+        return lines;
+    };
+    lines.push(row("pose", &validity(frame, known.between)));
+    for (i, [length, angle]) in [["tx", "roll"], ["ty", "pitch"], ["tz", "yaw"]].into_iter().enumerate() {
+        let [length_um, angle_urad] = [i, i + 3].map(|i| deviated(frame.pose[i], frame.deviations[i]));
+        lines.push(format!("{:<9} {length:<5}{length_um} um   {angle:<6}{angle_urad} urad", ""));
+    }
+    lines.push(row("lock", &lock(frame, known.control.as_ref())));
+    let [x, y] = frame.beam_offset.map(|m| number(f64::from(m) * 1e6));
+    lines.push(row("offset", &format!("x    {x} um          y     {y} um")));
+    lines.push(row("balance", &balance(frame.powers)));
+    let [x, y] = frame.steering.map(|m| number(f64::from(m) * 1e6));
+    let how = if frame.status.has(Status::STEERING_MEASURED) { "read back" } else { "as commanded" };
+    lines.push(row("steering", &format!("x    {x} um          y     {y} um    {how}")));
+    lines.push(row("losses", &losses(known)));
+    lines.push(row("status", &names(Status(frame.status.0 & !TOLD.0))));
+    lines
+}
+
+fn row(name: &str, text: &str) -> String {
+    format!("{name:<9} {text}").trim_end().to_owned()
+}
+
+fn head(source: &str, known: &Known) -> String {
+    let mut parts = vec![source.to_owned()];
+    if let Some(descriptor) = &known.descriptor {
+        let (version, config, rate) = (&descriptor.daemon_version, descriptor.config, descriptor.rate_hz);
+        parts.push(format!("version {version}  config {config:08x}  {rate} frames/s"));
+    }
+    if let Some(control) = &known.control {
+        let (pid, uptime) = (&control["pid"], control["uptime_s"].as_f64().unwrap_or(f64::NAN));
+        parts.push(format!("pid {pid}  up {}", duration(uptime)));
+    }
+    row("trifacet", &parts.join("  "))
+}
+
+fn duration(seconds: f64) -> String {
+    let s = seconds.max(0.0) as u64;
+    match s {
+        0..60 => format!("{s} s"),
+        60..3600 => format!("{} min {} s", s / 60, s % 60),
+        3600..86_400 => format!("{} h {} min", s / 3600, s / 60 % 60),
+        _ => format!("{} d {} h", s / 86_400, s / 3600 % 24),
+    }
+}
+
+fn validity(frame: &PoseFrame, between: Status) -> String {
+    if !frame.status.has(Status::POSE_VALID) {
+        let reasons = Status(frame.status.0 & Status::FATAL.0);
+        return format!(
+            "NOT VALID: {}",
+            if reasons.0 == 0 { "samples are missing".into() } else { names(reasons) }
+        );
+    }
+    match Status(between.0 & Status::FATAL.0) {
+        Status(0) => "valid".into(),
+        before => format!("valid; just before: {}", names(before)),
+    }
+}
+
+fn lock(frame: &PoseFrame, control: Option<&Value>) -> String {
+    let told = control.map(|control| &control["loop"]);
+    let mode = told.and_then(|told| told["mode"].as_str()).map(|mode| format!("   loop {mode}"));
+    let vain = told.and_then(|told| told["searches_in_vain"].as_u64()).filter(|n| *n > 0);
+    let vain = vain.map(|n| format!("   {n} searches in vain"));
+    [frame.lock.name(), &mode.unwrap_or_default(), &vain.unwrap_or_default()].concat()
+}
+
+/// The share of each PSD, and all of the light.
+fn balance(powers: [f32; 3]) -> String {
+    let powers = powers.map(f64::from);
+    let sum: f64 = powers.iter().sum();
+    let share = |power: f64| {
+        let share = power / sum * 100.0;
+        if share.is_finite() { format!("{share:>6.2} %") } else { format!("{:>8}", "-") }
+    };
+    let [a, b, c] = powers.map(share);
+    let all = if sum.is_finite() { format!("{:.4} mW", sum * 1e3) } else { "-".into() };
+    format!("A {a}   B {b}   C {c}   of {all}")
+}
+
+fn losses(known: &Known) -> String {
+    let Some(heartbeat) = &known.heartbeat else { return "not told on this way".into() };
+    let counted = |name: &str| heartbeat.counters.get(name).copied().filter(|n| *n > 0);
+    let mut losses: Vec<_> =
+        LOSSES.into_iter().filter_map(|name| Some(format!("{name} {}", counted(name)?))).collect();
+    if known.missing > 0 {
+        losses.push(format!("missing here {}", known.missing));
+    }
+    if losses.is_empty() { "none".into() } else { losses.join("  ") }
+}
+
+fn names(status: Status) -> String {
+    status.names().collect::<Vec<_>>().join(" ")
+}
+
+/// Twelve characters, or more if it must be.
+fn number(x: f64) -> String {
+    if x.is_nan() { format!("{:>12}", "-") } else { format!("{x:>12.3}") }
+}
+
+fn deviated(x: f64, deviation: f32) -> String {
+    let deviation = f64::from(deviation) * 1e6;
+    let deviation = if deviation.is_finite() { format!("{deviation:.3}") } else { "-".into() };
+    format!("{} +- {deviation:<7}", number(x * 1e6))
+}
+
+/// The header of [`line`].
+pub(super) fn header() -> String {
+    let names = ["tx um", "ty um", "tz um", "roll urad", "pitch urad", "yaw urad", "off x um", "off y um"];
+    let names: Vec<_> = names.iter().map(|name| format!("{name:>12}")).collect();
+    format!("# {:<9} {:<9} {} {:>8}  trouble", "lock", "pose", names.join(" "), "frames")
+}
+
+/// All of it in a line.
+pub(super) fn line(known: &Known) -> String {
+    let Some(frame) = &known.frame else {
+        return format!("  {:<9} {:<9} no frame came since the line before", "-", "-");
+    };
+    let valid = if frame.status.has(Status::POSE_VALID) { "valid" } else { "NOT VALID" };
+    let offset = frame.beam_offset.map(f64::from);
+    let numbers: Vec<_> = frame.pose.iter().chain(&offset).map(|x| number(x * 1e6)).collect();
+    let trouble = names(Status(known.between.0 & Status::FATAL.0));
+    let line =
+        format!("  {:<9} {valid:<9} {} {:>8}  {trouble}", frame.lock.name(), numbers.join(" "), known.frames);
+    line.trim_end().to_owned()
+}
+
+/// The colour of a line, if it is good or bad news: an SGR number.
+pub(super) fn mood(line: &str) -> Option<&'static str> {
+    let (name, text) = line.split_once(' ')?;
+    let text = text.trim_start();
+    let is = |state: LockState| text.split(' ').next() == Some(state.name());
+    Some(match name {
+        "pose" if text == "valid" => "32",
+        "pose" if text.starts_with("valid") => "33",
+        "pose" => "31",
+        "lock" if is(LockState::Locked) => "32",
+        "lock" if is(LockState::Lost) || is(LockState::Railed) => "31",
+        "lock" => "33",
+        "losses" if text != "none" => "33",
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trifacet::client::Heartbeat;
+
+    fn frame() -> PoseFrame {
+        PoseFrame {
+            session: 1,
+            config: 2,
+            sequence: 3,
+            sample_index: 4,
+            time_ns: 5,
+            solve_delay_ns: 6,
+            send_delay_ns: 7,
+            status: Status::POSE_VALID | Status::UNCALIBRATED | Status::STEERING_MEASURED,
+            clock_quality: 8,
+            lock: LockState::Locked,
+            iterations: 2,
+            pose: [1.234_567e-6, -0.1, 12.345_678_9, 3.1, -2e-9, f64::NAN],
+            deviations: [1e-7, 2e-3, f32::INFINITY, f32::NAN, 1e-9, 1e-6],
+            beam_offset: [0.5e-6, -1.25e-6],
+            steering_residual: 0.0,
+            averaged: 1,
+            lost: 0,
+            spots: [0.0; 6],
+            powers: [1e-4, 2e-4, 1e-4],
+            steering: [1e-4, f32::NAN],
+        }
+    }
+
+    #[test]
+    fn columns_stand_under_each_other_also_with_long_numbers() {
+        let known = Known { frame: Some(frame()), ..Known::default() };
+        let page = page("tcp://here:1", &known);
+        let lengths: Vec<_> = page[2..5].iter().map(|line| line.find(" um   ").unwrap()).collect();
+        assert_eq!(lengths, [lengths[0]; 3], "{page:#?}");
+        assert!(
+            page[4].contains("12345678.900 +- - ") && page[4].ends_with("- +- 1.000   urad"),
+            "{page:#?}"
+        );
+        let widest = page.iter().map(|line| line.chars().count()).max().unwrap();
+        assert!(widest <= 80, "{widest} {page:#?}");
+        assert_eq!(page[7], "balance   A  25.00 %   B  50.00 %   C  25.00 %   of 0.4000 mW");
+        let (header, line) = (header(), line(&known));
+        assert_eq!(header.find(" off y um").map(|at| at + 9), line.find("-1.250").map(|at| at + 6));
+    }
+
+    #[test]
+    fn bad_news_are_told_with_their_reason() {
+        let mut known = Known { frame: Some(frame()), ..Known::default() };
+        known.between = Status::POWER_STEP;
+        let counters = [("scans_lost".to_owned(), 7), ("scans".to_owned(), 9)].into();
+        known.heartbeat = Some(Heartbeat { counters, ..Heartbeat::default() });
+        let text = page("", &known).join("\n");
+        assert!(text.contains("pose      valid; just before: POWER_STEP"), "{text}");
+        assert!(text.contains("losses    scans_lost 7\n"), "{text}");
+        let status = Status::PSD_B_LOW | Status::NOT_LOCKED;
+        let dark = PoseFrame { status, lock: LockState::Lost, powers: [f32::NAN; 3], ..frame() };
+        known.frame = Some(dark);
+        let text = page("", &known).join("\n");
+        assert!(
+            text.contains("pose      NOT VALID: PSD_B_LOW\n") && text.contains("lock      lost\n"),
+            "{text}"
+        );
+        assert!(line(&known).ends_with("POWER_STEP") && line(&known).contains("NOT VALID"));
+        known.frame = None;
+        assert!(line(&known).contains("no frame") && page("", &known)[1].contains("no frame"));
+        assert_eq!(
+            ["pose      valid", "lock      lost", "losses    none"].map(mood),
+            [Some("32"), Some("31"), None]
+        );
+    }
+}

@@ -1,0 +1,211 @@
+//! Lines that come again and again: some of them, then a count.
+//!
+//! What a place in the code says in the same words, its fields aside, gets [`BURST`] lines in [`INTERVAL_S`]. What
+//! comes beyond that is counted, and said in one line when the interval is over. Debug and trace lines are for those who want them all.
+
+use std::collections::HashMap;
+use std::sync::mpsc::{self, Receiver, Sender};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use tracing::callsite::Identifier;
+use tracing::field::{Field, Visit};
+use tracing::{Event, Level, Subscriber};
+use tracing_subscriber::Layer;
+use tracing_subscriber::layer::Context;
+
+use crate::clock::{Clock, Mono, NS_PER_S, SystemClock};
+
+/// Lines that the same words get in an interval.
+const BURST: u32 = 20;
+const INTERVAL_S: i64 = 10;
+/// Sums are told under this name whatever the filter says: where nothing else is logged, there are none.
+pub(super) const ALWAYS: &str = "trifacet::logging=info";
+
+/// So many different words are remembered; beyond that, those are forgotten of which nothing is to be summed up.
+const MOST: usize = 256;
+
+/// A place in the code, and its words.
+type Key = (Identifier, String);
+
+/// What was said lately in some words.
+#[derive(Debug)]
+struct Place {
+    began: Mono,
+    said: u32,
+    held_back: u64,
+    level: Level,
+}
+
+/// Holds lines back. Its copies are one.
+#[derive(Clone, Debug)]
+pub(super) struct Limiter {
+    places: Arc<Mutex<HashMap<Key, Place>>>,
+    /// To the thread that sums up, and when.
+    sums: Sender<(Key, Mono)>,
+}
+
+impl Limiter {
+    /// With a thread that sums up; it sleeps while nothing is held back.
+    pub fn start() -> std::io::Result<Self> {
+        let (limiter, due) = Self::new();
+        let summing = limiter.clone();
+        std::thread::Builder::new().name("log-sums".into()).spawn(move || {
+            for (place, at) in due {
+                let ns = u64::try_from(at - SystemClock.now()).unwrap_or(0);
+                std::thread::sleep(Duration::from_nanos(ns));
+                summing.sum_up(&place);
+            }
+        })?;
+        Ok(limiter)
+    }
+
+    fn new() -> (Self, Receiver<(Key, Mono)>) {
+        let (sums, due) = mpsc::channel();
+        (Self { places: Arc::default(), sums }, due)
+    }
+
+    /// Whether this line is said now.
+    fn admits(&self, event: &Event<'_>, now: Mono) -> bool {
+        let metadata = event.metadata();
+        let level = *metadata.level();
+        let mut places = self.places.lock().unwrap_or_else(PoisonError::into_inner);
+        let over = |place: &Place| now - place.began >= INTERVAL_S * NS_PER_S;
+        if places.len() >= MOST {
+            places.retain(|_, place| place.held_back > 0 || !over(place));
+        }
+        let key = (metadata.callsite(), message(event));
+        let fresh = || Place { began: now, said: 0, held_back: 0, level };
+        let place = places.entry(key.clone()).or_insert_with(fresh);
+        if over(place) {
+            (place.began, place.said) = (now, 0);
+        }
+        if place.said < BURST {
+            place.said += 1;
+            return true;
+        }
+        place.held_back += 1;
+        if place.held_back == 1 {
+            // The thread lives as long as the process.
+            let _ = self.sums.send((key, place.began + INTERVAL_S * NS_PER_S));
+        }
+        false
+    }
+
+    /// Says how many lines of a place were held back, if any were.
+    fn sum_up(&self, key: &Key) {
+        let sum = {
+            let mut places = self.places.lock().unwrap_or_else(PoisonError::into_inner);
+            places.get_mut(key).map(|place| (std::mem::take(&mut place.held_back), place.level))
+        };
+        let Some((count @ 1.., level)) = sum else { return };
+        let text = &key.1;
+        let line = format!("{text} ... and {count} more in the last {INTERVAL_S} s");
+        match level {
+            Level::ERROR => tracing::error!(target: "trifacet::logging", count, "{line}"),
+            Level::WARN => tracing::warn!(target: "trifacet::logging", count, "{line}"),
+            _ => tracing::info!(target: "trifacet::logging", count, "{line}"),
+        }
+    }
+
+    /// Says now what would be said at the end of the intervals.
+    pub fn sum_up_all(&self) {
+        let places: Vec<_> =
+            self.places.lock().unwrap_or_else(PoisonError::into_inner).keys().cloned().collect();
+        for place in &places {
+            self.sum_up(place);
+        }
+    }
+}
+
+impl<S: Subscriber> Layer<S> for Limiter {
+    fn event_enabled(&self, event: &Event<'_>, _: Context<'_, S>) -> bool {
+        let metadata = event.metadata();
+        // Each of the three sums is a place of its own, which must not be held back.
+        *metadata.level() > Level::INFO
+            || metadata.target() == "trifacet::logging"
+            || self.admits(event, SystemClock.now())
+    }
+}
+
+/// What an event says, without its fields.
+fn message(event: &Event<'_>) -> String {
+    struct Message(String);
+    impl Visit for Message {
+        fn record_debug(&mut self, field: &Field, value: &dyn std::fmt::Debug) {
+            if field.name() == "message" {
+                self.0 = format!("{value:?}");
+            }
+        }
+    }
+    let mut message = Message(String::new());
+    event.record(&mut message);
+    message.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tracing_subscriber::layer::SubscriberExt;
+    use tracing_subscriber::util::SubscriberInitExt;
+
+    /// Remembers lines.
+    #[derive(Clone, Default)]
+    struct Lines(Arc<Mutex<Vec<String>>>);
+
+    impl<S: Subscriber> Layer<S> for Lines {
+        fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
+            self.0.lock().unwrap().push(message(event));
+        }
+    }
+
+    fn warn_of(what: &str) {
+        tracing::warn!("lost: {what}");
+    }
+
+    #[test]
+    fn a_flood_is_some_lines_and_a_count_and_others_are_not_touched() {
+        let lines = Lines::default();
+        let (limiter, due) = Limiter::new();
+        let _here = tracing_subscriber::registry().with(lines.clone()).with(limiter.clone()).set_default();
+        for n in 0..1255 {
+            warn_of(if n == 700 { "something else" } else { "light" });
+            tracing::debug!("all of these");
+        }
+        tracing::info!("once");
+        let said = || std::mem::take(&mut *lines.0.lock().unwrap());
+        let count = |all: &[String], text| all.iter().filter(|line| *line == text).count();
+        let first = said();
+        assert_eq!(count(&first, "lost: something else"), 1, "one place, and other words");
+        assert_eq!([count(&first, "lost: light"), count(&first, "once")], [BURST as usize, 1]);
+        assert_eq!(count(&first, "all of these"), 1255);
+        let (place, at) = due.try_recv().unwrap();
+        assert!(at > SystemClock.now() && due.try_recv().is_err(), "one sum, later");
+        limiter.sum_up(&place);
+        limiter.sum_up_all();
+        assert_eq!(said(), ["lost: light ... and 1234 more in the last 10 s"]);
+    }
+
+    /// Asks a limiter at a time of its own, and counts what it admits.
+    struct Probe(Limiter, Arc<Mutex<(i64, u32)>>);
+
+    impl<S: Subscriber> Layer<S> for Probe {
+        fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
+            let (now_s, admitted) = &mut *self.1.lock().unwrap();
+            *admitted += u32::from(self.0.admits(event, Mono(*now_s * NS_PER_S)));
+        }
+    }
+
+    #[test]
+    fn the_next_interval_has_lines_again() {
+        let (limiter, due) = Limiter::new();
+        let state = Arc::default();
+        let _here = tracing_subscriber::registry().with(Probe(limiter, Arc::clone(&state))).set_default();
+        for (now_s, admitted) in [(0, BURST), (9, BURST), (10, 2 * BURST), (25, 3 * BURST)] {
+            state.lock().unwrap().0 = now_s;
+            (0..30).for_each(|_| tracing::info!("again"));
+            assert_eq!(state.lock().unwrap().1, admitted, "at {now_s} s");
+        }
+        assert_eq!(due.try_iter().count(), 1, "one sum for what nobody has summed up yet");
+    }
+}

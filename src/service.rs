@@ -1,0 +1,142 @@
+//! Under a supervisor: what is told to systemd, and what is watched with or without it.
+//!
+//! - [`notify`]: the messages to systemd (`sd_notify`).
+//! - [`watch`]: which task makes no turns; pure.
+//! - [`Service`]: the task, on the main thread, a few times a second.
+
+pub mod notify;
+pub mod watch;
+
+use std::cell::Cell;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::time::{MissedTickBehavior, interval};
+
+use crate::centering::LockState;
+use crate::config::RealtimeConfig;
+use crate::estimation::Status;
+use crate::exit::{self, Failure};
+use crate::monitor::glance::Glance;
+use crate::monitor::turns::{Task, Turns};
+
+pub use notify::Notify;
+use watch::Watch;
+
+/// How often it looks, at least.
+const TICK: Duration = Duration::from_millis(250);
+/// A task without a turn for so long is told of where nothing else asks for it sooner.
+const TELL: Duration = Duration::from_secs(1);
+/// The end in order takes less.
+const END: Duration = Duration::from_secs(8);
+
+/// What the main thread does for whoever supervises the daemon.
+#[derive(Debug)]
+pub struct Service {
+    /// The way to systemd.
+    pub notify: Notify,
+    turns: Arc<Turns>,
+    glance: Arc<Glance>,
+    /// `realtime.stall_ms`, unless that is never.
+    patience: Option<Duration>,
+    ending: Cell<bool>,
+}
+
+impl Service {
+    /// For the daemon with these tasks and frames.
+    pub fn new(config: &RealtimeConfig, turns: Arc<Turns>, glance: Arc<Glance>) -> Self {
+        let patience = (config.stall_ms > 0).then(|| Duration::from_millis(config.stall_ms.into()));
+        let notify = Notify::from_environment();
+        Self { notify, turns, glance, patience, ending: Cell::new(false) }
+    }
+
+    /// The daemon is asked to end. From now on tasks may be without turns, but not for ever.
+    pub fn ending(&self) {
+        self.notify.stopping();
+        self.ending.set(true);
+    }
+
+    /// Tells systemd when there has been a frame, what the newest one says, and that every task has made
+    /// turns. Returns when a task has made none for too long, or when the end takes too long.
+    pub async fn run(&self) -> Failure {
+        let half = || [self.notify.watchdog(), self.patience].into_iter().flatten().map(|limit| limit / 2);
+        let tick = half().fold(TICK, Duration::min);
+        let ticks = |time: Duration| time.as_nanos().div_ceil(tick.as_nanos()) as u32;
+        let (tell, patience, end) =
+            (ticks(half().fold(TELL, Duration::min)), self.patience.map(ticks), ticks(END));
+        let mut watch = Watch::default();
+        let mut ending = 0;
+        let mut looks = interval(tick);
+        // Time in which this thread stood still, too, is not held against the tasks.
+        looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            looks.tick().await;
+            if self.ending.get() {
+                self.notify.alive();
+                ending += 1;
+                if ending > end {
+                    return self.endless();
+                }
+                continue;
+            }
+            watch.look(&self.turns, tell);
+            self.tell(watch.all_turned(&self.turns));
+            let stalled = patience.map_or_else(Vec::new, |ticks| watch.stalled(&self.turns, ticks));
+            if !stalled.is_empty() {
+                let ms = self.patience.unwrap_or_default().as_millis();
+                let why = format!("task {} stalls: no turn for {ms} ms (realtime.stall_ms)", list(&stalled));
+                return Failure::new(exit::SOFTWARE, why);
+            }
+        }
+    }
+
+    fn tell(&self, alive: bool) {
+        if alive {
+            self.notify.alive();
+        }
+        if let Some(newest) = self.glance.newest() {
+            self.notify.ready();
+            self.notify.status(&line(newest, &self.turns.stalled()));
+        }
+    }
+
+    fn endless(&self) -> Failure {
+        let running: Vec<_> = Task::ALL.into_iter().filter(|task| !self.turns.of(*task).ended()).collect();
+        let what =
+            if running.is_empty() { "clients are".into() } else { format!("task {} is", list(&running)) };
+        Failure::new(exit::SOFTWARE, format!("asked to end {} s ago, and {what} still there", END.as_secs()))
+    }
+}
+
+/// What the newest frame says, in a line for `systemctl status`.
+fn line((status, lock): (Status, LockState), stalled: &[Task]) -> String {
+    let reasons = Status(status.0 & Status::FATAL.0).names().collect::<Vec<_>>().join(" ");
+    let poses = match reasons.as_str() {
+        _ if status.has(Status::POSE_VALID) => "poses are valid".into(),
+        "" => "no pose: samples are missing".into(),
+        reasons => format!("no pose: {reasons}"),
+    };
+    let simulated = if status.has(Status::SIMULATED) { " (simulated)" } else { "" };
+    let line = format!("{}, {poses}{simulated}", lock.name());
+    if stalled.is_empty() { line } else { format!("task {} stalls; before that: {line}", list(stalled)) }
+}
+
+/// Tasks in words.
+fn list(tasks: &[Task]) -> String {
+    tasks.iter().map(|task| task.name()).collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_line_says_what_is_and_why() {
+        let fine = (Status::POSE_VALID | Status::UNCALIBRATED, LockState::Locked);
+        assert_eq!(line(fine, &[]), "locked, poses are valid");
+        let dark = (Status::PSD_A_LOW | Status::PSD_C_LOW | Status::SIMULATED, LockState::Lost);
+        assert_eq!(line(dark, &[]), "lost, no pose: PSD_A_LOW PSD_C_LOW (simulated)");
+        let stalled = line(fine, &[Task::Centering]);
+        assert_eq!(stalled, "task centering stalls; before that: locked, poses are valid");
+    }
+}
