@@ -118,22 +118,13 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         config: config.clone(),
     };
     let stop = parts.stop.clone();
-    let fast = match config.acquisition.source {
-        SourceKind::Twin => {
-            let twin = Twin::new(config)?;
-            let counters = Arc::clone(&counters);
-            start_fast(parts, || TwinSource::new(twin, SystemClock, counters))?
-        }
-        SourceKind::Serial => {
-            let source = SerialSource::open(config, SystemClock, Arc::clone(&counters))?;
-            start_fast(parts, || Ok(source))?
-        }
-    };
+    let fast = start(parts)?;
     let view = View::new(view::Sources {
         counters: Arc::clone(&counters),
         descriptor: descriptor_now.clone(),
         config: config_now,
         subscribers: desk.as_ref().map(subscribe::Desk::subscribers),
+        turns: Arc::clone(&turns),
     });
     let slow = Slow {
         service: &service,
@@ -210,6 +201,21 @@ struct Monitor {
 struct Fast {
     thread: JoinHandle<()>,
     ended: oneshot::Receiver<anyhow::Result<()>>,
+}
+
+/// Starts the fast thread with the source of the configuration.
+fn start(parts: Parts) -> anyhow::Result<Fast> {
+    let counters = Arc::clone(&parts.counters);
+    match parts.config.acquisition.source {
+        SourceKind::Twin => {
+            let twin = Twin::new(&parts.config)?;
+            start_fast(parts, || TwinSource::new(twin, SystemClock, counters))
+        }
+        SourceKind::Serial => {
+            let source = SerialSource::open(&parts.config, SystemClock, counters)?;
+            start_fast(parts, || Ok(source))
+        }
+    }
 }
 
 fn start_fast<S: Source + 'static>(

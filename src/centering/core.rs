@@ -4,7 +4,7 @@ use super::guide::Guide;
 use super::lock::{Doing, Lock, LockState, Seen, Transition};
 use super::lookout::Lookout;
 use super::sight::Sight;
-use super::stage::Stage;
+use super::stage::{Obedience, Stage};
 use super::told::{LoopState, LoopView, Outcome, TimedPose};
 use super::tuning::Tuning;
 use crate::acquisition::Sample;
@@ -152,13 +152,13 @@ impl Centering {
     /// The stage is another one, or came back: it may stand elsewhere. So may the counter of the samples.
     pub fn stage_up(&mut self) {
         self.last = None;
-        self.stage.set_gone(false);
+        self.stage.back();
         self.released();
     }
 
     /// The stage takes no commands until it comes back.
     pub fn stage_down(&mut self) {
-        self.stage.set_gone(true);
+        self.stage.gone();
     }
 
     /// The stage has taken or refused a command.
@@ -241,11 +241,11 @@ impl Centering {
 
     /// Why nothing can be done with what is seen.
     fn trouble(&self) -> Option<&'static str> {
-        match () {
-            () if self.stage.is_gone() => Some(NO_STAGE),
-            () if self.stage.refuses() => Some(REFUSED),
-            () if self.late_s > self.tuning.patience_s => Some(TOO_LATE),
-            () => None,
+        match self.stage.obedience() {
+            Obedience::Gone => Some(NO_STAGE),
+            Obedience::Refuses => Some(REFUSED),
+            Obedience::Obeys if self.late_s > self.tuning.patience_s => Some(TOO_LATE),
+            Obedience::Obeys => None,
         }
     }
 

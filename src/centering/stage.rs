@@ -11,6 +11,18 @@ use crate::steering::Xy;
 /// Commands whose answers are waited for.
 const MOST_UNANSWERED: usize = 1024;
 
+/// What becomes of commands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Obedience {
+    /// They are taken, as far as is known.
+    #[default]
+    Obeys,
+    /// The last one was refused.
+    Refuses,
+    /// There is nothing to take them.
+    Gone,
+}
+
 /// The stage.
 #[derive(Clone, Debug)]
 pub struct Stage {
@@ -20,9 +32,7 @@ pub struct Stage {
     apart: bool,
     /// Nothing but the loop has moved it since it was taken over.
     ours: bool,
-    /// It takes no commands, or refuses them.
-    gone: bool,
-    refuses: bool,
+    obedience: Obedience,
     /// Ids and positions of the commands that it has not answered, and the last position that it has taken.
     unanswered: VecDeque<(u32, Xy)>,
     accepted: Option<Xy>,
@@ -39,8 +49,7 @@ impl Default for Stage {
             memory: None,
             apart: true,
             ours: false,
-            gone: false,
-            refuses: false,
+            obedience: Obedience::default(),
             unanswered: VecDeque::new(),
             accepted: None,
             reported: None,
@@ -53,7 +62,7 @@ impl Default for Stage {
 impl Stage {
     /// What the controller goes on from; none unless the stage is the loop's, and takes commands.
     pub fn memory(&self) -> Option<Memory> {
-        self.memory.filter(|_| !self.apart && !self.gone)
+        self.memory.filter(|_| !self.apart && self.obedience != Obedience::Gone)
     }
 
     /// Where it was last commanded to, metres; none unless it is the loop's.
@@ -62,8 +71,18 @@ impl Stage {
     }
 
     /// It takes no commands until it comes back.
-    pub fn set_gone(&mut self, gone: bool) {
-        self.gone = gone;
+    pub fn gone(&mut self) {
+        self.obedience = Obedience::Gone;
+    }
+
+    /// It is there again, or another one is.
+    pub fn back(&mut self) {
+        self.obedience = Obedience::Obeys;
+    }
+
+    /// What becomes of its commands.
+    pub fn obedience(&self) -> Obedience {
+        self.obedience
     }
 
     /// A command with this id goes out.
@@ -79,22 +98,14 @@ impl Stage {
         let Some(place) = self.unanswered.iter().position(|(sent, _)| *sent == id) else { return };
         let position = self.unanswered[place].1;
         self.unanswered.drain(..=place);
-        self.refuses = !accepted;
+        if self.obedience != Obedience::Gone {
+            self.obedience = if accepted { Obedience::Obeys } else { Obedience::Refuses };
+        }
         if accepted {
             self.accepted = Some(position);
         } else if let (Some(accepted), false) = (self.accepted, self.apart) {
             self.memory = Some(Memory::at(accepted));
         }
-    }
-
-    /// Whether it has refused the last command.
-    pub fn refuses(&self) -> bool {
-        self.refuses
-    }
-
-    /// Whether it takes no commands.
-    pub fn is_gone(&self) -> bool {
-        self.gone
     }
 
     /// Where it says itself that it stands, metres.
@@ -122,13 +133,16 @@ impl Stage {
     pub fn released(&mut self, park: Option<Xy>) {
         let park = park.filter(|_| !self.apart);
         self.memory = self.memory.map(|m| Memory::at(park.unwrap_or(m.position)));
-        (self.apart, self.ours, self.refuses, self.accepted) = (true, false, false, None);
+        (self.apart, self.ours, self.accepted) = (true, false, None);
+        if self.obedience == Obedience::Refuses {
+            self.obedience = Obedience::Obeys;
+        }
         self.unanswered.clear();
     }
 
     /// Takes it over where it stands, if it is not the loop's yet; says whether it was not.
     pub fn take_over(&mut self, sample: &Sample, tuning: &Tuning, dt: f64) -> bool {
-        if !self.apart || self.gone {
+        if !self.apart || self.obedience == Obedience::Gone {
             return false;
         }
         let memory = self.found(sample, tuning, dt);

@@ -10,6 +10,7 @@ use tokio_util::sync::CancellationToken;
 use super::Counters;
 use super::health::{Checks, Readiness};
 use super::tally::Tally;
+use super::turns::{Task, Turns};
 use crate::clock::{Clock, Mono, SystemClock};
 use crate::config::Config;
 use crate::publishing::target::Subscriber;
@@ -35,6 +36,8 @@ pub struct Sources {
     pub config: watch::Receiver<Config>,
     /// Who subscribes to datagrams at present, if anyone may.
     pub subscribers: Option<watch::Receiver<Arc<[Subscriber]>>>,
+    /// Signs of life of the fast side's tasks.
+    pub turns: Arc<Turns>,
 }
 
 /// What is known of the daemon, for whoever looks.
@@ -110,7 +113,9 @@ impl View {
         } else if silent_s > STANDSTILL_S.max(3.0 * period_s) {
             Some(format!("the fast side has made no frame for {silent_s:.1} s"))
         } else {
-            None
+            let stalled = self.sources.turns.stalled();
+            let names: Vec<_> = stalled.into_iter().map(Task::name).collect();
+            (!names.is_empty()).then(|| format!("task {} stands still", names.join(", ")))
         }
     }
 
