@@ -168,10 +168,10 @@ type Refusal = (&'static str, &'static [&'static str], i32, &'static [&'static s
 /// Nothing has been moved when these are refused.
 #[rustfmt::skip]
 const REFUSED: &[Refusal] = &[
-    ("twin.fault = [{ at_s = 0.0, kind = 'beam-blocked' }]", &[], 65, &["PSD A sees too little light"]),
+    ("twin.fault = [{ at_s = 0.0, kind = 'beam-blocked' }]", &[], 65, &["no PSD sees light"]),
     ("twin.fault = [{ at_s = 0.5, kind = 'psd-dark', psd = 1 }]", &[], 65, &["PSD B sees too little light"]),
     ("twin.fault = [{ at_s = 0.0, kind = 'clipped', channel = 8 }]", &[], 65, &["a channel of PSD C is clipped"]),
-    ("twin.fault = [{ at_s = 0.0, kind = 'dropped', fraction = 0.3 }]", &[], 65, &["samples were lost", "5 of 100"]),
+    ("twin.fault = [{ at_s = 0.0, kind = 'dropped', fraction = 0.3 }]", &[], 65, &["samples were lost", "stretches of 75 ms", "needed are 80"]),
     ("twin.fault = [{ at_s = 0.2, kind = 'stalled' }]", &[], 69, &["the source is down: no scan for"]),
     ("steering.limit_um = 8", &[], 65, &["would leave the limits", "from -10 to 10 um", "allows -8 to 8 um"]),
     ("twin.laser_offset_um = [120.0, 0.0]\ntwin.motion = []", &[], 65, &["um off the apex", "at most 95 um can be measured"]),
@@ -220,11 +220,52 @@ fn a_stuck_stage_is_not_tuned() {
 }
 
 #[test]
+fn a_stage_that_answers_later_than_a_dwell_is_refused_and_measured_with_the_advised_one() {
+    let lab = Lab::new("twin.steering.delay_ms = 60\n");
+    let output = lab.tune(&["--steps", "10"]);
+    let refusal = said(&output);
+    assert_eq!(output.status.code(), Some(65), "{refusal}");
+    assert!(refusal.contains("the movement of the x axis begins 6"), "{refusal}");
+    assert!(
+        refusal.contains("too late for a dwell of 50 ms") && refusal.contains("acknowledged"),
+        "{refusal}"
+    );
+    assert!(output.stdout.is_empty() && lab.untouched());
+    let (_, dwell) = refusal.trim_end().rsplit_once("--dwell ").unwrap();
+    let output = lab.tune(&["--steps", "10", "--dwell", dwell]);
+    let said = said(&output);
+    assert!(output.status.success(), "{said}");
+    let config = lab.after();
+    assert!((config.steering.matrix[0][0] - 1.0).abs() < 0.02, "{said}");
+    assert!((59.5..62.0).contains(&config.centering.loop_delay_ms), "{said}");
+}
+
+#[test]
+fn what_cannot_be_written_is_refused_before_anything_moves() {
+    let lab = Lab::new("");
+    let nowhere = lab.path("no-such-folder/steps.svg");
+    let refused = |options: &[&str], word: &str| {
+        let output = lab.tune(options);
+        let said = said(&output);
+        assert_eq!(output.status.code(), Some(74), "{said}");
+        assert!(said.contains(word) && !said.contains("the stage"), "{said}");
+        assert!(output.stdout.is_empty() && lab.untouched());
+    };
+    refused(&["--plot", nowhere.to_str().unwrap()], "cannot write the plot to");
+    // In the way of the new file that would take the place of the old one.
+    std::fs::create_dir(lab.path("lab.toml.new")).unwrap();
+    refused(&[], "cannot write into");
+    let plot = lab.path("steps.svg");
+    let output = lab.tune(&["--print", "--dry-run", "--plot", plot.to_str().unwrap()]);
+    assert!(output.status.success() && !plot.exists(), "{}", said(&output));
+}
+
+#[test]
 fn light_that_goes_meanwhile_ends_it_and_the_stage_is_brought_back() {
     let lab = Lab::new("twin.fault = [{ at_s = 2.0, kind = 'beam-blocked' }]\n");
     let output = lab.tune(&["--steps", "100"]);
     assert_eq!(output.status.code(), Some(65));
-    assert!(said(&output).contains("PSD A sees too little light"), "{}", said(&output));
+    assert!(said(&output).contains("no PSD sees light"), "{}", said(&output));
     assert!(said(&output).contains("the stage is left at 0 0 um, acknowledged"), "{}", said(&output));
     assert!(lab.untouched());
 }

@@ -4,6 +4,7 @@ mod plot;
 mod report;
 mod show;
 
+use std::fs::OpenOptions;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -67,15 +68,44 @@ pub(crate) struct TuneArgs {
 /// Measures, says what follows, and writes it into the file of `--config` if it can be trusted.
 pub(crate) fn tune(args: &TuneArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
+    let file = args.config.path().filter(|_| !args.print);
+    can_be_written(file, args.plot.as_deref())?;
     let Some(recording) = measure(&config, args)? else { return Ok(()) };
     let findings = Findings::new(&recording, 1.0 / config.acquisition.rate_hz)?;
     let report = Report { config: &config, plan: &recording.plan, findings: &findings };
     eprint!("{report}");
-    if let Some(file) = &args.plot {
-        std::fs::write(file, plot::svg(&findings, &recording.plan))
-            .with_context(|| format!("cannot write the plot to {}", file.display()))?;
-        eprintln!("plot: {}", file.display());
+    // What was found is not lost with the plot.
+    let drawn = args.plot.as_deref().map_or(Ok(()), |file| draw(file, &findings, &recording));
+    let kept = keep(file, &findings, &report);
+    if let (Err(error), Err(_)) = (&drawn, &kept) {
+        eprintln!("{error:#}");
     }
+    kept.and(drawn)
+}
+
+/// Before anything moves: there is room for what will be written.
+fn can_be_written(file: Option<&Path>, plot: Option<&Path>) -> anyhow::Result<()> {
+    if let Some(file) = file {
+        edit::check(file).with_context(|| format!("cannot write into {}", file.display()))?;
+    }
+    if let Some(plot) = plot {
+        let new = !plot.exists();
+        let opened = OpenOptions::new().append(true).create(true).open(plot).map(drop);
+        let left = opened.and_then(|()| if new { std::fs::remove_file(plot) } else { Ok(()) });
+        left.with_context(|| format!("cannot write the plot to {}", plot.display()))?;
+    }
+    Ok(())
+}
+
+fn draw(file: &Path, findings: &Findings, recording: &Recording) -> anyhow::Result<()> {
+    std::fs::write(file, plot::svg(findings, &recording.plan))
+        .with_context(|| format!("cannot write the plot to {}", file.display()))?;
+    eprintln!("plot: {}", file.display());
+    Ok(())
+}
+
+/// Prints the keys and writes them, if they can be trusted.
+fn keep(file: Option<&Path>, findings: &Findings, report: &Report) -> anyhow::Result<()> {
     if !findings.doubts.is_empty() {
         let why = findings.doubts.join("\n");
         return Err(Failure::new(
@@ -86,10 +116,7 @@ pub(crate) fn tune(args: &TuneArgs) -> anyhow::Result<()> {
     }
     let edits = report.edits();
     written(write!(io::stdout(), "{}", edit::edited("", &edits)?))?;
-    match args.config.path() {
-        Some(file) if !args.print => write(file, &edits),
-        _ => Ok(()),
-    }
+    file.map_or(Ok(()), |file| write(file, &edits))
 }
 
 fn write(file: &Path, edits: &[edit::Edit]) -> anyhow::Result<()> {

@@ -1,8 +1,8 @@
 //! Writes a few keys into a configuration file and leaves the rest as it is, comments included.
 
 use std::fs;
-use std::io::Write as _;
-use std::path::Path;
+use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 pub use toml_edit::Value;
@@ -61,13 +61,29 @@ fn implicit_table() -> Item {
 pub fn write(file: &Path, edits: &[Edit]) -> anyhow::Result<()> {
     let text = edited(&fs::read_to_string(file)?, edits)?;
     super::parse(&text, Some(file))?;
-    let target = fs::canonicalize(file)?; // a link stays a link
-    let new = target.with_added_extension("new");
+    let (target, new) = places(file)?;
     let mut out = fs::File::create(&new)?;
     out.write_all(text.as_bytes())?;
     out.set_permissions(fs::metadata(&target)?.permissions())?;
     out.sync_all()?;
     Ok(fs::rename(&new, &target)?)
+}
+
+/// Whether [`write`] could put a new file in the place of this one. Leaves everything as it is.
+///
+/// # Errors
+/// The file is not there, or there can be no new one beside it.
+pub fn check(file: &Path) -> io::Result<()> {
+    let (_, new) = places(file)?;
+    fs::File::create(&new)?;
+    fs::remove_file(new)
+}
+
+/// The file itself, for a link stays a link, and the new one beside it.
+fn places(file: &Path) -> io::Result<(PathBuf, PathBuf)> {
+    let target = fs::canonicalize(file)?;
+    let new = target.with_added_extension("new");
+    Ok((target, new))
 }
 
 #[cfg(test)]

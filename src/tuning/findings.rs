@@ -1,14 +1,12 @@
 //! From a recording to what the configuration should say, with deviations and doubts.
 
 use super::look::{self, Look};
-use super::plan::{Plan, refused, um};
+use super::plan::{Plan, USED, refused, um};
 use super::response::{self, Response, Windows};
 use super::task::{Recording, Step};
 use crate::exit::Failure;
 use crate::steering::Xy;
 
-/// Steps that must be left of all.
-const USED: f64 = 0.8;
 /// A gain below this, or below so many of its deviations, is no movement.
 const MOVES: f64 = 0.01;
 const MOVES_SIGMAS: f64 = 5.0;
@@ -20,6 +18,8 @@ const MISFIT: f64 = 0.1;
 const SETTLED: f64 = 4.0;
 /// Columns with a smaller sine between them count as parallel; the configuration refuses them.
 const PARALLEL: f64 = 0.1;
+/// Of a movement that was commanded, a stage that follows reads back this part at least.
+const FOLLOWED: f64 = 0.5;
 /// A readback whose scale is off by more is worth a remark; and one that is off by this much, metres.
 const SCALE: f64 = 0.03;
 const OFFSET: f64 = 1e-6;
@@ -78,8 +78,16 @@ impl Findings {
     /// From a recording with so much time between its samples, seconds.
     pub fn new(recording: &Recording, period: f64) -> Result<Self, Failure> {
         let fit = |axis: usize| {
-            response::fit(&windows(recording, axis, period)).ok_or_else(|| {
-                refused(format!("too few steps of the {} axis came without a lost sample", AXES[axis]))
+            let windows = windows(recording, axis, period);
+            response::fit(&windows).ok_or_else(|| {
+                refused(format!(
+                    "only {} of {} steps of the {} axis came in time and without a lost sample, or nothing moved: \
+                     needed are {:.0}",
+                    windows.offsets.len(),
+                    recording.plan.steps,
+                    AXES[axis],
+                    USED * f64::from(recording.plan.steps)
+                ))
             })
         };
         let responses = [fit(0)?, fit(1)?];
@@ -160,7 +168,8 @@ impl Findings {
         }
         for (axis, readback) in self.readback.iter().flatten().enumerate() {
             let Readback { scale, offset, .. } = *readback;
-            if (scale.value - 1.0).abs() > SCALE + 3.0 * scale.sigma {
+            // A stage that does not follow says nothing of the scale.
+            if scale.value >= FOLLOWED && (scale.value - 1.0).abs() > SCALE + 3.0 * scale.sigma {
                 self.remarks.push(format!(
                     "the readback of the {} axis moves by {:.3} of what is commanded: channels.readback_um_per_v should be \
                      {:.4} of what it is, or steering.full_scale_um is wrong",
@@ -191,7 +200,7 @@ fn doubts_of(name: &str, response: &Response, read: Option<f64>, plan: &Plan, pe
             um(plan.step)
         );
         return vec![match read {
-            Some(read) if read.abs() < 0.5 => {
+            Some(read) if read.abs() < FOLLOWED => {
                 format!(
                     "the stage does not follow on the {name} axis: its readback moves by {} um and {moved}",
                     um(read * plan.step)
@@ -204,6 +213,14 @@ fn doubts_of(name: &str, response: &Response, read: Option<f64>, plan: &Plan, pe
         }];
     }
     let mut doubts = Vec::new();
+    if let Some(read) = read.filter(|read| *read < 0.0) {
+        doubts.push(format!(
+            "the readback of the {name} axis moves against the commands, by {} um for a step of {} um: \
+             the beam answers later than a dwell, or the readback is wired the other way",
+            um(read * plan.step),
+            um(plan.step)
+        ));
+    }
     if response.unfollowed > 0 {
         doubts.push(format!(
             "the stage did not follow {} of {} steps of the {name} axis",
@@ -240,10 +257,12 @@ fn doubts_of(name: &str, response: &Response, read: Option<f64>, plan: &Plan, pe
         ));
     }
     if response.delay_sigma > (0.2 * delay).max(period / 2.0) {
-        doubts.push(format!(
-            "the delay of the {name} axis, {:.3} ms, is only known to {:.3} ms: take more --steps, or a larger --step",
-            delay * 1e3, response.delay_sigma * 1e3
-        ));
+        let known = if response.delay_sigma < dwell {
+            format!(", {:.3} ms, is only known to {:.3} ms", delay * 1e3, response.delay_sigma * 1e3)
+        } else {
+            " cannot be told from the noise".into()
+        };
+        doubts.push(format!("the delay of the {name} axis{known}: take more --steps, or a larger --step"));
     }
     doubts
 }
@@ -257,8 +276,7 @@ fn windows(recording: &Recording, axis: usize, period: f64) -> Windows {
     for step in recording.steps.iter().filter(|step| step.axis == axis && step.computed <= usual) {
         let range = (step.on + 1).saturating_sub(dwell / 2)..=step.on + dwell;
         let Some(looks) = recording.looks.get(range) else { continue };
-        let whole = looks[looks.len() - 1].index - looks[0].index + 1 == looks.len() as u64;
-        if !whole {
+        if !look::whole(looks) {
             continue;
         }
         let sign = if step.forth { 1.0 } else { -1.0 };
@@ -302,8 +320,8 @@ fn origin(recording: &Recording, matrix: &[[Measured; 2]; 2]) -> [Measured; 2] {
 
 /// The readback against the commands.
 fn readback(recording: &Recording) -> Option<[Readback; 2]> {
-    let before = recording.steps.first()?.on.saturating_sub(recording.plan.dwell);
-    let rest: Vec<Xy> = recording.looks.get(..before)?.iter().filter_map(|look| look.readback).collect();
+    let rest: Vec<Xy> =
+        recording.looks.get(..recording.rest)?.iter().filter_map(|look| look.readback).collect();
     let noise = look::noise(&rest)?;
     let of = |axis: usize| {
         let (mut forth, mut back, mut off) = (Vec::new(), Vec::new(), Vec::new());

@@ -42,6 +42,9 @@ impl Looker {
 
     /// Looks at a sample; the error says what is wrong with its light, or that the stage is at a limit.
     pub fn look(&mut self, sample: &Sample) -> Result<Look, String> {
+        if sample.psds.iter().all(|state| *state == PsdState::Low) {
+            return Err("no PSD sees light".into());
+        }
         for (state, psd) in sample.psds.iter().zip(FACETS) {
             match state {
                 PsdState::Good => {}
@@ -78,6 +81,11 @@ pub fn mean(points: impl IntoIterator<Item = Xy>) -> Option<Xy> {
         count += 1.0;
     }
     (count > 0.0).then(|| sum.map(|s| s / count))
+}
+
+/// No sample is lost between these.
+pub fn whole(looks: &[Look]) -> bool {
+    looks.first().zip(looks.last()).is_some_and(|(a, b)| b.index - a.index + 1 == looks.len() as u64)
 }
 
 /// White noise of a course of points, one standard deviation per axis, by its second differences: slow

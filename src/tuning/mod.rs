@@ -3,6 +3,7 @@
 //! - [`response`]: from recorded steps to gain, delay and lag.
 //! - [`look`]: what a sample says of beam and stage.
 //! - [`plan`]: which steps are safe, and which are refused.
+//! - `probe`: whether the beam answers within a dwell.
 //! - [`task`]: takes samples, makes the steps, and brings the stage back. Stands where centering does.
 //! - [`findings`]: what follows for the configuration, and whether it can be trusted.
 //!
@@ -11,5 +12,6 @@
 pub mod findings;
 pub mod look;
 pub mod plan;
+mod probe;
 pub mod response;
 pub mod task;

@@ -15,8 +15,11 @@ const NEAR: f64 = 1.0;
 const FAR: f64 = 1.5;
 /// A step must be so many times what the offset does by itself.
 const ABOVE_UNREST: f64 = 4.0;
-/// Scans that may be lost at rest.
-const LOSSES: f64 = 0.05;
+/// Windows without a lost sample that must be left of all.
+pub(super) const USED: f64 = 0.8;
+/// A single step is watched for so many dwells, and so many seconds at least.
+const WATCHED: usize = 10;
+const WATCHED_S: f64 = 1.0;
 
 /// What a person may choose.
 #[derive(Clone, Copy, Debug)]
@@ -64,6 +67,8 @@ pub struct Plan {
     pub steps: u32,
     /// Samples after each step.
     pub dwell: usize,
+    /// Samples for which the first step of each axis is watched.
+    pub watch: usize,
     /// How long all of it takes, seconds.
     pub duration: f64,
     /// Plus and minus, metres.
@@ -102,16 +107,13 @@ impl Settings {
     }
 
     /// The steps that are safe after this rest, in which the stage said last that it stands `at`; or why
-    /// there are none. `losses` is how many samples were lost meanwhile.
-    pub fn plan(&self, rest: &[Look], at: Option<Xy>, losses: u64) -> Result<Plan, Failure> {
+    /// there are none.
+    pub fn plan(&self, rest: &[Look], at: Option<Xy>) -> Result<Plan, Failure> {
         let offsets: Vec<Xy> = rest.iter().map(|look| look.offset).collect();
         let (Some(offset), Some(noise)) = (look::mean(offsets.iter().copied()), look::noise(&offsets)) else {
             return Err(refused("there are too few samples"));
         };
-        if losses as f64 > LOSSES * rest.len() as f64 {
-            let why = format!("{losses} samples were lost while {} came; allowed are 5 of 100", rest.len());
-            return Err(refused(why));
-        }
+        self.losses(rest)?;
         let found = self.found(rest, at)?;
         let step = self.step()?;
         for (axis, found) in ["x", "y"].into_iter().zip(found) {
@@ -151,14 +153,16 @@ impl Settings {
                 um(step / ABOVE_UNREST)
             )));
         }
-        let moves = 2.0 * (f64::from(self.choices.steps) + 2.0) + 1.0;
+        let watch = (WATCHED * self.dwell).max((WATCHED_S / self.period).ceil() as usize);
+        let moves = 2.0 * (f64::from(self.choices.steps) + 4.0) + 1.0;
         Ok(Plan {
             found,
             end: self.park.unwrap_or(found),
             step,
             steps: self.choices.steps,
             dwell: self.dwell,
-            duration: moves * self.dwell as f64 * self.period,
+            watch,
+            duration: (moves * self.dwell as f64 + 2.0 * watch as f64) * self.period,
             limit: self.limit,
             reach: FAR * self.beam_sigma,
             offset,
@@ -174,6 +178,28 @@ impl Settings {
     /// Samples of a window around a step.
     pub fn window(&self) -> usize {
         self.dwell + self.dwell / 2
+    }
+
+    /// Enough windows must be without a lost sample, or too few steps could be used.
+    fn losses(&self, rest: &[Look]) -> Result<(), Failure> {
+        let came = rest.len() as u64;
+        let lost =
+            rest.first().zip(rest.last()).map_or(0, |(a, b)| (b.index + 1 - a.index).saturating_sub(came));
+        let (mut all, mut whole) = (0_usize, 0_usize);
+        for window in rest.windows(self.window()) {
+            all += 1;
+            whole += usize::from(look::whole(window));
+        }
+        if whole as f64 >= USED * all as f64 {
+            return Ok(());
+        }
+        Err(refused(format!(
+            "{lost} samples were lost while {came} came: of 100 stretches of {:.0} ms, which a step needs, {} are \
+             without a loss, needed are {:.0}",
+            self.window() as f64 * self.period * 1e3,
+            100 * whole / all.max(1),
+            USED * 100.0
+        )))
     }
 
     /// Where the stage stands: by its readback, by what it said, or by what a person says.

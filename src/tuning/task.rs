@@ -9,6 +9,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::look::{self, Look, Looker};
 use super::plan::{Plan, Settings, refused, um};
+use super::probe::Probe;
 use crate::acquisition::Identity;
 use crate::acquisition::task::Acquired;
 use crate::clock::Clock;
@@ -71,6 +72,8 @@ pub struct Recording {
     pub plan: Plan,
     /// Each sample in order.
     pub looks: Vec<Look>,
+    /// So many of them were taken before anything moved.
+    pub rest: usize,
     /// The steps in order.
     pub steps: Vec<Step>,
 }
@@ -99,19 +102,20 @@ pub async fn run<D: Driver, C: Clock>(
         commanded: None,
         commands: 0,
         looks: Vec::new(),
+        rested: 0,
         ages: Vec::new(),
         fresh: f64::INFINITY,
-        lost: 0,
     };
     let plan = tuner.rest().await?;
     let Some(source) = tuner.source.clone() else { return Err(refused("the source is gone")) };
     if !audience.plan(&plan, &source) {
         return Ok(None);
     }
+    tuner.rested = tuner.looks.len();
     let steps = tuner.steps(&plan, audience).await;
     let complaint = tuner.finish(plan.end).await;
     audience.back(plan.end, complaint.as_deref());
-    Ok(Some(Recording { plan, steps: steps?, looks: tuner.looks }))
+    Ok(Some(Recording { plan, rest: tuner.rested, steps: steps?, looks: tuner.looks }))
 }
 
 /// The stage, and what is seen of it.
@@ -132,11 +136,12 @@ struct Tuner<D, C> {
     commanded: Option<Xy>,
     commands: u32,
     looks: Vec<Look>,
+    /// So many of them were taken before anything moved.
+    rested: usize,
     /// How old the samples were when they were looked at, while nothing moved; seconds.
     ages: Vec<f64>,
     /// A step is made on a sample that is no older.
     fresh: f64,
-    lost: u64,
 }
 
 impl<D: Driver, C: Clock> Tuner<D, C> {
@@ -152,12 +157,15 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         self.ages.sort_by(f64::total_cmp);
         self.fresh = self.ages[self.ages.len() / 2] + FRESH * self.settings.period;
         let rest = &self.looks[self.looks.len() - self.settings.rest..];
-        self.settings.plan(rest, self.said, self.lost)
+        self.settings.plan(rest, self.said)
     }
 
     /// All steps of both axes. Whatever goes wrong ends it at once.
     async fn steps(&mut self, plan: &Plan, audience: &mut dyn Audience) -> Result<Vec<Step>, Failure> {
         self.take_over(plan).await?;
+        for axis in 0..2 {
+            self.probe(axis, plan).await?;
+        }
         let (mut steps, all) = (Vec::new(), 2 * plan.steps);
         for axis in 0..2 {
             let place = |forth: bool| {
@@ -199,6 +207,27 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
             )));
         }
         Ok(())
+    }
+
+    /// One step of an axis, seen for long: it must be over within a dwell.
+    async fn probe(&mut self, axis: usize, plan: &Plan) -> Result<(), Failure> {
+        let before = self.looks.len() - plan.dwell;
+        let mut to = plan.found;
+        to[axis] -= plan.step / 2.0;
+        self.go(to, plan).await?;
+        let on = self.looks.len() - 1;
+        self.dwell(plan.watch, plan).await?;
+        let seen = Probe {
+            axis,
+            sent: plan.step / 2.0,
+            zero: self.looks[on].time,
+            rest: &self.looks[..self.rested],
+            before: &self.looks[before..=on],
+            after: &self.looks[on + 1..],
+        };
+        seen.judge(plan, self.settings.period)?;
+        self.go(plan.found, plan).await?;
+        self.dwell(2 * plan.dwell, plan).await
     }
 
     /// Sends the stage somewhere on the next sample that comes as fresh as most do; gives the time from the
@@ -266,7 +295,6 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
                 acquired = self.samples.recv() => match acquired {
                     Some(Acquired::Sample(sample)) => {
                         let look = self.looker.look(&sample).map_err(refused)?;
-                        self.lost += if first { 0 } else { u64::from(sample.lost) };
                         self.looks.push(look);
                         return Ok(look);
                     }
