@@ -136,7 +136,7 @@ fn number(x: f64) -> String {
 fn deviated(x: f64, deviation: f32) -> String {
     let deviation = f64::from(deviation) * 1e6;
     let deviation = if deviation.is_finite() { format!("{deviation:.3}") } else { "-".into() };
-    format!("{} +- {deviation:<7}", number(x * 1e6))
+    format!("{} +- {deviation:<8}", number(x * 1e6))
 }
 
 /// The header of [`line`].
@@ -214,7 +214,7 @@ mod tests {
         let lengths: Vec<_> = page[2..5].iter().map(|line| line.find(" um   ").unwrap()).collect();
         assert_eq!(lengths, [lengths[0]; 3], "{page:#?}");
         assert!(
-            page[4].contains("12345678.900 +- - ") && page[4].ends_with("- +- 1.000   urad"),
+            page[4].contains("12345678.900 +- - ") && page[4].ends_with("- +- 1.000    urad"),
             "{page:#?}"
         );
         let widest = page.iter().map(|line| line.chars().count()).max().unwrap();
