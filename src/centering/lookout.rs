@@ -71,7 +71,7 @@ impl Lookout {
             (Target::Apex, None) | (Target::Balance, _) => Pose::default(),
         };
         let beam = tuning.map.beam(stage);
-        let apex = self.apex.unwrap_or(self.optics.seen(self.pose.t));
+        let apex = self.apex.unwrap_or(self.optics.across(self.pose.t).into());
         let sight = Sight::of(sample, beam, &mirror, apex, &self.optics);
         match sight {
             Sight::Offset(offset) => {
@@ -91,7 +91,7 @@ impl Lookout {
     fn track(&mut self, sample: &Sample, apex: Xy, pose: Option<&TimedPose>, bandwidth_hz: f64) {
         let (position, time) = match (read_back(sample), pose) {
             (Some(_), _) => (apex, sample.time),
-            (None, Some(told)) => (self.optics.seen(told.pose.t), told.time),
+            (None, Some(told)) => (self.optics.across(told.pose.t).into(), told.time),
             (None, None) => return,
         };
         if position.iter().all(|p| p.is_finite()) {

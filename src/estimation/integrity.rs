@@ -1,9 +1,8 @@
 //! Whether the steering position that is read back fits the pose.
 
-use nalgebra::Matrix2;
-
 use crate::config::SteeringConfig;
 use crate::optics::{Innovation, Sighting, Vec2};
+use crate::steering::BeamMap;
 
 /// A residual of more of its deviations than this does not fit: chance makes one in 270 000.
 const LIMIT: f64 = 5.0;
@@ -18,26 +17,20 @@ const MEAN_LIMIT: f64 = 3.0;
 /// From the stage's readback to where the beam stands.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Readback {
-    matrix: Matrix2<f64>,
-    origin: Vec2,
+    map: BeamMap,
     deviation: f64,
 }
 
 impl Readback {
     /// From a checked configuration.
     pub fn new(config: &SteeringConfig) -> Self {
-        let [[a, b], [c, d]] = config.matrix;
-        Self {
-            matrix: Matrix2::new(a, b, c, d),
-            origin: Vec2::from(config.origin_um) * 1e-6,
-            deviation: config.deviation_um * 1e-6,
-        }
+        Self { map: BeamMap::new(config), deviation: config.deviation_um * 1e-6 }
     }
 
     /// Where the beam stands by a position of the stage, metres. Its deviation is the same in a mean of
     /// many: what drifts (the direction of the laser) does not average.
     pub fn sighting(&self, stage: [f64; 2]) -> Sighting {
-        Sighting { at: self.origin + self.matrix * Vec2::from(stage), deviation: self.deviation }
+        Sighting { at: self.map.beam(stage).into(), deviation: self.deviation }
     }
 }
 

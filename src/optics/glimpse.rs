@@ -7,7 +7,7 @@
 use nalgebra::Matrix2;
 
 use super::ray::Ray;
-use super::{Optics, Pose, Vec2, Vec3, model};
+use super::{Optics, Pose, Vec2, model};
 
 /// What one spot says of the beam.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,11 +49,6 @@ impl Optics {
         let downhill = normal.xy().try_normalize(0.0)?;
         let reached = ray(offset).reaches() && offset.iter().all(|x| x.is_finite());
         reached.then_some(Glimpse { downhill, offset })
-    }
-
-    /// A point of the world, such as the apex, seen across the beam, metres.
-    pub fn seen(&self, point: Vec3) -> [f64; 2] {
-        self.across(point).into()
     }
 }
 
