@@ -1,7 +1,7 @@
 //! What the page costs over time. Commands rather than tests, for they take long:
 //!
 //! ```text
-//! SOAK_MINUTES=30 cargo test --test page soak -- --ignored --nocapture
+//! SOAK_MINUTES=30 cargo test --test page soak::soak -- --exact --ignored --nocapture
 //! cargo test --test page viewers_cost -- --ignored --nocapture
 //! ```
 
