@@ -37,6 +37,7 @@ use crate::monitor::turns::{Task, Turns, counted};
 use crate::monitor::{
     self, Counters,
     guard::Hosts,
+    page::control::Controls,
     view::{self, View},
 };
 use crate::publishing::descriptor::StreamFacts;
@@ -119,22 +120,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     };
     let stop = parts.stop.clone();
     let fast = start(parts)?;
-    let view = View::new(view::Sources {
-        counters: Arc::clone(&counters),
-        descriptor: descriptor_now.clone(),
-        config: config_now,
-        subscribers: desk.as_ref().map(subscribe::Desk::subscribers),
-        turns: Arc::clone(&turns),
-    });
-    let slow = Slow {
-        service: &service,
-        server: server.map(|listener| Server { listener, frames, descriptor: descriptor_now }),
-        monitor: monitor.map(|listener| Monitor { listener, frames: monitored, view }),
-        desk,
-        stage: gcs_task,
-        session: id.session,
-    };
-    let live = Live {
+    let live = Arc::new(Mutex::new(Live {
         file: file.map(Path::to_owned),
         running: config.clone(),
         taken: config.clone(),
@@ -146,10 +132,26 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         steering,
         log: Arc::clone(log),
         counters: Arc::clone(&counters),
-        turns,
+        turns: Arc::clone(&turns),
         started,
+    }));
+    let view = View::new(view::Sources {
+        counters: Arc::clone(&counters),
+        descriptor: descriptor_now.clone(),
+        config: config_now,
+        subscribers: desk.as_ref().map(subscribe::Desk::subscribers),
+        turns,
+        control: Controls::of(&config.monitor, &live),
+    });
+    let slow = Slow {
+        service: &service,
+        server: server.map(|listener| Server { listener, frames, descriptor: descriptor_now }),
+        monitor: monitor.map(|listener| Monitor { listener, frames: monitored, view }),
+        desk,
+        stage: gcs_task,
+        session: id.session,
     };
-    let control = control(Arc::new(Mutex::new(live)), socket, hangup, &service.notify);
+    let control = control(live, socket, hangup, &service.notify);
     let result = serve(&main, config, slow, control, fast, &counters, &stop);
     let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
     tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");

@@ -8,7 +8,7 @@ use toml::de::{DeTable, DeValue};
 use super::check::{Checker, Finding, Report, without_index};
 use super::error::{ConfigError, Problem};
 use super::locate::{Found, find, path_at, place};
-use super::{Config, Fault, FaultKind};
+use super::{Config, Fault, FaultKind, Token};
 
 /// Reads and checks a configuration file; without one, the defaults.
 pub fn load(file: Option<&Path>) -> Result<Config, ConfigError> {
@@ -114,7 +114,8 @@ fn value_problem(text: &str, file: &DeValue<'_>, finding: &Finding) -> Problem {
     let at = |at: usize| Some(place(text, at));
     match find(file, key) {
         Found::Value(span) => {
-            let written = text.get(span.clone()).and_then(one_line).unwrap_or_else(|| found.clone());
+            let written = text.get(span.clone()).filter(|_| key != Token::KEY).and_then(one_line);
+            let written = written.unwrap_or_else(|| found.clone());
             Problem { place: at(span.start), message: format!("{key} = {written}: allowed is {allowed}") }
         }
         Found::Section { span, whole: true } => Problem {

@@ -48,7 +48,7 @@ pub use head::{FacetConfig, HeadConfig};
 pub use load::{load, parse};
 pub use locate::Place;
 pub use log::{LogConfig, LogFormat};
-pub use monitor::MonitorConfig;
+pub use monitor::{MonitorConfig, Token};
 pub use motion::{Axis, Motion, MotionKind};
 pub use network::Network;
 pub use publishing::{PublishingConfig, UdpTarget};

@@ -1,8 +1,10 @@
 //! `[monitor]`: health, metrics and the live page.
 
+use std::fmt;
 use std::net::SocketAddr;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
+use subtle::ConstantTimeEq;
 
 use super::{check::Checker, publishing::address_or_off};
 
@@ -15,11 +17,48 @@ pub struct MonitorConfig {
     pub listen: Option<SocketAddr>,
     /// Names that a request may be addressed to, besides `localhost` and the address that it came to.
     pub allowed_hosts: Vec<String>,
+    /// Whether the page may steer.
+    pub control: bool,
+    /// What a person must know for that.
+    pub token: Option<Token>,
+}
+
+/// A secret: no log, message or page shows it.
+#[derive(Clone, PartialEq, Eq, Deserialize)]
+#[serde(transparent)]
+pub struct Token(String);
+
+impl Token {
+    /// Where it stands: what is written there is repeated in no message.
+    pub(super) const KEY: &str = "monitor.token";
+    const LENGTH: std::ops::RangeInclusive<usize> = 16..=256;
+
+    /// Whether it is this. Takes as long for any wrong one of the same length.
+    pub fn is(&self, given: &str) -> bool {
+        self.0.as_bytes().ct_eq(given.as_bytes()).into()
+    }
+}
+
+impl fmt::Debug for Token {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("(secret)")
+    }
+}
+
+impl Serialize for Token {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str("(secret)")
+    }
 }
 
 impl Default for MonitorConfig {
     fn default() -> Self {
-        Self { listen: Some(([127, 0, 0, 1], 7360).into()), allowed_hosts: Vec::new() }
+        Self {
+            listen: Some(([127, 0, 0, 1], 7360).into()),
+            allowed_hosts: Vec::new(),
+            control: false,
+            token: None,
+        }
     }
 }
 
@@ -31,6 +70,14 @@ impl MonitorConfig {
             let allowed = "the name of a host without port, such as \"lab-pc\" or \"lab-pc.example.org\"";
             at.demand(is_host_name(name), &format!("allowed_hosts[{i}]"), format!("{name:?}"), allowed);
         }
+        let allowed = "16 to 256 printable ASCII characters without spaces";
+        if let Some(Token(token)) = &self.token {
+            let fine = Token::LENGTH.contains(&token.len()) && token.bytes().all(|b| b.is_ascii_graphic());
+            // Not the token itself: messages end up in logs.
+            at.demand(fine, "token", format!("a token of {} characters", token.chars().count()), allowed);
+        } else {
+            at.demand(!self.control, "token", "none, with control = true", allowed);
+        }
     }
 }
 
@@ -39,4 +86,32 @@ fn is_host_name(name: &str) -> bool {
         (1..=63).contains(&part.len()) && part.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-')
     };
     name.len() <= 253 && name.split('.').all(part)
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::config::{parse, reload::reload};
+
+    const SECRET: &str = "correct-horse-battery";
+
+    #[test]
+    fn who_may_steer_must_know_a_token_and_no_message_shows_it() {
+        let config = |text: &str| parse(text, None).map_err(|e| e.to_string());
+        let good = config(&format!("monitor.control = true\nmonitor.token = '{SECRET}'")).unwrap();
+        let token = good.monitor.token.clone().unwrap();
+        assert!(token.is(SECRET) && !token.is("") && !token.is("correct-horse-batterY"));
+        assert!(!token.is("correct-horse-battery ") && !token.is("correct-horse"));
+        let shown = format!("{good:?} {}", serde_json::to_string(&good).unwrap());
+        assert!(!shown.contains(SECRET) && shown.contains("(secret)"));
+        for bad in ["fifteen-letters", "sixteen letters!", "sixteen-l\u{e9}tters"] {
+            let error = config(&format!("monitor.token = \"{bad}\"")).unwrap_err();
+            assert!(error.contains("monitor.token") && error.contains("16 to 256 printable"), "{error}");
+            assert!(!error.contains(bad), "{error}");
+        }
+        let error = config("monitor.control = true").unwrap_err();
+        assert!(error.contains("control = true"), "{error}");
+        // Another one is seen, though it is not shown.
+        let other = config("monitor.control = true\nmonitor.token = 'another-secret-token'").unwrap();
+        assert_eq!(reload(&good, &good, &other).unwrap().refused, ["monitor.token"]);
+    }
 }

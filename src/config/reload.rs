@@ -91,6 +91,9 @@ fn differences(old: &Config, new: &Config) -> Result<Vec<String>, String> {
     let tree = |config| serde_json::to_value(config).map_err(|e| format!("cannot compare: {e}"));
     let mut keys = Vec::new();
     compare("", &tree(old)?, &tree(new)?, &mut keys);
+    if old.monitor.token != new.monitor.token && !keys.iter().any(|key| key == "monitor.token") {
+        keys.push("monitor.token".into()); // the trees do not show it
+    }
     Ok(keys)
 }
 

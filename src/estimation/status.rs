@@ -7,12 +7,16 @@ use std::ops::{BitOr, BitOrAssign};
 pub struct Status(pub u32);
 
 macro_rules! bits {
-    ($($(#[$doc:meta])* $name:ident = $bit:literal),* $(,)?) => {
+    ($($(#[doc = $doc:literal])* $name:ident = $bit:literal),* $(,)?) => {
         impl Status {
-            $($(#[$doc])* pub const $name: Status = Status(1 << $bit);)*
+            $($(#[doc = $doc])* pub const $name: Status = Status(1 << $bit);)*
 
             /// Every bit with its name, in order.
             pub const NAMES: &'static [(Status, &'static str)] = &[$((Status::$name, stringify!($name))),*];
+
+            /// What each of them means, in the order of [`Status::NAMES`]; those that say so are fatal
+            /// or a warning.
+            pub const MEANINGS: &'static [&'static str] = &[$(concat!($($doc),*).trim_ascii()),*];
         }
     };
 }

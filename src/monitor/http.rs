@@ -23,7 +23,7 @@ use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 
-use super::{guard::Hosts, view::View};
+use super::{guard::Hosts, page, view::View};
 use crate::exit::Failure;
 use crate::publishing::PoseFrame;
 
@@ -70,6 +70,7 @@ fn router(view: &Arc<View>) -> Router {
         .route("/healthz", get(healthz))
         .route("/readyz", get(readyz))
         .route("/metrics", get(metrics))
+        .merge(page::routes())
         .with_state(Arc::clone(view))
 }
 

@@ -5,6 +5,7 @@
 //! - [`view`]: frames, configuration and counters, for whoever looks.
 //! - [`health`], [`tally`], [`trend`]: what becomes of every frame. Pure.
 //! - [`metrics`]: all that as Prometheus reads it.
+//! - [`page`]: the live page.
 //! - [`http`]: the server. [`guard`]: which requests are meant for it.
 
 pub mod glance;
@@ -12,6 +13,7 @@ pub mod guard;
 pub mod health;
 pub mod http;
 pub mod metrics;
+pub mod page;
 pub mod tally;
 pub mod trend;
 pub mod turns;
@@ -101,7 +103,11 @@ counters! {
     tcp_refused,
     /// Frames that never reached the monitor because it was behind.
     monitor_overflows,
-    /// HTTP connections that were cut off: too many.
+    /// Updates of the page that were made, each once for all viewers.
+    page_updates,
+    /// Updates of the page that a viewer did not take in time, summed over viewers.
+    page_skips,
+    /// HTTP connections that were cut off, and viewers that were not let in: too many.
     monitor_refused,
     /// HTTP requests that were refused: not addressed to this host, or from a page of another.
     monitor_forbidden,

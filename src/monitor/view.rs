@@ -3,12 +3,14 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use tokio::sync::{broadcast, mpsc, mpsc::error::TryRecvError, watch};
+use axum::extract::ws::Utf8Bytes;
+use tokio::sync::{Semaphore, broadcast, mpsc, mpsc::error::TryRecvError, watch};
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 
 use super::Counters;
 use super::health::{Checks, Readiness};
+use super::page::{bins::History, control::Controls, gathered::Gathered};
 use super::tally::Tally;
 use super::turns::{Task, Turns};
 use crate::clock::{Clock, Mono, SystemClock};
@@ -22,8 +24,12 @@ const LOOK: Duration = Duration::from_millis(20);
 const STANDSTILL_S: f64 = 1.0;
 /// Most frames that are taken at a time.
 const BATCH: usize = 16 * 1024;
-/// Batches that a viewer may be behind before it loses the oldest: about 1.3 s.
-const BEHIND: usize = 64;
+/// Looks from one update of the page to the next: ten updates a second.
+const UPDATE: u64 = 5;
+/// Updates that a viewer may be behind before it loses the oldest: 1.6 s.
+const BEHIND: usize = 16;
+/// Most viewers at a time.
+const VIEWERS: usize = 64;
 
 /// What the rest of the daemon lets the monitor see.
 #[derive(Debug)]
@@ -38,6 +44,8 @@ pub struct Sources {
     pub subscribers: Option<watch::Receiver<Arc<[Subscriber]>>>,
     /// Signs of life of the fast side's tasks.
     pub turns: Arc<Turns>,
+    /// How the page steers, if it may.
+    pub control: Option<Controls>,
 }
 
 /// What is known of the daemon, for whoever looks.
@@ -49,7 +57,9 @@ pub struct View {
     pub ending: CancellationToken,
     newest: watch::Sender<Option<Newest>>,
     books: Mutex<Books>,
-    batches: broadcast::Sender<Arc<[PoseFrame]>>,
+    /// The page, once for all viewers.
+    updates: broadcast::Sender<Utf8Bytes>,
+    pub(super) seats: Arc<Semaphore>,
 }
 
 /// What is kept of every frame.
@@ -61,6 +71,7 @@ pub(super) struct Books {
     heard: Mono,
     pub(super) checks: Checks,
     pub(super) tally: Tally,
+    page: Gathered,
 }
 
 /// The newest frame.
@@ -76,13 +87,15 @@ impl View {
     /// A view of a daemon that has not made a frame yet.
     pub fn new(sources: Sources) -> Self {
         let now = SystemClock.now();
-        let books = Books { looked: now, heard: now, checks: Checks::default(), tally: Tally::new(now) };
+        let (checks, tally, page) = (Checks::default(), Tally::new(now), Gathered::default());
+        let books = Books { looked: now, heard: now, checks, tally, page };
         Self {
             sources,
             ending: CancellationToken::new(),
             newest: watch::channel(None).0,
             books: books.into(),
-            batches: broadcast::channel(BEHIND).0,
+            updates: broadcast::channel(BEHIND).0,
+            seats: Arc::new(Semaphore::new(VIEWERS)),
         }
     }
 
@@ -91,15 +104,20 @@ impl View {
         self.newest.subscribe()
     }
 
-    /// Every frame from now on, in batches. A viewer that does not keep up loses the oldest
+    /// Every update of the page from now on. A viewer that does not keep up loses the oldest
     /// (`Lagged`), and no other notices.
-    pub fn batches(&self) -> broadcast::Receiver<Arc<[PoseFrame]>> {
-        self.batches.subscribe()
+    pub(super) fn updates(&self) -> broadcast::Receiver<Utf8Bytes> {
+        self.updates.subscribe()
     }
 
-    /// How many take batches.
+    /// The past of the axes, up to the newest update.
+    pub(super) fn history(&self, span_s: u32) -> History {
+        self.books().page.history(span_s)
+    }
+
+    /// How many have the page open.
     pub fn viewers(&self) -> usize {
-        self.batches.receiver_count()
+        VIEWERS - self.seats.available_permits()
     }
 
     /// Which part of the daemon stands still, if one does.
@@ -136,17 +154,16 @@ impl View {
         let mut looks = interval(LOOK);
         looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut batch = Vec::new();
-        loop {
+        for look in 1_u64.. {
             looks.tick().await;
             let gone = drain(frames, &mut batch);
             self.enter(&batch);
             if let Some(frame) = batch.last() {
                 self.newest.send_replace(Some(Newest { frame: *frame, seen: SystemClock.now() }));
-                if self.batches.receiver_count() > 0 {
-                    // Fails if the last viewer has just gone, which is no loss.
-                    let _ = self.batches.send(batch.as_slice().into());
-                }
                 batch.clear();
+            }
+            if look.is_multiple_of(UPDATE) && self.updates.receiver_count() > 0 {
+                self.update();
             }
             if gone {
                 return;
@@ -154,11 +171,23 @@ impl View {
         }
     }
 
+    /// Tells all viewers what is new.
+    fn update(&self) {
+        let (dead, ready) = (self.dead(), self.readiness());
+        let newest = self.newest.borrow().map(|newest| newest.frame);
+        let update = self.books().page.update(newest.as_ref(), dead, ready, &self.sources.counters);
+        self.sources.counters.page_updates.one();
+        // Fails if the last viewer has just gone, which is no loss.
+        let _ = self.updates.send(serde_json::json!({ "update": update }).to_string().into());
+    }
+
     /// Enters frames into the books.
     fn enter(&self, batch: &[PoseFrame]) {
         let half_m = self.sources.config.borrow().head.psd_size_mm * 0.5e-3;
+        let rate_hz = self.sources.descriptor.borrow().rate_hz;
         let mut books = self.books();
         books.looked = SystemClock.now();
+        books.page.frames(batch, rate_hz, self.updates.receiver_count() > 0);
         for frame in batch {
             books.checks.frame(frame);
             books.tally.frame(frame, half_m);

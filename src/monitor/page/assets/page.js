@@ -1,0 +1,266 @@
+// The live page: what comes from the daemon, to its places.
+
+import { Spectra, Strips } from "./charts.js";
+import { Link } from "./link.js";
+import { Balance, Detectors } from "./optics.js";
+import { AXES, LOCK_GRADES, SHAPES, chooseUnits, count, duration, facts, fixed, inUnit, meaning, node, say, time, um, unit } from "./words.js";
+
+const SPANS = [[10, "10 s"], [60, "1 min"], [600, "10 min"], [3600, "1 h"], [21600, "6 h"]];
+const FINE_MS = 20;
+const RECENT_MS = 10 * 60e3;
+/** Bits that say what a frame is, not what is wrong with it. */
+const MARKS = ["POSE_VALID", "STEERING_MEASURED"];
+
+const $ = (id) => document.getElementById(id);
+const stored = (key, value) => {
+  try {
+    if (value !== undefined) localStorage.setItem(key, value);
+    return localStorage.getItem(key);
+  } catch {
+    return null; // private windows
+  }
+};
+
+const rows = AXES.map((axis) => {
+  const cells = ["now", "sd", "mean", "range", "unit"].map((name) => node("td", { class: name }));
+  $("pose").querySelector("tbody").append(node("tr", { "data-axis": axis.name }, node("th", { scope: "row" }, axis.name), ...cells));
+  return cells;
+});
+
+const detectors = new Detectors(document.querySelector(".psds"));
+const balance = new Balance($("balance"));
+const strips = new Strips(document.querySelector(".strips"));
+const spectra = new Spectra(document.querySelector(".spectra"), $("spectrum-facts"));
+let hello = null;
+let newest = null;
+let counters = null;
+
+// What the person chooses.
+
+function theme(name) {
+  if (name === "auto") document.documentElement.removeAttribute("data-theme");
+  else document.documentElement.dataset.theme = name;
+  strips.dirty = spectra.dirty = true;
+}
+function bind(id, key, fallback, act) {
+  const select = $(id);
+  select.value = stored(key) ?? fallback;
+  if (!select.value) select.value = fallback;
+  act(select.value);
+  select.addEventListener("change", () => act(stored(key, select.value) ?? select.value));
+}
+bind("theme", "trifacet.theme", "auto", theme);
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => theme($("theme").value));
+bind("units", "trifacet.units", "um", (name) => {
+  chooseUnits(name);
+  strips.dirty = true;
+  if (newest) pose(newest);
+});
+$("magnify").addEventListener("change", (event) => {
+  detectors.magnified = balance.magnified = event.target.checked;
+});
+let span_s = SPANS.map(([s]) => s).find((s) => s === Number(stored("trifacet.span"))) ?? 60;
+for (const [seconds, name] of SPANS) {
+  const radio = node("input", { type: "radio", name: "span", value: seconds });
+  radio.checked = seconds === span_s;
+  radio.addEventListener("change", () => {
+    span_s = seconds;
+    stored("trifacet.span", seconds);
+    link.look(seconds);
+  });
+  $("span").append(node("label", {}, radio, node("span", {}, name)));
+}
+
+// What the daemon says.
+
+const link = new Link({ message, broken });
+link.look(span_s);
+
+function message({ hello: first, history, span_s: shown, update, missed }) {
+  if (first) begin(first);
+  if (history) strips.past(history, shown);
+  if (missed) console.info(`this page missed ${missed} updates`);
+  if (update && hello) show(update);
+}
+
+function begin(first) {
+  hello = first;
+  const { descriptor, config } = hello;
+  detectors.configure(config);
+  balance.configure(config);
+  strips.period_ms = 1000 / descriptor.rate_hz;
+  const source = config.acquisition.source === "twin" ? "digital twin" : `board at ${config.acquisition.serial.port}`;
+  say($("device"), `${source}, ${descriptor.rate_hz} poses/s`);
+  say($("config"), JSON.stringify(config, null, 2));
+  facts($("facts"), [
+    ["version", descriptor.daemon_version],
+    ["source", source],
+    ["samples", `${config.acquisition.rate_hz} Hz, ${descriptor.average} averaged`],
+    ["model", `${descriptor.model}, ${descriptor.calibrated ? "calibrated" : "without correction tables"}`],
+    ["loop", `${config.centering.mode}, to the ${config.centering.target}`],
+    ["steering", `${config.steering.kind}, ±${config.steering.limit_um} µm`],
+    ["session", hex(descriptor.session)],
+    ["configuration", hex(descriptor.config)],
+    ["TCP", config.publishing.tcp ?? "off"],
+    ["stream", descriptor.stream_version],
+  ]);
+  $("control").hidden = !hello.control;
+}
+const hex = (n) => n.toString(16).padStart(8, "0");
+
+function show(update) {
+  const { frame } = update;
+  const now_ms = frame ? frame.time_ns / 1e6 : Date.now();
+  document.body.classList.toggle("stale", frame === null || update.dead !== null);
+  verdict(update, now_ms);
+  faults(update, now_ms);
+  if (frame === null) return;
+  newest = frame;
+  strips.add_news(update.bins, FINE_MS, now_ms);
+  pose(frame);
+  detectors.update(frame);
+  balance.update(frame);
+  beam(frame, update, now_ms);
+  say($("clock"), `${time(now_ms)}${frame.status.includes("CLOCK_UNSYNCED") ? ", not synchronised" : ""}`);
+  losses(update);
+  if (update.spectrum) spectra.update(update.spectrum, hello.descriptor.rate_hz);
+}
+
+function pose(frame) {
+  AXES.forEach((axis, i) => {
+    const { mean, range } = strips.statistics(i);
+    const { scale, digits, name } = unit(i);
+    const sd = frame[axis.sd] === null ? null : frame[axis.sd] * scale;
+    const texts = [inUnit(frame[axis.value], i), fixed(sd, digits), inUnit(mean, i), inUnit(range, i), name];
+    rows[i].forEach((cell, k) => say(cell, texts[k]));
+  });
+  $("pose").dataset.sample = frame.sample_index;
+  $("pose").dataset.time = frame.time_ns / 1e6;
+}
+
+/** One sentence above all: what a person wants to know first. */
+function verdict({ ready, dead }, now_ms) {
+  const wrong = ready.checks.filter((check) => !check.ok);
+  if (dead) return grade("bad", `No poses: ${dead}`);
+  if (wrong.length === 0) return grade("good", "Pose valid, beam locked");
+  const [{ name, since, reason }] = wrong;
+  const from = since ? ` since ${time(Date.parse(since), now_ms)}` : "";
+  if (name === "lock") return grade("warn", `Pose valid, beam not locked: ${reason}${from}`);
+  grade("bad", `No valid pose: ${reasons(reason)}${from}`);
+}
+
+/** "PSD_A_LOW, PSD_B_LOW" in words; the three detectors together where all are meant. */
+function reasons(names) {
+  const words = names.split(", ").map((name) => {
+    const bit = hello.bits.find((bit) => bit.name === name);
+    return bit ? meaning(bit).text : name;
+  });
+  const parts = words.map((text) => /^(.*) PSD ([ABC])(.*)$/.exec(text));
+  if (words.length > 1 && parts.every((p) => p && p[1] === parts[0][1] && p[3] === parts[0][3])) {
+    return `${parts[0][1]} PSD ${parts.map((p) => p[2]).join(", ")}${parts[0][3]}`;
+  }
+  return words.join("; ");
+}
+
+function grade(name, text) {
+  const place = $("verdict");
+  if (place.dataset.grade !== name) place.dataset.grade = name;
+  say(place.querySelector(".shape"), SHAPES[name]);
+  say(place.querySelector(".text"), text);
+}
+
+function broken(why, since_ms) {
+  document.body.classList.add("stale");
+  grade("none", `${why} since ${time(since_ms)}: what is shown is old`);
+}
+
+function beam(frame, update, now_ms) {
+  const { beam_dx_m: dx, beam_dy_m: dy } = frame;
+  const away = dx === null ? null : Math.hypot(dx, dy);
+  const since = `since ${time(update.lock_since_ms, now_ms)}`;
+  facts($("beam-facts"), [
+    ["lock", `${SHAPES[LOCK_GRADES[frame.lock]]} ${frame.lock}`],
+    ["", since],
+    ["offset x", um(dx, 3)],
+    ["offset y", um(dy, 3)],
+    ["distance", um(away, 3)],
+    ["steering x", um(frame.steering_x_m)],
+    ["steering y", um(frame.steering_y_m)],
+    ["", frame.status.includes("STEERING_MEASURED") ? "read back" : "as commanded"],
+  ]);
+}
+
+/** What is wrong now, then what was lately. */
+function faults({ spells }, now_ms) {
+  const told = spells.map((spell) => ({ ...spell, ...hello.bits[spell.bit], ...meaning(hello.bits[spell.bit]) }));
+  const shown = told.filter((spell) => !MARKS.includes(spell.name) && (spell.until_ms === null || now_ms - spell.until_ms < RECENT_MS));
+  const rank = (spell) => (spell.until_ms === null ? 0 : 4) + ["bad", "warn", "note"].indexOf(spell.grade);
+  shown.sort((a, b) => rank(a) - rank(b) || a.bit - b.bit);
+  const list = $("faults").querySelector("ul");
+  while (list.children.length > shown.length) list.lastChild.remove();
+  shown.forEach((spell, i) => {
+    if (!list.children[i]) list.append(node("li", {}, node("span", { class: "shape", "aria-hidden": "true" }), node("strong"), node("span", { class: "quiet number" })));
+    const [shape, text, when] = list.children[i].children;
+    const over = spell.until_ms !== null;
+    list.children[i].dataset.grade = over ? "none" : spell.grade;
+    say(shape, over ? SHAPES.none : SHAPES[spell.grade]);
+    const kind = { bad: "Fault", warn: "Warning", note: "Note" }[spell.grade];
+    say(text, `${kind}: ${spell.text}`);
+    const times = spell.times > 1 ? `, ${count(spell.times)} times` : "";
+    const span = over
+      ? `over: ${time(spell.since_ms, now_ms)} for ${duration(spell.until_ms - spell.since_ms)}`
+      : `since ${time(spell.since_ms, now_ms)}`;
+    say(when, `${spell.name}, ${span}${times}`);
+  });
+}
+
+/** Rates are of the last second, made of ten updates. */
+const lately = [];
+function losses(update) {
+  lately.push(update);
+  if (update.counters) counters = update.counters;
+  if (!update.counters && lately.length < 10) return;
+  const sum = (name) => lately.reduce((total, u) => total + u[name], 0);
+  const delays = lately.map((u) => u.delay_us).filter(Boolean);
+  const worst = delays.length > 0 ? Math.max(...delays.map((d) => d[2])) : null;
+  const [median, high] = [0, 1].map((i) => (delays.length > 0 ? delays.reduce((s, d) => s + d[i], 0) / delays.length : null));
+  const us = (x) => (x === null ? "–" : `${fixed(x, 0)} µs`);
+  const share = sum("frames") > 0 ? `${fixed((100 * sum("invalid")) / sum("frames"), 1)} %` : "–";
+  const lost = Object.entries(counters ?? {}).filter(([name, n]) => n > 0 && LOSSES.includes(name));
+  facts($("latency"), [
+    ["sample to datagram, median", us(median)],
+    ["99th percentile", us(high)],
+    ["maximum", us(worst)],
+    ["frames without a pose", share],
+    ["samples lost, last second", count(sum("lost"))],
+    ...lost.map(([name, n]) => [name.replaceAll("_", " "), count(n), hello.counters[name]]),
+  ]);
+  facts($("counters"), Object.entries(counters ?? {}).map(([name, n]) => [name.replaceAll("_", " "), count(n), hello.counters[name]]));
+  lately.length = 0;
+}
+const LOSSES = ["scans_lost", "frames_corrupted", "source_downs", "leases_expired", "estimation_overflows", "udp_dropped", "tcp_overflows", "tcp_dropped", "monitor_overflows", "page_skips"];
+
+// What the person orders.
+
+for (const button of document.querySelectorAll("#control button")) {
+  button.addEventListener("click", () => order(button.dataset.command));
+}
+async function order(command) {
+  say($("answer"), `${command} ...`);
+  try {
+    const answer = await fetch("/control", {
+      method: "POST",
+      headers: { "Content-Type": "application/json", Authorization: `Bearer ${$("token").value}` },
+      body: JSON.stringify({ command }),
+    });
+    const { error } = await answer.json();
+    say($("answer"), error ? `■ ${command}: ${error}` : `● ${command}: done`);
+  } catch (e) {
+    say($("answer"), `■ ${command}: no answer (${e.message})`);
+  }
+}
+
+setInterval(() => {
+  strips.tick(span_s <= 60 ? 250 : 1000);
+  spectra.tick(1000);
+}, 50);

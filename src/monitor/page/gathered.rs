@@ -1,0 +1,132 @@
+//! All that the page shows, made of every frame. Pure.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use super::bins::{Bin, History, Past};
+use super::spectrum::{Spectrum, Welch};
+use super::spells::{Spell, Spells};
+use crate::monitor::Counters;
+use crate::monitor::health::Readiness;
+use crate::publishing::PoseFrame;
+use crate::publishing::columns::Columns;
+
+/// Updates from one with counters and spectrum to the next.
+const RARELY: u64 = 10;
+
+/// What is kept for the page.
+#[derive(Debug, Default)]
+pub struct Gathered {
+    past: Past,
+    spells: Spells,
+    lately: Lately,
+    /// Made while somebody looks.
+    welch: Option<Welch>,
+    updates: u64,
+}
+
+/// Since the last update.
+#[derive(Debug, Default)]
+struct Lately {
+    frames: u32,
+    invalid: u32,
+    lost: u64,
+    delays_ns: Vec<u32>,
+}
+
+/// What changed since the update before.
+#[derive(Debug, Serialize)]
+pub struct Update {
+    /// Counts updates: a viewer sees what it missed.
+    number: u64,
+    /// The newest frame, named as in the stream.
+    frame: Option<Columns>,
+    /// Why no newer one can be expected.
+    dead: Option<String>,
+    ready: Readiness,
+    lock_since_ms: f64,
+    spells: Vec<Spell>,
+    bins: Vec<Bin>,
+    frames: u32,
+    invalid: u32,
+    lost: u64,
+    /// Median, 99th percentile and maximum of the time from a sample to its datagram.
+    delay_us: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    counters: Option<BTreeMap<&'static str, u64>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    spectrum: Option<Spectrum>,
+}
+
+impl Gathered {
+    /// Takes every frame in turn, `rate_hz` a second; `watched` if somebody looks.
+    pub fn frames(&mut self, batch: &[PoseFrame], rate_hz: f64, watched: bool) {
+        if !watched {
+            (self.welch, self.lately) = (None, Lately::default());
+            self.past.news();
+        } else if self
+            .welch
+            .as_ref()
+            .is_none_or(|welch| welch.rate_hz() < rate_hz || welch.rate_hz() > rate_hz)
+        {
+            self.welch = Some(Welch::new(rate_hz));
+        }
+        for frame in batch {
+            self.past.frame(frame);
+            self.spells.frame(frame);
+            if let Some(welch) = &mut self.welch {
+                welch.frame(frame);
+                self.lately.frame(frame);
+            }
+        }
+    }
+
+    /// The past that a chart begins with.
+    pub fn history(&self, span_s: u32) -> History {
+        self.past.history(span_s)
+    }
+
+    /// What is new.
+    pub fn update(
+        &mut self,
+        newest: Option<&PoseFrame>,
+        dead: Option<String>,
+        ready: Readiness,
+        counters: &Counters,
+    ) -> Update {
+        let mut lately = std::mem::take(&mut self.lately);
+        let rarely = self.updates.is_multiple_of(RARELY);
+        self.updates += 1;
+        Update {
+            number: self.updates,
+            frame: newest.map(Columns::of),
+            dead,
+            ready,
+            lock_since_ms: self.spells.lock_since_ms(),
+            spells: self.spells.list(),
+            bins: self.past.news(),
+            frames: lately.frames,
+            invalid: lately.invalid,
+            lost: lately.lost,
+            delay_us: lately.delay_us(),
+            counters: rarely.then(|| counters.list().into_iter().collect()),
+            spectrum: self.welch.as_ref().filter(|_| rarely).and_then(Welch::spectrum),
+        }
+    }
+}
+
+impl Lately {
+    fn frame(&mut self, frame: &PoseFrame) {
+        self.frames += 1;
+        self.invalid += u32::from(frame.pose[0].is_nan());
+        self.lost += u64::from(frame.lost);
+        self.delays_ns.push(frame.send_delay_ns);
+    }
+
+    fn delay_us(&mut self) -> Option<[f64; 3]> {
+        self.delays_ns.sort_unstable();
+        let last = self.delays_ns.len().checked_sub(1)?;
+        Some([last / 2, last * 99 / 100, last].map(|i| f64::from(self.delays_ns[i]) * 1e-3))
+    }
+}

@@ -1,0 +1,103 @@
+//! The live page: what it is made of, and who gets it.
+//!
+//! - [`bins`], [`spells`], [`spectrum`]: what becomes of every frame. Pure.
+//! - [`gathered`]: all that as one update, made once for all viewers, ten times a second.
+//! - [`viewer`]: a WebSocket for each of them. [`control`]: the few commands that the page may give.
+//!
+//! The page itself stands in `assets`, and goes into the binary with the chart library (`build.rs`).
+
+pub mod bins;
+pub mod control;
+pub mod gathered;
+pub mod spectrum;
+pub mod spells;
+pub mod viewer;
+
+use std::sync::Arc;
+
+use axum::Router;
+use axum::http::{HeaderMap, HeaderName, HeaderValue, header};
+use axum::response::IntoResponse;
+use axum::routing::{MethodRouter, get, post};
+
+use super::view::View;
+
+/// Scripts, sockets and pictures from here only. Charts write `style` elements and attributes.
+const POLICY: &str = "default-src 'none'; script-src 'self'; connect-src 'self'; img-src 'self' data:; \
+    style-src 'self' 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// Changes with every build that may have other assets: the browser asks whether it still holds.
+const TAG: &str = concat!("\"", env!("CARGO_PKG_VERSION"), "-", env!("TRIFACET_PLOTLY"), "\"");
+
+/// Every path of the page.
+pub fn routes() -> Router<Arc<View>> {
+    Router::new()
+        .route("/", asset("text/html; charset=utf-8", include_str!("assets/page.html")))
+        .route("/page.css", asset("text/css", include_str!("assets/page.css")))
+        .route("/page.js", asset("text/javascript", include_str!("assets/page.js")))
+        .route("/link.js", asset("text/javascript", include_str!("assets/link.js")))
+        .route("/charts.js", asset("text/javascript", include_str!("assets/charts.js")))
+        .route("/optics.js", asset("text/javascript", include_str!("assets/optics.js")))
+        .route("/words.js", asset("text/javascript", include_str!("assets/words.js")))
+        .route("/icon.svg", asset("image/svg+xml", include_str!("assets/icon.svg")))
+        .route("/plotly.js", get(plotly))
+        .route("/live", get(viewer::open))
+        .route("/control", post(control::obey))
+}
+
+/// What answers with a part of the page.
+fn asset<S: Clone + Send + Sync + 'static>(kind: &'static str, text: &'static str) -> MethodRouter<S> {
+    let headers: [(HeaderName, &str); 5] = [
+        (header::CONTENT_TYPE, kind),
+        (header::CACHE_CONTROL, "no-cache"),
+        (header::CONTENT_SECURITY_POLICY, POLICY),
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (header::REFERRER_POLICY, "no-referrer"),
+    ];
+    get(async move || (headers, text))
+}
+
+/// Compressed as it is: there is no browser that does not take that.
+async fn plotly(headers: HeaderMap) -> impl IntoResponse {
+    use axum::http::StatusCode;
+    let told: [(HeaderName, &str); 4] = [
+        (header::CONTENT_TYPE, "text/javascript; charset=utf-8"),
+        (header::CONTENT_ENCODING, "gzip"),
+        (header::CACHE_CONTROL, "no-cache"),
+        (header::ETAG, TAG),
+    ];
+    if headers.get(header::IF_NONE_MATCH) == Some(&HeaderValue::from_static(TAG)) {
+        return (StatusCode::NOT_MODIFIED, told, &[][..]);
+    }
+    (StatusCode::OK, told, &include_bytes!(concat!(env!("OUT_DIR"), "/plotly.js.gz"))[..])
+}
+
+/// Whether a request comes from this page, or from no page at all. Another server on this machine has
+/// pages, too.
+fn own_page(headers: &HeaderMap) -> bool {
+    let text = |name: HeaderName| headers.get(name)?.to_str().ok();
+    let Some(origin) = text(header::ORIGIN) else { return !headers.contains_key(header::ORIGIN) };
+    let site = origin.split_once("://").map(|(_, site)| site);
+    site.zip(text(header::HOST)).is_some_and(|(site, host)| site.eq_ignore_ascii_case(host))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_port_of_this_machine_is_another_site() {
+        let from = |origin: Option<&str>| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::HOST, "localhost:7360".parse().unwrap());
+            if let Some(origin) = origin {
+                headers.insert(header::ORIGIN, origin.parse().unwrap());
+            }
+            own_page(&headers)
+        };
+        assert!(from(None) && from(Some("http://localhost:7360")) && from(Some("http://LOCALHOST:7360")));
+        for bad in ["http://localhost:8080", "http://localhost", "null", "", "http://127.0.0.1:7360"] {
+            assert!(!from(Some(bad)), "{bad}");
+        }
+    }
+}

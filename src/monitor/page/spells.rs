@@ -1,0 +1,94 @@
+//! What the frames complained of, since when, and until when. Pure.
+
+use serde::Serialize;
+
+use crate::centering::LockState;
+use crate::estimation::Status;
+use crate::publishing::PoseFrame;
+
+/// Every status bit that was ever set, and the lock state.
+#[derive(Debug, Default)]
+pub struct Spells {
+    last: Option<(Status, LockState)>,
+    lock_since_ms: f64,
+    bits: [Spell; Status::NAMES.len()],
+}
+
+/// The last time that a status bit was set, or is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Spell {
+    /// Number of the bit.
+    pub bit: usize,
+    /// Time of the first frame with it, milliseconds of UTC since 1970.
+    pub since_ms: f64,
+    /// Time of the first frame without it, if it is over.
+    pub until_ms: Option<f64>,
+    /// How often it came.
+    pub times: u64,
+}
+
+impl Spells {
+    /// Takes every frame in turn.
+    pub fn frame(&mut self, frame: &PoseFrame) {
+        let now = (frame.status, frame.lock);
+        if self.last == Some(now) {
+            return;
+        }
+        let (before, lock) = self.last.unzip();
+        let before = before.unwrap_or_default();
+        let time_ms = frame.time_ns as f64 * 1e-6;
+        for (bit, (mask, _)) in Status::NAMES.iter().enumerate() {
+            let spell = &mut self.bits[bit];
+            match (before.has(*mask), frame.status.has(*mask)) {
+                (false, true) => {
+                    *spell = Spell { bit, since_ms: time_ms, until_ms: None, times: spell.times + 1 };
+                }
+                (true, false) => spell.until_ms = Some(time_ms),
+                _ => {}
+            }
+        }
+        if lock != Some(frame.lock) {
+            self.lock_since_ms = time_ms;
+        }
+        self.last = Some(now);
+    }
+
+    /// All that were ever set.
+    pub fn list(&self) -> Vec<Spell> {
+        self.bits.iter().filter(|spell| spell.times > 0).copied().collect()
+    }
+
+    /// Since when the lock state is what it is, milliseconds of UTC since 1970.
+    pub fn lock_since_ms(&self) -> f64 {
+        self.lock_since_ms
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::publishing::stamp::tests::{report, stamp};
+
+    #[test]
+    fn a_fault_of_one_frame_is_remembered_with_its_times() {
+        let mut spells = Spells::default();
+        let mut take = |ms: i64, status: Status, lock: LockState| {
+            let frame = PoseFrame::from_report(&report(), stamp());
+            spells.frame(&PoseFrame { time_ns: ms * 1_000_000, status, lock, ..frame });
+        };
+        take(10, Status::POSE_VALID, LockState::Locked);
+        take(11, Status::PSD_B_LOW, LockState::Held);
+        take(12, Status::POSE_VALID, LockState::Locked);
+        take(13, Status::POSE_VALID, LockState::Locked);
+        take(14, Status::PSD_B_LOW, LockState::Locked);
+        take(15, Status::PSD_B_LOW | Status::UNCALIBRATED, LockState::Locked);
+        let list = spells.list();
+        let of = |name| list.iter().find(|spell| Status::NAMES[spell.bit].1 == name).copied().unwrap();
+        let told = |name| (of(name).since_ms, of(name).until_ms, of(name).times);
+        assert_eq!(told("PSD_B_LOW"), (14.0, None, 2));
+        assert_eq!(told("POSE_VALID"), (12.0, Some(14.0), 2));
+        assert_eq!(told("UNCALIBRATED"), (15.0, None, 1));
+        assert_eq!(list.len(), 3);
+        assert!((spells.lock_since_ms() - 12.0).abs() < 1e-9);
+    }
+}
