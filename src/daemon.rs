@@ -27,9 +27,9 @@ use tokio_util::sync::CancellationToken;
 use crate::acquisition::{self, Channels, SerialSource, Source};
 use crate::centering::{self, Centering};
 use crate::clock::{Clock, SystemClock, utc::Utc};
-use crate::config::{Config, SourceKind};
+use crate::config::{Config, Meaning, SourceKind};
 use crate::control::{self, AtFast, Command, Live, server::Socket};
-use crate::estimation::{self, Estimation};
+use crate::estimation::{self, Estimation, PoseReport};
 use crate::exit::{self, Failure};
 use crate::logging::Logging;
 use crate::monitor::glance::Glance;
@@ -45,6 +45,7 @@ use crate::publishing::{
     Descriptor, Outlets, PoseFrame, Publisher, PublisherSettings, StreamId, subscribe, subscription, tcp,
 };
 use crate::realtime;
+use crate::recording::{Entry, Tap, Witness};
 use crate::service::{Notify, Service};
 use crate::steering::{self, Gcs, Outputs, Stage, gcs};
 use crate::twin::{Twin, TwinSource};
@@ -63,9 +64,9 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let counters = Arc::new(Counters::default());
     let (turns, glance) = <(Arc<Turns>, Arc<Glance>)>::default();
     let service = Service::new(&config.realtime, Arc::clone(&turns), Arc::clone(&glance));
-    let channels = Channels::load(config)?;
-    let calibration = config.calibration_id().context("cannot read a correction table")?;
-    let id = StreamId::new(config.id(calibration));
+    let meaning = Arc::new(Meaning::read(config.clone())?);
+    let channels = Channels::new(config, &meaning.tables)?;
+    let id = StreamId::new(meaning.id());
     let facts = StreamFacts {
         id,
         sample_rate_hz: config.acquisition.rate_hz,
@@ -115,6 +116,8 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         turns: Arc::clone(&turns),
         glance,
         stop: CancellationToken::new(),
+        tap: Tap::default(),
+        meaning: Arc::clone(&meaning),
         control: at_fast,
         config: config.clone(),
     };
@@ -124,7 +127,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         file: file.map(Path::to_owned),
         running: config.clone(),
         taken: config.clone(),
-        calibration,
+        tables: meaning.tables.clone(),
         facts,
         descriptor,
         told,
@@ -172,6 +175,8 @@ struct Parts {
     turns: Arc<Turns>,
     glance: Arc<Glance>,
     control: AtFast,
+    meaning: Arc<Meaning>,
+    tap: Tap,
     stop: CancellationToken,
 }
 
@@ -244,7 +249,7 @@ async fn fast<S: Source + 'static>(
     source: impl FnOnce() -> io::Result<S>,
 ) -> anyhow::Result<()> {
     let Parts { config, channels, estimation, centering, gcs, mut publisher, .. } = parts;
-    let Parts { counters, turns, glance, control, stop, .. } = parts;
+    let Parts { counters, turns, glance, control, stop, meaning, tap, .. } = parts;
     let AtFast { changes, questions, orders } = control;
     let source = source().context("cannot start the source")?;
     let (samples_in, samples) = mpsc::channel(QUEUE);
@@ -281,14 +286,17 @@ async fn fast<S: Source + 'static>(
             driver,
             SystemClock,
             counters,
-            centering::task::Edges { newest, poses, state: state_in, orders },
+            centering::task::Edges { newest, poses, state: state_in, orders, tap: tap.clone() },
             stop.clone(),
         ),
         &turns,
         Task::Centering,
     );
-    let publish = move |report: &_| {
-        publisher.publish(report);
+    let witness = Witness::new(tap.clone(), meaning);
+    let publish = move |report: &PoseReport| {
+        let frame = publisher.publish(report);
+        let (time, covariance) = (report.time, report.covariance);
+        tap.put(|| Entry::Frame { frame, time, covariance });
         glance.at(report);
     };
     let mut estimation = spawn(
@@ -296,7 +304,7 @@ async fn fast<S: Source + 'static>(
             estimation,
             config.acquisition.rate_hz,
             SystemClock,
-            estimation::task::Edges { samples, questions, steering, newest: poses_in, publish },
+            estimation::task::Edges { samples, questions, steering, newest: poses_in, publish, witness },
         ),
         &turns,
         Task::Estimation,

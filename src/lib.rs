@@ -30,6 +30,7 @@ pub mod monitor;
 pub mod optics;
 pub mod publishing;
 pub mod realtime;
+pub mod recording;
 pub mod rig;
 pub mod service;
 pub mod steering;

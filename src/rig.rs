@@ -8,7 +8,7 @@ use crate::acquisition::{Ack, ChannelMap, Channels, Expiry, OutputCommand, Sampl
 use crate::centering::lock::Transition;
 use crate::centering::{Centering, LoopState, Outcome, TimedPose};
 use crate::clock::{Mono, NS_PER_S};
-use crate::config::{Config, FaultKind};
+use crate::config::{Config, FaultKind, Meaning};
 use crate::estimation::{Estimation, PoseReport, Settings};
 use crate::exit::{self, Failure};
 use crate::steering::{Command, outputs};
@@ -57,9 +57,9 @@ impl Rig {
     /// What would keep the daemon from starting.
     pub fn new(config: &Config) -> Result<Self, Failure> {
         let wrong = |message: String| Failure::new(exit::CONFIG, message);
-        let channels = Channels::load(config)?;
-        let calibrated = channels.calibrated();
-        let id = config.config_id().map_err(|e| wrong(format!("cannot read a correction table: {e}")))?;
+        let meaning = Meaning::read(config.clone()).map_err(|e| wrong(e.to_string()))?;
+        let channels = Channels::new(config, &meaning.tables)?;
+        let (calibrated, id) = (channels.calibrated(), meaning.id());
         let settings = Settings::new(config, calibrated, id).map_err(|e| wrong(e.to_string()))?;
         let twin = Twin::new(config).map_err(|e| wrong(e.to_string()))?;
         let mut estimation = Estimation::new(settings);

@@ -1,8 +1,10 @@
 //! The channel map: raw codes to spots and powers.
 
+use std::path::Path;
+
 use super::correction::{Correction, CorrectionError};
 use super::scan::{Converter, Identity, MAX_CHANNELS, PsdState, Role, Sample, Scan};
-use crate::config::{Amplifier, Config, PsdChannels};
+use crate::config::{Amplifier, Config, PsdChannels, Tables};
 use crate::exit::{self, Failure};
 use crate::optics::FACETS;
 
@@ -40,7 +42,7 @@ pub struct ChannelMap {
 /// The scan before.
 #[derive(Clone, Copy, Debug)]
 struct Last {
-    index: u64,
+    scan: Scan,
     volts: [f64; MAX_CHANNELS],
     psds: [PsdState; 3],
 }
@@ -48,17 +50,22 @@ struct Last {
 impl Channels {
     /// Reads what the configuration says of the channels, the correction tables included. Blocks.
     pub fn load(config: &Config) -> Result<Self, Failure> {
+        let tables = Tables::read(config).map_err(|e| Failure::new(exit::CONFIG, e.to_string()))?;
+        Self::new(config, &tables)
+    }
+
+    /// The same with correction tables that were read before.
+    pub fn new(config: &Config, tables: &Tables) -> Result<Self, Failure> {
         let mut psds = Vec::new();
         let half_size = config.head.psd_size_mm * 0.5e-3;
-        for (name, channels) in FACETS.into_iter().zip(config.channels.psds()) {
-            let refuse = |path: &std::path::Path, error: CorrectionError| {
+        for ((name, channels), table) in FACETS.into_iter().zip(config.channels.psds()).zip(&tables.0) {
+            let refuse = |error: CorrectionError| {
+                let path = channels.correction.as_deref().unwrap_or(Path::new("?"));
                 let what = format!("correction table of PSD {name}, {}: {error}", path.display());
                 Failure::new(exit::CONFIG, what)
             };
-            let table = channels.correction.as_deref();
-            let correction = table
-                .map(|path| Correction::load(path, half_size).map_err(|e| refuse(path, e)))
-                .transpose()?;
+            let correction =
+                table.as_ref().map(|text| Correction::parse(text, half_size).map_err(refuse)).transpose()?;
             psds.push(PsdMap { channels: channels.clone(), half_size, correction });
         }
         let Ok(psds) = <[PsdMap; 3]>::try_from(psds) else { unreachable!("there are three facets") };
@@ -103,14 +110,27 @@ impl ChannelMap {
     /// Goes on with what else is said of the same channels; no scan is interrupted.
     pub fn retune(&mut self, channels: Channels) {
         self.channels = channels;
+        if let Some(Last { scan, .. }) = self.last.take() {
+            self.follow(&scan);
+        }
+    }
+
+    /// Takes a scan as the one before the next.
+    pub fn follow(&mut self, scan: &Scan) {
+        let volts = self.volts(scan);
+        let psds = [0, 1, 2].map(|i| self.state(i, scan, &volts));
+        self.last = Some(Last { scan: *scan, volts, psds });
+    }
+
+    fn volts(&self, scan: &Scan) -> [f64; MAX_CHANNELS] {
+        scan.codes.map(|code| f64::from(code) * self.converter.step_v())
     }
 
     /// The sample of a scan.
     pub fn sample(&mut self, scan: &Scan) -> Sample {
-        let volts = scan.codes.map(|code| f64::from(code) * self.converter.step_v());
-        let psds = [0, 1, 2].map(|i| self.state(i, scan, &volts));
-        let last = self.last.filter(|last| last.index + 1 == scan.index);
-        self.last = Some(Last { index: scan.index, volts, psds });
+        let last = self.last.filter(|last| last.scan.index + 1 == scan.index);
+        self.follow(scan);
+        let Some(Last { volts, psds, .. }) = self.last else { unreachable!("it follows the scan") };
         let mut sample = Sample {
             index: scan.index,
             time: scan.time,

@@ -4,8 +4,6 @@
 //! (u + du, v + dv). The rows are the points of a rectangular grid, in any order, that covers the whole
 //! sensitive area; in between the corrections are interpolated bilinearly.
 
-use std::path::Path;
-
 /// By so much a table may end before the edge, metres: that is rounding.
 const SLACK: f64 = 1e-9;
 
@@ -24,7 +22,7 @@ pub struct Correction {
 /// Why a file is no correction table.
 #[derive(Debug, thiserror::Error)]
 pub enum CorrectionError {
-    /// The file cannot be read, or a row is not four numbers.
+    /// A row is not four numbers.
     #[error("{0}")]
     Csv(#[from] csv::Error),
     /// A number is not finite.
@@ -79,10 +77,9 @@ struct Row {
 }
 
 impl Correction {
-    /// Reads a table for a PSD with this half side (metres).
-    pub fn load(path: &Path, half_size: f64) -> Result<Self, CorrectionError> {
-        let mut reader =
-            csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_path(path)?;
+    /// Reads the text of a table for a PSD with this half side (metres).
+    pub fn parse(text: &[u8], half_size: f64) -> Result<Self, CorrectionError> {
+        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(text);
         let rows: Vec<Row> = reader.deserialize().collect::<Result<_, _>>()?;
         Self::new(&rows, half_size)
     }

@@ -1,5 +1,7 @@
 //! What travels: raw scans from a converter, samples from the channel map.
 
+use serde::{Deserialize, Serialize};
+
 use crate::clock::Mono;
 
 /// The most channels a scan can carry.
@@ -97,7 +99,7 @@ pub struct Scan {
 }
 
 /// What is known of one PSD in one sample. `Good` has a position; nothing else has.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum PsdState {
     /// Light within limits.
     #[default]
@@ -109,7 +111,7 @@ pub enum PsdState {
 }
 
 /// The nine signals in physical units.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sample {
     /// As in [`Scan::index`].
     pub index: u64,

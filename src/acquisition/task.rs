@@ -7,8 +7,9 @@ use tokio::sync::{oneshot, watch};
 use tokio::time::interval;
 use tokio_util::sync::CancellationToken;
 
-use super::{ChannelMap, Channels, Down, Event, Identity, OutputCommand, Sample, Source};
+use super::{ChannelMap, Channels, Down, Event, Identity, OutputCommand, Sample, Scan, Source};
 use crate::clock::Clock;
+use crate::config::Meaning;
 use crate::estimation;
 use crate::monitor::{Counters, turns::HEARTBEAT};
 use crate::steering::outputs::Answers;
@@ -18,8 +19,8 @@ use crate::steering::outputs::Answers;
 pub enum Acquired {
     /// The source is ready.
     Up(Arc<Identity>),
-    /// A sample.
-    Sample(Sample),
+    /// A sample, and the scan that it was made of.
+    Sample(Sample, Scan),
     /// From here on, samples and poses mean something else.
     Changed(Box<Change>),
     /// No samples come, for this reason.
@@ -34,6 +35,8 @@ pub struct Change {
     pub channels: Option<Channels>,
     /// For estimation.
     pub settings: estimation::Settings,
+    /// What says so, for who keeps a record.
+    pub meaning: Arc<Meaning>,
     /// Hears that it is so.
     pub done: oneshot::Sender<()>,
 }
@@ -134,7 +137,7 @@ impl Intake {
                         self.newest.send_modify(|newest| newest.source = Some(identity));
                     }
                     self.newest.send_modify(|newest| newest.sample = Some(sample));
-                    self.hand_on(sample);
+                    self.hand_on(sample, scan);
                 }
             }
             Event::Ack(ack) => {
@@ -191,9 +194,9 @@ impl Intake {
         self.change.is_none()
     }
 
-    fn hand_on(&mut self, mut sample: Sample) {
+    fn hand_on(&mut self, mut sample: Sample, scan: Scan) {
         sample.lost = sample.lost.saturating_add(self.dropped);
-        let sample_of = Acquired::Sample(sample);
+        let sample_of = Acquired::Sample(sample, scan);
         let sent = if self.pass_change() {
             self.samples.try_send(sample_of)
         } else {
@@ -222,7 +225,7 @@ impl Intake {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::acquisition::PsdState;
+    use crate::acquisition::{MAX_CHANNELS, PsdState};
     use crate::clock::Mono;
     use crate::config::Config;
 
@@ -238,6 +241,11 @@ mod tests {
             steering: None,
             output_railed: false,
         }
+    }
+
+    fn scan(index: u64) -> Scan {
+        let (time, codes) = (Mono(index as i64), [0; MAX_CHANNELS]);
+        Scan { index, time, time_sigma_ns: None, lost: 0, codes, output_railed: false }
     }
 
     #[test]
@@ -258,23 +266,23 @@ mod tests {
         };
         let change = || {
             let settings = estimation::Settings::new(&config, false, 7).unwrap();
-            Change { channels: None, settings, done: oneshot::channel().0 }
+            Change { channels: None, settings, meaning: Arc::default(), done: oneshot::channel().0 }
         };
         for index in 1..=3 {
-            intake.hand_on(sample(index));
+            intake.hand_on(sample(index), scan(index));
         }
         intake.change(change()); // no room
         let mut took = Vec::new();
         let mut take = |estimation: &mut mpsc::Receiver<Acquired>| match estimation.try_recv() {
-            Ok(Acquired::Sample(sample)) => took.push((sample.index, sample.lost)),
+            Ok(Acquired::Sample(sample, _)) => took.push((sample.index, sample.lost)),
             Ok(Acquired::Changed(_)) => took.push((0, 0)),
             other => panic!("{other:?}"),
         };
-        intake.hand_on(sample(4)); // no room
+        intake.hand_on(sample(4), scan(4)); // no room
         take(&mut estimation);
-        intake.hand_on(sample(5)); // room for the change alone
+        intake.hand_on(sample(5), scan(5)); // room for the change alone
         (0..3).for_each(|_| take(&mut estimation));
-        intake.hand_on(sample(6));
+        intake.hand_on(sample(6), scan(6));
         take(&mut estimation);
         assert_eq!(took, [(1, 0), (2, 0), (3, 0), (0, 0), (6, 2)]);
         assert_eq!(intake.counters.estimation_overflows.get(), 2);

@@ -16,6 +16,7 @@ use crate::acquisition::{Sample, task::Newest};
 use crate::clock::{Clock, Mono};
 use crate::estimation::PoseReport;
 use crate::monitor::Counters;
+use crate::recording::{Entry, Tap};
 use crate::steering::{Ack, Command, Driver, Event, Xy};
 
 /// A pose older than this says nothing of the wedges now. Seconds.
@@ -36,6 +37,8 @@ pub struct Edges {
     pub state: watch::Sender<LoopState>,
     /// Orders from outside of the fast side.
     pub orders: mpsc::Receiver<Order>,
+    /// Changes of the lock state, for the record.
+    pub tap: Tap,
 }
 
 /// What the loop may be told, and asked.
@@ -60,9 +63,9 @@ pub async fn run<C: Clock>(
     edges: Edges,
     stop: CancellationToken,
 ) {
-    let Edges { mut newest, poses, state, mut orders } = edges;
-    let mut side = Side { centering, driver, counters, poses };
+    let Edges { mut newest, poses, state, mut orders, tap } = edges;
     let mut heard = clock.now();
+    let mut side = Side { centering, driver, clock, counters, poses, tap };
     loop {
         tokio::select! {
             biased;
@@ -76,7 +79,7 @@ pub async fn run<C: Clock>(
                 let Some(sample) = newest.borrow_and_update().sample else { continue };
                 if let Some(skipped) = side.centering.skipped(&sample) {
                     side.counters.centering_skips.add(skipped);
-                    heard = clock.now();
+                    heard = side.clock.now();
                     side.act(&sample, heard);
                 }
             }
@@ -86,7 +89,7 @@ pub async fn run<C: Clock>(
                 if newest.has_changed().unwrap_or(true) {
                     continue;
                 }
-                let now = clock.now();
+                let now = side.clock.now();
                 let transition = side.centering.silence(now.seconds_since(heard));
                 side.say(transition);
                 heard = now;
@@ -98,14 +101,16 @@ pub async fn run<C: Clock>(
 }
 
 /// The loop with its stage.
-struct Side<D> {
+struct Side<D, C> {
     centering: Centering,
     driver: D,
+    clock: C,
     counters: Arc<Counters>,
     poses: watch::Receiver<Option<PoseReport>>,
+    tap: Tap,
 }
 
-impl<D: Driver> Side<D> {
+impl<D: Driver, C: Clock> Side<D, C> {
     fn obey(&mut self, order: Order) {
         // Who does not wait for the answer any more does not need it.
         match order {
@@ -143,7 +148,10 @@ impl<D: Driver> Side<D> {
     }
 
     fn say(&self, transition: Option<Transition>) {
-        let Some(Transition { from, to, cause }) = transition else { return };
+        let Some(transition) = transition else { return };
+        let time = self.clock.now();
+        self.tap.put(|| Entry::Lock { time, transition });
+        let Transition { from, to, cause } = transition;
         tracing::info!(from = from.name(), to = to.name(), cause, "lock");
         let counters = &self.counters;
         let counter = match to {

@@ -1,19 +1,18 @@
 //! The fingerprint of geometry and calibration that every frame carries.
 
 use std::fmt::Write as _;
-use std::io;
 
-use super::{Config, FramesConfig};
+use super::{Config, FramesConfig, TableError, Tables};
 
 impl Config {
     /// CRC-32 of all that decides which pose belongs to which codes: the head, the channels, the contents
-    /// of the correction tables, the frames, and the steering where it counts as a signal. The same on every machine; equal for files
-    /// that mean the same.
+    /// of the correction tables, the frames, and the steering where it counts as a signal. The same on
+    /// every machine; equal for files that mean the same.
     ///
     /// # Errors
     /// A correction table cannot be read.
-    pub fn config_id(&self) -> io::Result<u32> {
-        Ok(self.id(self.calibration_id()?))
+    pub fn config_id(&self) -> Result<u32, TableError> {
+        Ok(self.id(self.calibration_id(&Tables::read(self)?)))
     }
 
     /// The same, given the fingerprint of the calibration.
@@ -34,10 +33,7 @@ impl Config {
 
     /// The same without frames and steering: what decides which pose of nine signals in the sensor's world
     /// belongs to which codes.
-    ///
-    /// # Errors
-    /// A correction table cannot be read.
-    pub fn calibration_id(&self) -> io::Result<u32> {
+    pub fn calibration_id(&self, tables: &Tables) -> u32 {
         let mut text = String::new();
         // `{:?}` writes the shortest digits that give the same number back, on every platform.
         let _ = writeln!(text, "trifacet-geometry-1 {:?} model {:?}", self.head, self.estimation.model);
@@ -52,12 +48,11 @@ impl Config {
         }
         let mut crc = crc32fast::Hasher::new();
         crc.update(text.as_bytes());
-        for psd in channels.psds() {
-            let table = psd.correction.as_ref().map(std::fs::read).transpose()?;
+        for table in &tables.0 {
             crc.update(&[u8::from(table.is_some())]);
-            crc.update(&table.unwrap_or_default());
+            crc.update(table.as_deref().unwrap_or_default());
         }
-        Ok(crc.finalize())
+        crc.finalize()
     }
 }
 

@@ -30,6 +30,7 @@ mod publishing;
 mod realtime;
 pub mod reload;
 mod steering;
+mod tables;
 mod together;
 mod twin;
 
@@ -54,6 +55,7 @@ pub use network::Network;
 pub use publishing::{PublishingConfig, UdpTarget};
 pub use realtime::RealtimeConfig;
 pub use steering::{NO_TILT, OnExit, SteeringConfig, SteeringKind};
+pub use tables::{Meaning, TableError, Tables};
 pub use twin::{TwinConfig, TwinSteering};
 
 /// The whole file.

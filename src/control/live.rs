@@ -15,7 +15,8 @@ use crate::clock::{Clock, Mono, SystemClock};
 use crate::config::edit::{self, Edit};
 use crate::config::reload::reload;
 use crate::config::{
-    self, Config, FramesConfig, LoopMode, SourceKind, SteeringConfig, SteeringKind, TransformConfig,
+    self, Config, FramesConfig, LoopMode, Meaning, SourceKind, SteeringConfig, SteeringKind, Tables,
+    TransformConfig,
 };
 use crate::estimation::{self, Frames, task::Question};
 use crate::exit::{self, Failure};
@@ -40,8 +41,8 @@ pub struct Live {
     pub running: Config,
     /// The file as far as it was taken over.
     pub taken: Config,
-    /// Fingerprint of the calibration in force, as in [`Config::calibration_id`].
-    pub calibration: u32,
+    /// The correction tables in force.
+    pub tables: Tables,
     /// What the descriptor says.
     pub facts: StreamFacts,
     /// Where TCP clients find it.
@@ -139,10 +140,11 @@ impl Live {
         let file = config::load(Some(file)).map_err(|e| wrong(e.to_string()))?;
         let mut plan = reload(&self.running, &self.taken, &file).map_err(wrong)?;
         // A correction table may have changed, too.
-        let id = plan.running.calibration_id().map_err(|e| wrong(format!("a correction table: {e}")))?;
+        let tables = Tables::read(&plan.running).map_err(|e| wrong(e.to_string()))?;
         let mut channels = None;
-        if plan.running.channels != self.running.channels || id != self.calibration {
-            channels = Some((Channels::load(&plan.running).map_err(|e| wrong(e.message))?, id));
+        if plan.running.channels != self.running.channels || tables != self.tables {
+            let map = Channels::new(&plan.running, &tables).map_err(|e| wrong(e.message))?;
+            channels = Some((map, tables));
             if plan.running.channels == self.running.channels {
                 plan.changed.push("channels (the contents of a correction table)".into());
             }
@@ -216,8 +218,12 @@ impl Live {
     }
 
     /// Goes on with another configuration, which differs only where it may; `channels` if they, or their
-    /// tables, have changed, with the fingerprint of the calibration.
-    async fn go_on_with(&mut self, next: Config, channels: Option<(Channels, u32)>) -> Result<(), Failure> {
+    /// tables, have changed, with the tables.
+    async fn go_on_with(
+        &mut self,
+        next: Config,
+        channels: Option<(Channels, Tables)>,
+    ) -> Result<(), Failure> {
         if next.log.level != self.running.log.level {
             self.log.set_level(&next.log.level)?;
         }
@@ -243,24 +249,27 @@ impl Live {
     async fn change_meaning(
         &mut self,
         next: &Config,
-        channels: Option<(Channels, u32)>,
+        channels: Option<(Channels, Tables)>,
     ) -> Result<(), Failure> {
         let mut facts = self.facts;
-        let (channels, calibration) = channels.map_or((None, self.calibration), |(c, id)| (Some(c), id));
+        let (channels, tables) =
+            channels.map_or_else(|| (None, self.tables.clone()), |(map, tables)| (Some(map), tables));
+        let meaning = Arc::new(Meaning { config: next.clone(), tables });
         if let Some(channels) = &channels {
             facts.calibrated = channels.calibrated();
         }
-        facts.id.config = next.id(calibration);
+        facts.id.config = meaning.id();
         let settings = estimation::Settings::new(next, facts.calibrated, facts.id.config)
             .map_err(|e| Failure::new(exit::SOFTWARE, format!("the head cannot be built: {e}")))?;
-        ask(&self.fast.changes, PATIENCE, |done| Change { channels, settings, done }).await?;
+        let tables = meaning.tables.clone();
+        ask(&self.fast.changes, PATIENCE, |done| Change { channels, settings, meaning, done }).await?;
         if facts.id.config != self.facts.id.config {
             tracing::info!(
                 config = format!("{:08x}", facts.id.config),
                 "poses have another meaning from now on"
             );
         }
-        (self.facts, self.calibration) = (facts, calibration);
+        (self.facts, self.tables) = (facts, tables);
         self.descriptor.send_replace(Descriptor::new(facts));
         Ok(())
     }

@@ -1,10 +1,12 @@
 //! Means over blocks of samples that do not overlap.
 
+use serde::{Deserialize, Serialize};
+
 use super::power_step::Power;
 use crate::acquisition::{PsdState, Sample};
 
 /// The samples of a block so far.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Block {
     first: Option<Sample>,
     count: u16,

@@ -1,5 +1,7 @@
 //! Samples to reports. Pure: told the time and the state of the loop.
 
+use serde::{Deserialize, Serialize};
+
 use super::block::{Block, Mean};
 use super::integrity::Integrity;
 use super::noise::LiveNoise;
@@ -17,6 +19,13 @@ const DILUTED: u16 = 4;
 #[derive(Clone, Debug)]
 pub struct Estimation {
     settings: Settings,
+    memory: Memory,
+}
+
+/// What estimation has kept of the samples so far. With the same memory and the same settings, the same
+/// samples give the same reports, bit by bit: so it is recorded now and then.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Memory {
     noise: LiveNoise,
     power_steps: PowerSteps,
     integrity: Integrity,
@@ -30,27 +39,28 @@ pub struct Estimation {
 impl Estimation {
     /// An estimation that has seen nothing yet.
     pub fn new(settings: Settings) -> Self {
-        Self {
-            settings,
-            noise: LiveNoise::default(),
-            power_steps: PowerSteps::default(),
-            integrity: Integrity::default(),
-            block: Block::default(),
-            warm: None,
-            simulated: false,
-            index: 0,
-        }
+        Self { settings, memory: Memory::default() }
+    }
+
+    /// What it has kept of the samples so far.
+    pub fn memory(&self) -> &Memory {
+        &self.memory
+    }
+
+    /// Goes on from there.
+    pub fn remember(&mut self, memory: Memory) {
+        self.memory = memory;
     }
 
     /// From the next sample on, all is to be done with other settings: the samples before and after make
     /// no common mean.
     pub fn retune(&mut self, settings: Settings) {
         if settings.readback != self.settings.readback {
-            self.integrity = Integrity::default();
+            self.memory.integrity = Integrity::default();
         }
         self.settings = settings;
         self.interrupt();
-        self.warm = None;
+        self.memory.warm = None;
     }
 
     /// As [`Settings::fuses`].
@@ -60,9 +70,9 @@ impl Estimation {
 
     /// The samples so far, and those to come, do not belong together.
     fn interrupt(&mut self) {
-        self.block.clear();
-        self.noise.interrupt();
-        self.power_steps.interrupt();
+        self.memory.block.clear();
+        self.memory.noise.interrupt();
+        self.memory.power_steps.interrupt();
     }
 
     /// A report as it is published: in the user's frame.
@@ -81,45 +91,46 @@ impl Estimation {
 
     /// A source is up.
     pub fn source(&mut self, simulated: bool) {
-        self.simulated = simulated;
+        self.memory.simulated = simulated;
         self.interrupt();
-        self.integrity = Integrity::default();
+        self.memory.integrity = Integrity::default();
     }
 
     /// Takes a sample; gives a report at the end of each block. The caller stamps it with the time at
     /// which it was solved.
     pub fn sample(&mut self, sample: &Sample, steering: &LoopState) -> Option<PoseReport> {
-        self.index = sample.index;
+        self.memory.index = sample.index;
         let good = sample.psds.iter().all(|psd| *psd == PsdState::Good);
         if sample.lost > 0 || !good {
-            self.noise.interrupt();
-            self.power_steps.interrupt();
+            self.memory.noise.interrupt();
+            self.memory.power_steps.interrupt();
         }
         let power = if good { self.power(sample) } else { Power::Steady };
-        if power == Power::Step && !self.power_steps.unsteady() {
-            self.noise.interrupt(); // a step is no noise
+        if power == Power::Step && !self.memory.power_steps.unsteady() {
+            self.memory.noise.interrupt(); // a step is no noise
         } else if good {
             let [a, b, c, d, e, f] = sample.spots;
             let [p, q, r] = sample.powers;
-            self.noise.push([a, b, c, d, e, f, p, q, r]);
+            self.memory.noise.push([a, b, c, d, e, f, p, q, r]);
         }
-        let mean = self.block.push(sample, power, self.settings.average)?;
+        let mean = self.memory.block.push(sample, power, self.settings.average)?;
         Some(self.report(&mean, steering))
     }
 
     /// What the total power says of a sample, by its deviation as configured, or live where that is larger.
     fn power(&mut self, sample: &Sample) -> Power {
         let configured = self.settings.power_noise;
-        let each = (6..).zip(sample.powers).map(|(i, power)| self.noise.deviation(i, configured * power));
+        let each =
+            (6..).zip(sample.powers).map(|(i, power)| self.memory.noise.deviation(i, configured * power));
         let deviation = each.map(|deviation| deviation * deviation).sum::<f64>().sqrt();
-        self.power_steps.push(sample.powers.iter().sum(), deviation)
+        self.memory.power_steps.push(sample.powers.iter().sum(), deviation)
     }
 
     /// What there is to say while no samples come.
     pub fn silence(&mut self, now: Mono, steering: &LoopState) -> PoseReport {
         self.interrupt();
         let nothing = Sample {
-            index: self.index,
+            index: self.memory.index,
             time: now,
             time_sigma_ns: None,
             lost: 0,
@@ -150,9 +161,9 @@ impl Estimation {
             return report;
         }
         let signals = Signals { spots: mean.sample.spots, powers: mean.sample.powers };
-        let solved = self.settings.estimator.solve(&signals, self.warm.as_ref());
+        let solved = self.settings.estimator.solve(&signals, self.memory.warm.as_ref());
         if let Err(error) = solved.and_then(|solution| self.solved(solution, mean, &noise, &mut report)) {
-            self.warm = None;
+            self.memory.warm = None;
             report.iterations = error.iterations();
             report.status |= light::reason(&error);
         }
@@ -164,7 +175,7 @@ impl Estimation {
         let sample = &mean.sample;
         let railed = sample.output_railed || steering.lock == LockState::Railed;
         let mut status = self.settings.fixed;
-        status.set(Status::SIMULATED, self.simulated);
+        status.set(Status::SIMULATED, self.memory.simulated);
         status.set(Status::SAMPLE_GAP, sample.lost > 0);
         status.set(Status::NOT_LOCKED, steering.lock != LockState::Locked);
         status.set(Status::STEERING_RAILED, railed);
@@ -194,7 +205,7 @@ impl Estimation {
     fn stated_noise(&self, mean: &Mean) -> Noise {
         let quieter = f64::from(mean.count.max(1)).sqrt();
         let Settings { spot_noise, power_noise, .. } = self.settings;
-        let live = |signal, configured| self.noise.deviation(signal, configured) / quieter;
+        let live = |signal, configured| self.memory.noise.deviation(signal, configured) / quieter;
         Noise {
             spots: std::array::from_fn(|i| live(i, spot_noise)),
             powers: std::array::from_fn(|i| live(6 + i, power_noise * mean.sample.powers[i].abs())),
@@ -218,7 +229,7 @@ impl Estimation {
             report.offset = Some(solution.offset.into());
             self.sighted(mean, &solution, &spread, report);
         }
-        self.warm = Some(solution);
+        self.memory.warm = Some(solution);
         Ok(())
     }
 
@@ -231,8 +242,8 @@ impl Estimation {
             return;
         };
         report.steering_residual = Some(innovation.residual.norm());
-        let fits = self.integrity.judge(&innovation);
-        report.status.set(Status::INCONSISTENT, self.integrity.inconsistent());
+        let fits = self.memory.integrity.judge(&innovation);
+        report.status.set(Status::INCONSISTENT, self.memory.integrity.inconsistent());
         let calm = mean.power == Power::Steady || mean.count >= DILUTED;
         if *fuse && fits && calm {
             let fused = innovation.fuse(solution);

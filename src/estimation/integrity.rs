@@ -1,5 +1,7 @@
 //! Whether the steering position that is read back fits the pose.
 
+use serde::{Deserialize, Serialize};
+
 use crate::config::SteeringConfig;
 use crate::optics::{Innovation, Sighting, Vec2};
 use crate::steering::BeamMap;
@@ -35,7 +37,7 @@ impl Readback {
 }
 
 /// The judgement, report by report. Those without a residual do not count.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Integrity {
     /// Residuals in a row that do not fit.
     misfits: u32,

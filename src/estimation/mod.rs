@@ -20,7 +20,7 @@ pub mod settings;
 pub mod status;
 pub mod task;
 
-pub use self::core::Estimation;
+pub use self::core::{Estimation, Memory};
 pub use frames::Frames;
 pub use report::PoseReport;
 pub use settings::Settings;

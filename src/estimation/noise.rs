@@ -4,6 +4,8 @@
 //! square is six times the variance. So they tell the noise of a moving mirror. What is left of a fast
 //! movement counts as noise, and the stated deviations err on the safe side.
 
+use serde::{Deserialize, Serialize};
+
 /// Signals that are watched.
 const SIGNALS: usize = 9;
 /// Samples over which a burst is noticed, and a slow growth.
@@ -18,7 +20,7 @@ const COMMON_WINDOW: f64 = 16.0;
 const SIGNIFICANT: f64 = 4.0;
 
 /// Live deviations of the nine signals.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct LiveNoise {
     last: Option<[f64; SIGNALS]>,
     last_step: Option<[f64; SIGNALS]>,

@@ -5,6 +5,8 @@
 //! them the beam's offset and the pose, are wrong. The total does not depend on where the beam is, so it
 //! tells.
 
+use serde::{Deserialize, Serialize};
+
 /// A step of 5 % that only one of three powers shows in the first of its scans.
 const LIMIT: f64 = 0.05 / 3.0;
 /// And so many deviations of the difference of two totals.
@@ -16,7 +18,7 @@ const UNEASY: f64 = 4.0;
 const LONGEST: u32 = 4;
 
 /// What the total power says of a sample.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Power {
     /// It stays.
     #[default]
@@ -28,7 +30,7 @@ pub enum Power {
 }
 
 /// Compares the total power with that of the last two samples.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct PowerSteps {
     last: [Option<f64>; 2],
     row: u32,

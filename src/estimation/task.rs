@@ -12,6 +12,7 @@ use crate::centering::LoopState;
 use crate::clock::Clock;
 use crate::monitor::turns::HEARTBEAT;
 use crate::optics::Pose;
+use crate::recording::Witness;
 
 /// How often silence is reported, at most.
 const SILENCE_HZ: f64 = 100.0;
@@ -31,6 +32,8 @@ pub struct Edges<Publish> {
     pub newest: watch::Sender<Option<PoseReport>>,
     /// Every report, in the user's frame, to publishing.
     pub publish: Publish,
+    /// What goes in, for the record.
+    pub witness: Witness,
 }
 
 /// What may be asked.
@@ -50,7 +53,7 @@ pub async fn run<C: Clock>(
     clock: C,
     edges: Edges<impl FnMut(&PoseReport)>,
 ) {
-    let Edges { mut samples, mut questions, steering, newest, mut publish } = edges;
+    let Edges { mut samples, mut questions, steering, newest, mut publish, mut witness } = edges;
     let mut rhythm = Rhythm::new(rate_hz);
     let mut last = None;
     let mut mean: Option<PoseMean> = None;
@@ -73,24 +76,28 @@ pub async fn run<C: Clock>(
                     rhythm = rhythm.of(&identity);
                     doubts.source(&identity, estimation.fuses());
                     estimation.source(identity.simulated);
+                    witness.source(identity);
                     None
                 }
-                Some(Acquired::Sample(sample)) => {
+                Some(Acquired::Sample(sample, scan)) => {
                     rhythm.heard();
                     let steering = *steering.borrow();
+                    witness.sample(&sample, scan, &steering, estimation.memory());
                     estimation.sample(&sample, &steering)
                 }
                 Some(Acquired::Changed(change)) => {
                     estimation.retune(change.settings);
                     doubts.fusion(estimation.fuses());
+                    witness.meaning(change.meaning);
                     let _ = change.done.send(());
                     None
                 }
                 // Said at once, not after the next silence.
-                Some(Acquired::Down(_)) => {
+                Some(Acquired::Down(down)) => {
                     rhythm.silent();
-                    let steering = *steering.borrow();
-                    Some(estimation.silence(clock.now(), &steering))
+                    let (now, steering) = (clock.now(), *steering.borrow());
+                    witness.silence(now, &steering, Some(down), estimation.memory());
+                    Some(estimation.silence(now, &steering))
                 }
             },
             () = sleep_until(rhythm.next) => {
@@ -100,8 +107,9 @@ pub async fn run<C: Clock>(
                     continue;
                 }
                 rhythm.silent();
-                let steering = *steering.borrow();
-                Some(estimation.silence(clock.now(), &steering))
+                let (now, steering) = (clock.now(), *steering.borrow());
+                witness.silence(now, &steering, None, estimation.memory());
+                Some(estimation.silence(now, &steering))
             }
             _ = heartbeat.tick() => None,
         };

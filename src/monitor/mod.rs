@@ -101,6 +101,8 @@ counters! {
     tcp_disconnected,
     /// TCP clients that were not let in: too many, or not of an allowed network.
     tcp_refused,
+    /// Entries that never reached the recorder because it was behind.
+    recording_overflows,
     /// Frames that never reached the monitor because it was behind.
     monitor_overflows,
     /// Updates of the page that were made, each once for all viewers.

@@ -9,6 +9,7 @@
 use std::sync::Arc;
 
 use nalgebra::{Quaternion, UnitQuaternion};
+use serde::{Deserialize, Serialize};
 
 use super::light::{Light, State};
 use super::slopes::{Linearised, Residual};
@@ -90,7 +91,7 @@ impl SolveError {
 }
 
 /// A solved pose. Also the warm start of the next solve.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Solution {
     /// Position and orientation of the mirror.
     pub pose: Pose,

@@ -1,6 +1,7 @@
 //! The light that a state of mirror and beam makes: what the solver compares with the signals.
 
 use nalgebra::UnitQuaternion;
+use serde::{Deserialize, Serialize};
 
 use super::beam::{DARK, Split, Wedge};
 use super::model::MIN_FACING;
@@ -8,7 +9,7 @@ use super::ray::Ray;
 use super::{Mat3, Optics, Vec2, Vec3};
 
 /// The unknowns, in the beam frame.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct State {
     pub t: Vec3,
     pub turn: UnitQuaternion<f64>,

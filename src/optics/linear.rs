@@ -1,6 +1,7 @@
 //! Six equations in six unknowns, as 3x3 blocks.
 
 use nalgebra::{Matrix6, Vector6};
+use serde::{Deserialize, Serialize};
 
 use super::{Mat3, Vec3};
 
@@ -9,7 +10,7 @@ use super::{Mat3, Vec3};
 /// With the rows ordered u | v and the columns tx ty wz | tz wx wy the blocks on the diagonal of a head
 /// like the nominal one are well conditioned, so no pivoting is needed. Any other head gets a full
 /// factorisation with pivoting.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Factored {
     a_inv: Mat3,
     b: Mat3,

@@ -2,13 +2,15 @@
 
 use std::ops::Mul;
 
+use serde::{Deserialize, Serialize};
+
 use super::{Mat3, Vec3};
 
 /// Where the apex is and how the mirror is turned, in the world frame.
 ///
 /// `R = Rz(yaw) * Ry(pitch) * Rx(roll)`, Eq. 3 of the paper with alpha = yaw, beta = pitch,
 /// gamma = roll (the sentence under Eq. 3 swaps roll and yaw; Table 2 has it right).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
     /// Position of the apex, metres.
     pub t: Vec3,

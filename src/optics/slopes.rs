@@ -1,6 +1,7 @@
 //! The equations of the sensor, linearised about a state.
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix3x2};
+use serde::{Deserialize, Serialize};
 
 use super::beam::{Wedge, WedgeSlopes};
 use super::light::Light;
@@ -20,14 +21,14 @@ pub(super) struct Residual {
 pub(super) type Step = (Vec3, Vec3, Vec2);
 
 /// The linear equations, factored: solved for one residual after the other.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Linearised {
     pose: Factored,
     offset: Option<OffsetEquations>,
 }
 
 /// What the fractions on A and B say of the beam offset, and the spots of it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct OffsetEquations {
     /// Inverse of d(fractions)/d(offset).
     inverse: Matrix2<f64>,

@@ -89,8 +89,8 @@ impl<C: Clock> Publisher<C> {
     }
 
     /// Sends the frame of a report to everyone. Frames go out at the full rate, valid or not: silence
-    /// means that the link is down, a status bit means why the optics are.
-    pub fn publish(&mut self, report: &PoseReport) {
+    /// means that the link is down, a status bit means why the optics are. Gives the frame.
+    pub fn publish(&mut self, report: &PoseReport) -> PoseFrame {
         let sent = self.clock.now();
         let (time_ns, synced) = self.utc.at(report.time, sent);
         // Not that of the start: it changes when the meaning of poses does, with the sample.
@@ -105,6 +105,7 @@ impl<C: Clock> Publisher<C> {
         self.targets.send(&frame, &self.counters);
         hand_on(frame, self.tcp.as_ref(), &self.counters.tcp_overflows);
         hand_on(frame, self.monitor.as_ref(), &self.counters.monitor_overflows);
+        frame
     }
 }
 

@@ -293,7 +293,7 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
                 () = self.stop.cancelled() => return Err(Failure::new(exit::INTERRUPTED, "interrupted")),
                 event = self.driver.next() => self.hear(event)?,
                 acquired = self.samples.recv() => match acquired {
-                    Some(Acquired::Sample(sample)) => {
+                    Some(Acquired::Sample(sample, _)) => {
                         let look = self.looker.look(&sample).map_err(refused)?;
                         self.looks.push(look);
                         return Ok(look);

@@ -1,0 +1,62 @@
+//! The correction tables that the configuration names, as they were read.
+
+use std::fs;
+use std::path::PathBuf;
+
+use super::Config;
+use crate::optics::FACETS;
+
+/// The contents of the correction tables of A, B and C. Read once, so that fingerprint, channel map and
+/// recording mean the same ones.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Tables(pub [Option<Vec<u8>>; 3]);
+
+/// A table that cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[error("correction table of PSD {psd}, {}: {source}", path.display())]
+pub struct TableError {
+    psd: char,
+    path: PathBuf,
+    source: std::io::Error,
+}
+
+impl Tables {
+    /// Reads those of a configuration. Blocks.
+    ///
+    /// # Errors
+    /// Names the first that cannot be read.
+    pub fn read(config: &Config) -> Result<Self, TableError> {
+        let mut tables = Self::default();
+        for ((table, psd), channels) in tables.0.iter_mut().zip(FACETS).zip(config.channels.psds()) {
+            if let Some(path) = &channels.correction {
+                let refuse = |source| TableError { psd, path: path.clone(), source };
+                *table = Some(fs::read(path).map_err(refuse)?);
+            }
+        }
+        Ok(tables)
+    }
+}
+
+/// All that decides what samples and poses mean.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Meaning {
+    /// The configuration.
+    pub config: Config,
+    /// Its correction tables.
+    pub tables: Tables,
+}
+
+impl Meaning {
+    /// A configuration with its tables. Blocks.
+    ///
+    /// # Errors
+    /// A table cannot be read.
+    pub fn read(config: Config) -> Result<Self, TableError> {
+        Ok(Self { tables: Tables::read(&config)?, config })
+    }
+
+    /// The fingerprint that every frame carries, see [`Config::id`].
+    pub fn id(&self) -> u32 {
+        self.config.id(self.config.calibration_id(&self.tables))
+    }
+}

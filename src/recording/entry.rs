@@ -1,0 +1,122 @@
+//! What is recorded, and the way it takes from the fast side.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use nalgebra::Matrix6;
+use tokio::sync::mpsc;
+
+use crate::acquisition::{Down, Identity, Sample, Scan};
+use crate::centering::LoopState;
+use crate::centering::lock::Transition;
+use crate::clock::Mono;
+use crate::config::Meaning;
+use crate::estimation::Memory;
+use crate::monitor::Counters;
+use crate::publishing::PoseFrame;
+
+/// Entries that may wait for the recorder, which may wait for a disk: 6 s at 10 kHz. Takes memory only
+/// while they wait.
+const QUEUE: usize = 128 * 1024;
+
+/// One thing that happened, in the order in which estimation saw it.
+#[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "nothing is allocated for a sample")]
+pub enum Entry {
+    /// All that is needed to go on from here.
+    Keyframe(Box<Keyframe>),
+    /// A sample, just before estimation took it.
+    Sample {
+        /// The raw codes.
+        scan: Scan,
+        /// What the channel map made of them.
+        sample: Sample,
+        /// What estimation knew of the loop.
+        steering: LoopState,
+    },
+    /// Estimation was to say that no samples come.
+    Silence {
+        /// When.
+        time: Mono,
+        /// What it knew of the loop.
+        steering: LoopState,
+        /// Why the source went down, if that was the moment.
+        why: Option<Down>,
+    },
+    /// What was published of the sample or the silence before.
+    Frame {
+        /// The frame.
+        frame: PoseFrame,
+        /// The moment that is `time_ns` in the frame.
+        time: Mono,
+        /// Covariance of the pose in the user's frame, m and rad; with a pose.
+        covariance: Option<Matrix6<f64>>,
+    },
+    /// The lock state changed.
+    Lock {
+        /// When.
+        time: Mono,
+        /// From what to what, and why.
+        transition: Transition,
+    },
+}
+
+/// The state of channel map and estimation between two samples: what comes after it can be replayed without
+/// what was before.
+#[derive(Clone, Debug)]
+pub struct Keyframe {
+    /// Configuration and correction tables in force.
+    pub meaning: Arc<Meaning>,
+    /// The source, if one has come up.
+    pub source: Option<Arc<Identity>>,
+    /// The scan before: the channel map interpolates from it.
+    pub last: Option<Scan>,
+    /// What estimation remembers.
+    pub memory: Memory,
+}
+
+/// Where the fast side hands over what happens. Costs a look at a flag while nobody wants it.
+#[derive(Clone, Debug, Default)]
+pub struct Tap(Option<Feed>);
+
+/// A tap that leads somewhere.
+#[derive(Clone, Debug)]
+struct Feed {
+    to: mpsc::Sender<Entry>,
+    open: Arc<AtomicBool>,
+    counters: Arc<Counters>,
+}
+
+/// The recorder's end of a [`Tap`].
+#[derive(Debug)]
+pub struct Outflow {
+    /// What came, in order. To be asked with `try_recv` now and then: a receiver that sleeps costs whoever
+    /// wakes it a call of the system.
+    pub entries: mpsc::Receiver<Entry>,
+    /// Whether entries are wanted.
+    pub open: Arc<AtomicBool>,
+}
+
+impl Tap {
+    /// A tap, closed for now, and its other end. What does not fit is counted.
+    pub fn new(counters: Arc<Counters>) -> (Self, Outflow) {
+        let (to, entries) = mpsc::channel(QUEUE);
+        let open = Arc::new(AtomicBool::new(false));
+        (Self(Some(Feed { to, open: Arc::clone(&open), counters })), Outflow { entries, open })
+    }
+
+    /// Whether entries are wanted.
+    pub fn open(&self) -> bool {
+        self.0.as_ref().is_some_and(|feed| feed.open.load(Ordering::Relaxed))
+    }
+
+    /// Hands an entry over, if it is wanted; false if it was and there was no room. Never waits.
+    pub fn put(&self, entry: impl FnOnce() -> Entry) -> bool {
+        let Some(feed) = self.0.as_ref().filter(|_| self.open()) else { return true };
+        let fits = feed.to.try_send(entry()).is_ok();
+        if !fits {
+            feed.counters.recording_overflows.one();
+        }
+        fits
+    }
+}
