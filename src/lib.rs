@@ -31,6 +31,7 @@ pub mod optics;
 pub mod publishing;
 pub mod realtime;
 pub mod recording;
+pub mod replay;
 pub mod rig;
 pub mod service;
 pub mod steering;

@@ -4,13 +4,19 @@
 //! A scan is mapped, centering acts on it, estimation solves it, as in the daemon; the command takes effect
 //! after the delay of the twin's stage, and computing takes no time.
 
-use crate::acquisition::{Ack, ChannelMap, Channels, Expiry, OutputCommand, Sample};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use crate::acquisition::{Ack, ChannelMap, Channels, Expiry, OutputCommand, Sample, Scan};
 use crate::centering::lock::Transition;
 use crate::centering::{Centering, LoopState, Outcome, TimedPose};
 use crate::clock::{Mono, NS_PER_S};
 use crate::config::{Config, FaultKind, Meaning};
 use crate::estimation::{Estimation, PoseReport, Settings};
 use crate::exit::{self, Failure};
+use crate::publishing::{PoseFrame, stamp::Stamp};
+use crate::recording::entry::Outflow;
+use crate::recording::{Entry, Tap, Witness};
 use crate::steering::{Command, outputs};
 use crate::twin::{OUTPUT_BITS, Outputs, Twin, TwinError, TwinScan};
 
@@ -29,6 +35,11 @@ pub struct Rig {
     full_scale: f64,
     pose: Option<TimedPose>,
     lost: u32,
+    meaning: Arc<Meaning>,
+    witness: Witness,
+    tap: Tap,
+    /// Reports so far.
+    reports: u64,
     /// When silence is noticed, seconds, and since when it counts.
     silence_s: [f64; 2],
 }
@@ -57,7 +68,7 @@ impl Rig {
     /// What would keep the daemon from starting.
     pub fn new(config: &Config) -> Result<Self, Failure> {
         let wrong = |message: String| Failure::new(exit::CONFIG, message);
-        let meaning = Meaning::read(config.clone()).map_err(|e| wrong(e.to_string()))?;
+        let meaning = Arc::new(Meaning::read(config.clone()).map_err(|e| wrong(e.to_string()))?);
         let channels = Channels::new(config, &meaning.tables)?;
         let (calibrated, id) = (channels.calibrated(), meaning.id());
         let settings = Settings::new(config, calibrated, id).map_err(|e| wrong(e.to_string()))?;
@@ -73,8 +84,27 @@ impl Rig {
             full_scale: config.steering.full_scale_um * 1e-6,
             pose: None,
             lost: 0,
+            witness: Witness::new(Tap::default(), Arc::clone(&meaning)),
+            meaning,
+            tap: Tap::default(),
+            reports: 0,
             silence_s: [PATIENCE_S, 0.0],
         })
+    }
+
+    /// The same with everything on record, as the daemon has it; also where that comes out, to be emptied after
+    /// each turn. UTC is the time of the twin, which begins in 1970.
+    ///
+    /// # Errors
+    /// What would keep the daemon from starting.
+    pub fn recorded(config: &Config) -> Result<(Self, Outflow), Failure> {
+        let mut rig = Self::new(config)?;
+        let (tap, outflow) = Tap::new(Arc::default());
+        outflow.open.store(true, Ordering::Relaxed);
+        rig.witness = Witness::new(tap.clone(), Arc::clone(&rig.meaning));
+        rig.witness.source(Arc::new(rig.twin.identity().clone()));
+        rig.tap = tap;
+        Ok((rig, outflow))
     }
 
     /// The loop, to give it orders.
@@ -101,20 +131,22 @@ impl Rig {
             self.lost = 0;
             self.silence_s = [scan.t_s + PATIENCE_S, scan.t_s];
             let sample = self.channels.sample(&arrived);
-            self.sample(&scan, &sample)
+            self.sample(&scan, arrived, &sample)
         } else {
             self.lost += 1;
             self.silence(&scan, time)
         }
     }
 
-    fn sample(&mut self, scan: &TwinScan, sample: &Sample) -> Turn {
+    fn sample(&mut self, scan: &TwinScan, arrived: Scan, sample: &Sample) -> Turn {
         let Outcome { command, transition, .. } =
             self.centering.sample(sample, self.pose.as_ref(), sample.time);
         if let Some(command) = command {
             self.steer(command, scan.t_s, sample.time);
         }
         let state = self.centering.state();
+        self.changed(sample.time, transition);
+        self.witness.sample(sample, arrived, &state, self.estimation.memory());
         let report = self.estimation.sample(sample, &state);
         if let Some(PoseReport { pose, time, .. }) = report {
             self.pose = pose.map(|pose| TimedPose { pose, time });
@@ -144,14 +176,30 @@ impl Rig {
             self.pose = None;
             turn.transition = self.centering.silence(scan.t_s - since);
             turn.state = self.centering.state();
+            self.changed(time, turn.transition);
+            self.witness.silence(time, &turn.state, None, self.estimation.memory());
             let report = self.estimation.silence(time, &turn.state);
             turn.report = Some(self.published(&report));
         }
         turn
     }
 
-    fn published(&self, report: &PoseReport) -> PoseReport {
-        self.estimation.in_user_frame(report)
+    fn published(&mut self, report: &PoseReport) -> PoseReport {
+        let report = self.estimation.in_user_frame(report);
+        let PoseReport { time, config, covariance, .. } = report;
+        let sequence = self.reports;
+        self.reports += 1;
+        self.tap.put(|| {
+            let stamp = Stamp { session: 0, config, sequence, time_ns: time.0, synced: true, sent: time };
+            Entry::Frame { frame: PoseFrame::from_report(&report, stamp), time, covariance }
+        });
+        report
+    }
+
+    fn changed(&self, time: Mono, transition: Option<Transition>) {
+        if let Some(transition) = transition {
+            self.tap.put(|| Entry::Lock { time, transition });
+        }
     }
 
     fn steer(&mut self, command: Command, t_s: f64, time: Mono) {

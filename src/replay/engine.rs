@@ -1,0 +1,164 @@
+//! Entries of a recording to reports. Pure.
+
+use std::sync::Arc;
+
+use crate::acquisition::{ChannelMap, Channels, Identity, Sample, Scan};
+use crate::centering::LoopState;
+use crate::config::Meaning;
+use crate::estimation::{Estimation, Memory, PoseReport, Settings};
+use crate::exit::{self, Failure};
+use crate::recording::{Entry, Keyframe};
+
+/// Channel map and estimation as they were, or with another configuration.
+///
+/// It begins at the first keyframe. From there it goes on by itself, and takes the state of a later keyframe
+/// only where that is not its own: where the source came up again, where samples and poses began to mean
+/// something else, or where the record has a hole.
+#[derive(Debug, Default)]
+pub struct Engine {
+    /// What samples and poses shall mean, whatever they meant then.
+    other: Option<Arc<Meaning>>,
+    state: Option<State>,
+    /// How often the state of a keyframe was taken.
+    pub taken_up: u64,
+    /// Samples and silences before the first keyframe, or without a source: nothing can be said of them.
+    pub passed_over: u64,
+}
+
+#[derive(Debug)]
+struct State {
+    meaning: Arc<Meaning>,
+    source: Option<Arc<Identity>>,
+    map: Option<ChannelMap>,
+    last: Option<Scan>,
+    estimation: Estimation,
+}
+
+impl Engine {
+    /// With the configurations that were in force then, so that the same reports come out.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// With this configuration throughout.
+    pub fn with(meaning: Meaning) -> Self {
+        Self { other: Some(Arc::new(meaning)), ..Self::default() }
+    }
+
+    /// Whether the same reports must come out.
+    pub fn repeats(&self) -> bool {
+        self.other.is_none()
+    }
+
+    /// What samples and poses mean at present; none before the first keyframe.
+    pub fn meaning(&self) -> Option<&Arc<Meaning>> {
+        self.state.as_ref().map(|state| &state.meaning)
+    }
+
+    /// The source at present.
+    pub fn source(&self) -> Option<&Arc<Identity>> {
+        self.state.as_ref()?.source.as_ref()
+    }
+
+    /// What comes out of an entry, in the user's frame.
+    ///
+    /// # Errors
+    /// The configuration and the source of a keyframe do not go together.
+    pub fn take(&mut self, entry: &Entry) -> Result<Option<PoseReport>, Failure> {
+        match entry {
+            Entry::Keyframe(keyframe) => self.keyframe(keyframe).map(|()| None),
+            Entry::Sample { scan, sample, steering } => Ok(self.sample(scan, sample, steering)),
+            Entry::Silence { time, steering, .. } => {
+                self.passed_over += u64::from(self.state.is_none());
+                let Some(State { estimation, .. }) = &mut self.state else { return Ok(None) };
+                let report = estimation.silence(*time, steering);
+                Ok(Some(estimation.in_user_frame(&report)))
+            }
+            Entry::Frame { .. } | Entry::Lock { .. } => Ok(None),
+        }
+    }
+
+    fn keyframe(&mut self, keyframe: &Keyframe) -> Result<(), Failure> {
+        match (&mut self.state, &self.other) {
+            (Some(state), None) if state.is(keyframe) => {}
+            (Some(state), Some(_)) if state.source == keyframe.source => {
+                // The settings stay; what was before a hole, or before the source came up, is not told again.
+                if state.last != keyframe.last {
+                    self.taken_up += 1;
+                    state.interrupt(keyframe)?;
+                }
+            }
+            (_, other) => {
+                self.taken_up += 1;
+                self.state = Some(State::new(keyframe, other.as_ref())?);
+            }
+        }
+        Ok(())
+    }
+
+    fn sample(&mut self, scan: &Scan, then: &Sample, steering: &LoopState) -> Option<PoseReport> {
+        let state = self.state.as_mut().filter(|state| state.map.is_some());
+        self.passed_over += u64::from(state.is_none());
+        let State { map, last, estimation, .. } = state?;
+        let mut sample = map.as_mut()?.sample(scan);
+        *last = Some(*scan);
+        if then.lost == scan.lost {
+            sample.lost = then.lost;
+        } else if self.other.is_none() {
+            // Estimation had no room for the scan before, so that is not on record; but it was interpolated
+            // from.
+            sample = *then;
+        } else {
+            sample.lost = then.lost;
+        }
+        let report = estimation.sample(&sample, steering)?;
+        Some(estimation.in_user_frame(&report))
+    }
+}
+
+impl State {
+    fn new(keyframe: &Keyframe, other: Option<&Arc<Meaning>>) -> Result<Self, Failure> {
+        let meaning = Arc::clone(other.unwrap_or(&keyframe.meaning));
+        let channels = Channels::new(&meaning.config, &meaning.tables)?;
+        let wrong = |message: String| Failure::new(exit::CONFIG, message);
+        let settings = Settings::new(&meaning.config, channels.calibrated(), meaning.id())
+            .map_err(|e| wrong(e.to_string()))?;
+        let mut estimation = Estimation::new(settings);
+        if other.is_none() {
+            estimation.remember(keyframe.memory.clone());
+        } else if let Some(source) = &keyframe.source {
+            estimation.source(source.simulated);
+        }
+        let mut map =
+            keyframe.source.as_ref().map(|source| channels.map(source)).transpose().map_err(wrong)?;
+        if let Some((map, last)) = map.as_mut().zip(keyframe.last) {
+            map.follow(&last);
+        }
+        Ok(Self { meaning, source: keyframe.source.clone(), map, last: keyframe.last, estimation })
+    }
+
+    /// Whether this is the state of the keyframe.
+    fn is(&self, keyframe: &Keyframe) -> bool {
+        let same = |a: &Arc<Meaning>, b| Arc::ptr_eq(a, b) || a == b;
+        same(&self.meaning, &keyframe.meaning)
+            && self.source == keyframe.source
+            && self.last == keyframe.last
+            && bytes(self.estimation.memory()) == bytes(&keyframe.memory)
+    }
+
+    fn interrupt(&mut self, keyframe: &Keyframe) -> Result<(), Failure> {
+        let Self { meaning, last, estimation, .. } = self;
+        let fresh = Self::new(keyframe, Some(meaning))?;
+        self.map = fresh.map;
+        *last = keyframe.last;
+        if let Some(source) = &self.source {
+            estimation.source(source.simulated);
+        }
+        Ok(())
+    }
+}
+
+/// A memory to be compared: what is not a number must be the same nothing.
+fn bytes(memory: &Memory) -> Option<Vec<u8>> {
+    postcard::to_stdvec(memory).ok()
+}

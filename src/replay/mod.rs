@@ -1,0 +1,12 @@
+//! The same samples through the same code, once more.
+//!
+//! - [`engine`]: what was on record goes in, reports come out; pure.
+//! - [`verdict`]: whether they are what was published then, bit by bit, or by how much they differ.
+
+pub mod engine;
+#[cfg(test)]
+mod tests;
+pub mod verdict;
+
+pub use engine::Engine;
+pub use verdict::Verdict;

@@ -1,0 +1,70 @@
+//! What the rig puts on record comes out again.
+
+use super::{Engine, Verdict};
+use crate::config::{Config, parse};
+use crate::recording::Entry;
+use crate::rig::Rig;
+
+fn config(text: &str) -> Config {
+    parse(text, None).unwrap()
+}
+
+/// What the twin puts on record in so many scans.
+fn recorded(config: &Config, scans: u64) -> Vec<Entry> {
+    let (mut rig, mut outflow) = Rig::recorded(config).unwrap();
+    let mut entries = Vec::new();
+    for _ in 0..scans {
+        rig.turn();
+        entries.extend(std::iter::from_fn(|| outflow.entries.try_recv().ok()));
+    }
+    entries
+}
+
+fn replayed(entries: &[Entry]) -> (Engine, Verdict) {
+    let (mut engine, mut verdict) = (Engine::new(), Verdict::default());
+    for entry in entries {
+        let report = engine.take(entry).unwrap();
+        verdict.take(entry, report);
+    }
+    (engine, verdict)
+}
+
+fn frames(entries: &[Entry]) -> u64 {
+    entries.iter().filter(|entry| matches!(entry, Entry::Frame { .. })).count() as u64
+}
+
+const EVERYTHING: &str = "
+    acquisition.rate_hz = 2000
+    twin.channel_skew_us = 20
+    [[twin.motion]]
+    axis = 'tx'
+    kind = 'sine'
+    amount_um = 200
+    frequency_hz = 3
+    [[twin.fault]]
+    kind = 'stalled'
+    at_s = 0.7
+    for_s = 0.2
+    [[twin.fault]]
+    kind = 'beam-blocked'
+    at_s = 1.6
+    for_s = 0.3
+";
+
+#[test]
+fn every_frame_comes_out_as_it_was() {
+    let fused = "estimation.fuse_steering = true\ntwin.steering.readback_noise_um = 0.1\n";
+    for text in [
+        "",
+        EVERYTHING,
+        "estimation.average = 7",
+        &format!("{fused}{EVERYTHING}"),
+        "estimation.model = 'ray'",
+    ] {
+        let entries = recorded(&config(text), 6000);
+        let (engine, verdict) = replayed(&entries);
+        assert_eq!((verdict.same, verdict.other), (frames(&entries), 0), "{text}: {:?}", verdict.first);
+        assert_eq!((verdict.unrecorded, verdict.unrepeated), (0, 0));
+        assert_eq!((engine.taken_up, engine.passed_over), (1, 0), "{text}: it goes on by itself");
+    }
+}
