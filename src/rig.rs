@@ -197,8 +197,8 @@ impl Rig {
     }
 
     fn changed(&self, time: Mono, transition: Option<Transition>) {
-        if let Some(transition) = transition {
-            self.tap.put(|| Entry::Lock { time, transition });
+        if let Some(Transition { from, to, cause }) = transition {
+            self.tap.put(|| Entry::Lock { time, before: from, after: to, cause: cause.into() });
         }
     }
 

@@ -22,6 +22,30 @@ pub enum Role {
     Auxiliary,
 }
 
+impl Role {
+    /// Its number.
+    pub fn number(self) -> u8 {
+        match self {
+            Role::Auxiliary => 0x00,
+            Role::U(psd) => 0x10 + psd,
+            Role::V(psd) => 0x20 + psd,
+            Role::Sum(psd) => 0x30 + psd,
+            Role::Steering(axis) => 0x40 + axis,
+        }
+    }
+
+    /// The role of a number; a number that is not known is a channel that is not needed.
+    pub fn of(number: u8) -> Self {
+        match (number >> 4, number & 0x0f) {
+            (1, psd @ 0..=2) => Role::U(psd),
+            (2, psd @ 0..=2) => Role::V(psd),
+            (3, psd @ 0..=2) => Role::Sum(psd),
+            (4, axis @ 0..=1) => Role::Steering(axis),
+            _ => Role::Auxiliary,
+        }
+    }
+}
+
 /// The nine signals of the sensor in their canonical order: u, v, sum of A, then of B, then of C.
 pub const SIGNALS: [Role; 9] = [
     Role::U(0),
@@ -82,7 +106,7 @@ pub struct Identity {
 }
 
 /// One scan of the converter: raw codes with their time.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scan {
     /// Counts every sample of the converter, also those that were lost; never goes back.
     pub index: u64,

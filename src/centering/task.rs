@@ -150,8 +150,8 @@ impl<D: Driver, C: Clock> Side<D, C> {
     fn say(&self, transition: Option<Transition>) {
         let Some(transition) = transition else { return };
         let time = self.clock.now();
-        self.tap.put(|| Entry::Lock { time, transition });
         let Transition { from, to, cause } = transition;
+        self.tap.put(|| Entry::Lock { time, before: from, after: to, cause: cause.into() });
         tracing::info!(from = from.name(), to = to.name(), cause, "lock");
         let counters = &self.counters;
         let counter = match to {

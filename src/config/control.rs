@@ -6,13 +6,14 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Deserializer, Serialize, de};
 
 use super::check::Checker;
+use super::text::or_off;
 
 /// `[control]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ControlConfig {
     /// Path of the Unix socket; none (`"off"` in the file) for no socket.
-    #[serde(deserialize_with = "path_or_off")]
+    #[serde(deserialize_with = "path_or_off", serialize_with = "or_off")]
     pub socket: Option<PathBuf>,
     /// Permissions of the socket: whoever may write to it may steer.
     #[serde(deserialize_with = "permissions")]

@@ -31,6 +31,7 @@ mod realtime;
 pub mod reload;
 mod steering;
 mod tables;
+mod text;
 mod together;
 mod twin;
 

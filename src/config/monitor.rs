@@ -6,14 +6,14 @@ use std::net::SocketAddr;
 use serde::{Deserialize, Serialize, Serializer};
 use subtle::ConstantTimeEq;
 
-use super::{check::Checker, publishing::address_or_off};
+use super::{check::Checker, publishing::address_or_off, text::or_off};
 
 /// `[monitor]`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MonitorConfig {
     /// Where browsers and scrapers connect; none (`"off"` in the file) switches the server off.
-    #[serde(deserialize_with = "address_or_off")]
+    #[serde(deserialize_with = "address_or_off", serialize_with = "or_off")]
     pub listen: Option<SocketAddr>,
     /// Names that a request may be addressed to, besides `localhost` and the address that it came to.
     pub allowed_hosts: Vec<String>,

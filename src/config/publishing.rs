@@ -6,14 +6,14 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use serde::de::{Error, MapAccess, Visitor, value::MapAccessDeserializer};
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::{check::Checker, network::Network};
+use super::{check::Checker, network::Network, text::or_off};
 
 /// `[publishing]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PublishingConfig {
     /// Where TCP clients connect; none (`"off"` in the file) switches the server off.
-    #[serde(deserialize_with = "address_or_off")]
+    #[serde(deserialize_with = "address_or_off", serialize_with = "or_off")]
     pub tcp: Option<SocketAddr>,
     /// Most TCP clients at a time.
     pub tcp_clients: usize,
@@ -24,7 +24,7 @@ pub struct PublishingConfig {
     /// Where datagrams go.
     pub udp: Vec<UdpTarget>,
     /// Where receivers of datagrams subscribe; none (`"off"` in the file): nowhere.
-    #[serde(deserialize_with = "address_or_off")]
+    #[serde(deserialize_with = "address_or_off", serialize_with = "or_off")]
     pub subscribe: Option<SocketAddr>,
     /// Most subscribers at a time.
     pub subscribers: usize,

@@ -5,6 +5,7 @@ use serde::{Deserialize, Deserializer, Serialize, de};
 use super::check::{Checker, above_zero};
 use super::fault::Fault;
 use super::motion::{Axis, Motion, MotionKind};
+use super::text::or_off;
 
 /// `[twin]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -53,7 +54,7 @@ pub struct TwinSteering {
     /// Mechanical limits, plus and minus.
     pub limit_um: f64,
     /// One standard deviation of the readback; none (`"off"` in the file) without a readback channel.
-    #[serde(deserialize_with = "number_or_off")]
+    #[serde(deserialize_with = "number_or_off", serialize_with = "or_off")]
     pub readback_noise_um: Option<f64>,
 }
 

@@ -1,14 +1,14 @@
 //! What is recorded, and the way it takes from the fast side.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::Matrix6;
 use tokio::sync::mpsc;
 
-use crate::acquisition::{Down, Identity, Sample, Scan};
-use crate::centering::LoopState;
-use crate::centering::lock::Transition;
+use crate::acquisition::{Identity, Sample, Scan};
+use crate::centering::{LockState, LoopState};
 use crate::clock::Mono;
 use crate::config::Meaning;
 use crate::estimation::Memory;
@@ -41,7 +41,7 @@ pub enum Entry {
         /// What it knew of the loop.
         steering: LoopState,
         /// Why the source went down, if that was the moment.
-        why: Option<Down>,
+        why: Option<String>,
     },
     /// What was published of the sample or the silence before.
     Frame {
@@ -56,8 +56,12 @@ pub enum Entry {
     Lock {
         /// When.
         time: Mono,
-        /// From what to what, and why.
-        transition: Transition,
+        /// State before.
+        before: LockState,
+        /// State after.
+        after: LockState,
+        /// Why.
+        cause: Cow<'static, str>,
     },
 }
 

@@ -49,7 +49,7 @@ impl Witness {
     /// Estimation is about to say that nothing comes.
     pub fn silence(&mut self, time: Mono, steering: &LoopState, why: Option<Down>, memory: &Memory) {
         self.keyframe(time, memory);
-        self.put(|| Entry::Silence { time, steering: *steering, why });
+        self.put(|| Entry::Silence { time, steering: *steering, why: why.map(|down| down.to_string()) });
     }
 
     fn keyframe(&mut self, now: Mono, memory: &Memory) {

@@ -31,6 +31,8 @@ struct State {
     source: Option<Arc<Identity>>,
     map: Option<ChannelMap>,
     last: Option<Scan>,
+    /// What was made of it.
+    sample: Option<Sample>,
     estimation: Estimation,
 }
 
@@ -50,16 +52,6 @@ impl Engine {
         self.other.is_none()
     }
 
-    /// What samples and poses mean at present; none before the first keyframe.
-    pub fn meaning(&self) -> Option<&Arc<Meaning>> {
-        self.state.as_ref().map(|state| &state.meaning)
-    }
-
-    /// The source at present.
-    pub fn source(&self) -> Option<&Arc<Identity>> {
-        self.state.as_ref()?.source.as_ref()
-    }
-
     /// What comes out of an entry, in the user's frame.
     ///
     /// # Errors
@@ -76,6 +68,39 @@ impl Engine {
             }
             Entry::Frame { .. } | Entry::Lock { .. } => Ok(None),
         }
+    }
+
+    /// Something is missing on record: nothing can be said before the next keyframe.
+    pub fn hole(&mut self) {
+        self.state = None;
+    }
+
+    /// Begins without what estimation remembered then, where that cannot be read; goes on if it has begun.
+    ///
+    /// # Errors
+    /// The configuration and the source do not go together.
+    pub fn cold(&mut self, meaning: &Arc<Meaning>, source: Option<&Arc<Identity>>) -> Result<(), Failure> {
+        let goes_on = |state: &State| state.meaning == *meaning && state.source.as_ref() == source;
+        if self.state.as_ref().is_none_or(|state| self.other.is_none() && !goes_on(state)) {
+            let (meaning, source) = (Arc::clone(meaning), source.cloned());
+            let keyframe = Keyframe { meaning, source, last: None, memory: Memory::default() };
+            let own = self.other.as_ref().unwrap_or(&keyframe.meaning);
+            self.state = Some(State::new(&keyframe, Some(own))?);
+            self.taken_up += 1;
+        }
+        Ok(())
+    }
+
+    /// The state between the last sample and the next, to go on from; none before the first keyframe.
+    pub fn now(&self) -> Option<Keyframe> {
+        let State { meaning, source, last, estimation, .. } = self.state.as_ref()?;
+        let (meaning, memory) = (Arc::clone(meaning), estimation.memory().clone());
+        Some(Keyframe { meaning, source: source.clone(), last: *last, memory })
+    }
+
+    /// What the channel map made of the last scan.
+    pub fn sample_now(&self) -> Option<Sample> {
+        self.state.as_ref()?.sample
     }
 
     fn keyframe(&mut self, keyframe: &Keyframe) -> Result<(), Failure> {
@@ -99,18 +124,15 @@ impl Engine {
     fn sample(&mut self, scan: &Scan, then: &Sample, steering: &LoopState) -> Option<PoseReport> {
         let state = self.state.as_mut().filter(|state| state.map.is_some());
         self.passed_over += u64::from(state.is_none());
-        let State { map, last, estimation, .. } = state?;
+        let State { map, last, sample: made, estimation, .. } = state?;
         let mut sample = map.as_mut()?.sample(scan);
         *last = Some(*scan);
-        if then.lost == scan.lost {
-            sample.lost = then.lost;
-        } else if self.other.is_none() {
-            // Estimation had no room for the scan before, so that is not on record; but it was interpolated
-            // from.
+        if then.lost != scan.lost && self.other.is_none() {
+            // Estimation had no room for the scan before: it is not on record, but was interpolated from.
             sample = *then;
-        } else {
-            sample.lost = then.lost;
         }
+        sample.lost = then.lost;
+        *made = Some(sample);
         let report = estimation.sample(&sample, steering)?;
         Some(estimation.in_user_frame(&report))
     }
@@ -134,7 +156,7 @@ impl State {
         if let Some((map, last)) = map.as_mut().zip(keyframe.last) {
             map.follow(&last);
         }
-        Ok(Self { meaning, source: keyframe.source.clone(), map, last: keyframe.last, estimation })
+        Ok(Self { meaning, source: keyframe.source.clone(), map, last: keyframe.last, sample: None, estimation })
     }
 
     /// Whether this is the state of the keyframe.

@@ -1,11 +1,13 @@
 //! The same samples through the same code, once more.
 //!
 //! - [`engine`]: what was on record goes in, reports come out; pure.
+//! - [`feed`]: files, read ahead.
 //! - [`verdict`]: whether they are what was published then, bit by bit, or by how much they differ.
 
 pub mod engine;
 #[cfg(test)]
 mod tests;
+pub mod feed;
 pub mod verdict;
 
 pub use engine::Engine;

@@ -77,6 +77,11 @@ impl Verdict {
         None
     }
 
+    /// Something is missing on record.
+    pub fn hole(&mut self) {
+        self.unrecorded += u64::from(self.told.take().is_some());
+    }
+
     fn count(&mut self, pair: &Pair) {
         if pair.same {
             self.same += 1;

@@ -45,7 +45,7 @@ impl BoardIdentity {
             .roles
             .iter()
             .zip(&self.skew_ns)
-            .fold(message, |message, (role, skew)| message.u8(role_number(*role)).u32(*skew));
+            .fold(message, |message, (role, skew)| message.u8(role.number()).u32(*skew));
         let name = shortened(&self.name);
         message.u8(name.len() as u8).bytes(name.as_bytes())
     }
@@ -61,7 +61,7 @@ impl BoardIdentity {
         let mut roles = Vec::with_capacity(channels);
         let mut skew_ns = Vec::with_capacity(channels);
         for _ in 0..channels {
-            roles.push(role(body.u8()?));
+            roles.push(Role::of(body.u8()?));
             skew_ns.push(body.u32()?);
         }
         let length = usize::from(body.u8()?);
@@ -74,26 +74,4 @@ impl BoardIdentity {
 /// A name that fits.
 fn shortened(name: &str) -> &str {
     &name[..name.floor_char_boundary(MAX_NAME)]
-}
-
-/// The number of a role on the wire.
-fn role_number(role: Role) -> u8 {
-    match role {
-        Role::Auxiliary => 0x00,
-        Role::U(psd) => 0x10 + psd,
-        Role::V(psd) => 0x20 + psd,
-        Role::Sum(psd) => 0x30 + psd,
-        Role::Steering(axis) => 0x40 + axis,
-    }
-}
-
-/// The role of a number; a number that is not known is a channel that is not needed.
-fn role(number: u8) -> Role {
-    match (number >> 4, number & 0x0f) {
-        (1, psd @ 0..=2) => Role::U(psd),
-        (2, psd @ 0..=2) => Role::V(psd),
-        (3, psd @ 0..=2) => Role::Sum(psd),
-        (4, axis @ 0..=1) => Role::Steering(axis),
-        _ => Role::Auxiliary,
-    }
 }

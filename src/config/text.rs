@@ -1,0 +1,59 @@
+//! The configuration as the text of a file.
+
+use serde::{Serialize, Serializer};
+
+use super::Config;
+
+impl Config {
+    /// The text of a file that means the same, without secrets, and so without control by the page.
+    ///
+    /// # Errors
+    /// A number is too large for TOML.
+    pub fn to_text(&self) -> Result<String, toml::ser::Error> {
+        let mut public = self.clone();
+        (public.monitor.token, public.monitor.control) = (None, false);
+        toml::to_string(&public)
+    }
+}
+
+/// None is `"off"`.
+pub(super) fn or_off<T: Serialize, S: Serializer>(value: &Option<T>, to: S) -> Result<S::Ok, S::Error> {
+    match value {
+        Some(value) => value.serialize(to),
+        None => "off".serialize(to),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+
+    use crate::config::{Token, load, parse};
+
+    #[test]
+    fn every_shipped_file_is_the_same_after_it_was_written() {
+        let mut files = 0;
+        for file in std::fs::read_dir("config").unwrap().map(|file| file.unwrap().path()) {
+            if file.extension().is_some_and(|e| e == "toml") {
+                let config = load(Some(&file)).unwrap();
+                let text = config.to_text().unwrap();
+                assert_eq!(parse(&text, None).unwrap(), config, "{}: {text}", file.display());
+                files += 1;
+            }
+        }
+        assert_eq!(files, 3);
+    }
+
+    #[test]
+    fn what_is_switched_off_stays_off_and_secrets_stay_out() {
+        let text = "monitor.listen = 'off'\npublishing.tcp = 'off'\ntwin.steering.readback_noise_um = 'off'\n\
+                    channels.b.dark_v = [0.1, -0.30000000000000004, 1e-300]\ntwin.seed = 9223372036854775807";
+        let config = parse(text, None).unwrap();
+        assert_eq!(parse(&config.to_text().unwrap(), None).unwrap(), config);
+        let secret = "monitor.control = true\nmonitor.token = 'correct-horse-battery'";
+        let mut config = parse(secret, None).unwrap();
+        let text = config.to_text().unwrap();
+        assert!(!text.contains("correct") && !text.contains("token"), "{text}");
+        (config.monitor.token, config.monitor.control) = (None::<Token>, false);
+        assert_eq!(parse(&text, None).unwrap(), config);
+    }
+}

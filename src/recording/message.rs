@@ -1,0 +1,388 @@
+//! The messages of the file: the fields of `msg/*.msg`, in their order.
+
+use serde::{Deserialize, Serialize};
+
+use crate::acquisition::{Converter, Identity, PsdState, Role, Sample as Taken, Scan};
+use crate::centering::{LockState, LoopState};
+use crate::clock::{Mono, NS_PER_S};
+use crate::estimation::Status;
+use crate::optics::Pose;
+use crate::publishing::PoseFrame;
+
+/// `builtin_interfaces/Time`, UTC.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Time {
+    sec: i32,
+    nanosec: u32,
+}
+
+impl Time {
+    /// From nanoseconds since 1970.
+    pub fn new(ns: i64) -> Self {
+        Self { sec: ns.div_euclid(NS_PER_S) as i32, nanosec: ns.rem_euclid(NS_PER_S) as u32 }
+    }
+}
+
+/// What cannot be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0} is no {1}")]
+pub struct Unknown(u8, &'static str);
+
+fn lock(number: u8) -> Result<LockState, Unknown> {
+    LockState::ALL.get(usize::from(number)).copied().ok_or(Unknown(number, "lock state"))
+}
+
+/// None is NaN.
+fn pair(known: Option<[f64; 2]>) -> [f64; 2] {
+    known.unwrap_or([f64::NAN; 2])
+}
+
+fn known(pair: [f64; 2]) -> Option<[f64; 2]> {
+    (!pair.iter().all(|x| x.is_nan())).then_some(pair)
+}
+
+/// `/trifacet/frame`.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Frame {
+    stamp: Time,
+    monotonic_ns: i64,
+    session: u32,
+    config: u32,
+    sequence: u64,
+    sample_index: u64,
+    time_ns: i64,
+    solve_delay_ns: u32,
+    send_delay_ns: u32,
+    status: u32,
+    clock_quality: u16,
+    lock: u8,
+    iterations: u8,
+    pose: [f64; 6],
+    deviations: [f32; 6],
+    beam_offset: [f32; 2],
+    steering_residual: f32,
+    averaged: u16,
+    lost: u16,
+    spots: [f32; 6],
+    powers: [f32; 3],
+    steering: [f32; 2],
+}
+
+impl Frame {
+    /// Of a frame whose `time_ns` is this moment.
+    pub fn new(frame: &PoseFrame, time: Mono) -> Self {
+        Self {
+            stamp: Time::new(frame.time_ns),
+            monotonic_ns: time.0,
+            session: frame.session,
+            config: frame.config,
+            sequence: frame.sequence,
+            sample_index: frame.sample_index,
+            time_ns: frame.time_ns,
+            solve_delay_ns: frame.solve_delay_ns,
+            send_delay_ns: frame.send_delay_ns,
+            status: frame.status.0,
+            clock_quality: frame.clock_quality,
+            lock: frame.lock as u8,
+            iterations: frame.iterations,
+            pose: frame.pose,
+            deviations: frame.deviations,
+            beam_offset: frame.beam_offset,
+            steering_residual: frame.steering_residual,
+            averaged: frame.averaged,
+            lost: frame.lost,
+            spots: frame.spots,
+            powers: frame.powers,
+            steering: frame.steering,
+        }
+    }
+
+    /// The frame, and the moment.
+    pub fn read(&self) -> Result<(PoseFrame, Mono), Unknown> {
+        let frame = PoseFrame {
+            session: self.session,
+            config: self.config,
+            sequence: self.sequence,
+            sample_index: self.sample_index,
+            time_ns: self.time_ns,
+            solve_delay_ns: self.solve_delay_ns,
+            send_delay_ns: self.send_delay_ns,
+            status: Status(self.status),
+            clock_quality: self.clock_quality,
+            lock: lock(self.lock)?,
+            iterations: self.iterations,
+            pose: self.pose,
+            deviations: self.deviations,
+            beam_offset: self.beam_offset,
+            steering_residual: self.steering_residual,
+            averaged: self.averaged,
+            lost: self.lost,
+            spots: self.spots,
+            powers: self.powers,
+            steering: self.steering,
+        };
+        Ok((frame, Mono(self.monotonic_ns)))
+    }
+}
+
+/// `/trifacet/sample`.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Sample {
+    stamp: Time,
+    monotonic_ns: i64,
+    index: u64,
+    time_sigma_ns: f64,
+    lost: u32,
+    unhandled: u32,
+    output_railed: bool,
+    lock: u8,
+    codes: [i32; 16],
+    spots: [f64; 6],
+    powers: [f64; 3],
+    psds: [u8; 3],
+    steering: [f64; 2],
+    commanded: [f64; 2],
+}
+
+impl Sample {
+    /// Of a sample that estimation is about to take.
+    pub fn new(stamp: Time, scan: &Scan, sample: &Taken, steering: &LoopState) -> Self {
+        Self {
+            stamp,
+            monotonic_ns: scan.time.0,
+            index: scan.index,
+            time_sigma_ns: scan.time_sigma_ns.unwrap_or(f64::NAN),
+            lost: sample.lost,
+            unhandled: sample.lost.saturating_sub(scan.lost),
+            output_railed: scan.output_railed,
+            lock: steering.lock as u8,
+            codes: scan.codes,
+            spots: sample.spots,
+            powers: sample.powers,
+            psds: sample.psds.map(|psd| psd as u8),
+            steering: pair(sample.steering),
+            commanded: pair(steering.position),
+        }
+    }
+
+    /// The scan, what was made of it, and what estimation knew of the loop.
+    pub fn read(&self) -> Result<(Scan, Taken, LoopState), Unknown> {
+        let psd = |number| match number {
+            0 => Ok(PsdState::Good),
+            1 => Ok(PsdState::Low),
+            2 => Ok(PsdState::Clipped),
+            _ => Err(Unknown(number, "state of a PSD")),
+        };
+        let [a, b, c] = self.psds;
+        let scan = Scan {
+            index: self.index,
+            time: Mono(self.monotonic_ns),
+            time_sigma_ns: Some(self.time_sigma_ns).filter(|sigma| !sigma.is_nan()),
+            lost: self.lost.saturating_sub(self.unhandled),
+            codes: self.codes,
+            output_railed: self.output_railed,
+        };
+        let sample = Taken {
+            index: scan.index,
+            time: scan.time,
+            time_sigma_ns: scan.time_sigma_ns,
+            lost: self.lost,
+            spots: self.spots,
+            powers: self.powers,
+            psds: [psd(a)?, psd(b)?, psd(c)?],
+            steering: known(self.steering),
+            output_railed: scan.output_railed,
+        };
+        let steering = LoopState { lock: lock(self.lock)?, position: known(self.commanded) };
+        Ok((scan, sample, steering))
+    }
+}
+
+/// `/trifacet/silence`.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Silence {
+    stamp: Time,
+    monotonic_ns: i64,
+    lock: u8,
+    commanded: [f64; 2],
+    why: String,
+}
+
+impl Silence {
+    /// Of a moment without samples.
+    pub fn new(stamp: Time, time: Mono, steering: &LoopState, why: Option<&str>) -> Self {
+        let commanded = pair(steering.position);
+        let why = why.unwrap_or_default().to_owned();
+        Self { stamp, monotonic_ns: time.0, lock: steering.lock as u8, commanded, why }
+    }
+
+    /// When, what estimation knew of the loop, and why the source went down just then.
+    pub fn read(self) -> Result<(Mono, LoopState, Option<String>), Unknown> {
+        let steering = LoopState { lock: lock(self.lock)?, position: known(self.commanded) };
+        Ok((Mono(self.monotonic_ns), steering, Some(self.why).filter(|why| !why.is_empty())))
+    }
+}
+
+/// `/trifacet/lock`.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Lock {
+    stamp: Time,
+    monotonic_ns: i64,
+    before: u8,
+    after: u8,
+    cause: String,
+}
+
+impl Lock {
+    /// Of a change.
+    pub fn new(stamp: Time, time: Mono, [before, after]: [LockState; 2], cause: &str) -> Self {
+        let [before, after] = [before, after].map(|state| state as u8);
+        Self { stamp, monotonic_ns: time.0, before, after, cause: cause.to_owned() }
+    }
+
+    /// When, from what to what, and why.
+    pub fn read(self) -> Result<(Mono, [LockState; 2], String), Unknown> {
+        Ok((Mono(self.monotonic_ns), [lock(self.before)?, lock(self.after)?], self.cause))
+    }
+}
+
+/// `/trifacet/config`.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Config {
+    /// When it was written.
+    pub stamp: Time,
+    /// Of the program.
+    pub version: String,
+    /// As in the frames.
+    pub id: u32,
+    /// The configuration.
+    pub toml: String,
+    /// Contents of the correction tables; empty: none.
+    pub tables: (Vec<u8>, Vec<u8>, Vec<u8>),
+}
+
+/// `/trifacet/source`.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Source {
+    stamp: Time,
+    name: String,
+    rate_hz: f64,
+    bits: u8,
+    range_v: f64,
+    roles: Vec<u8>,
+    skew_ns: Vec<u32>,
+    output_bits: u8,
+    simulated: bool,
+}
+
+impl Source {
+    /// Of a source.
+    pub fn new(stamp: Time, identity: &Identity) -> Self {
+        let Converter { bits, range_v } = identity.converter;
+        Self {
+            stamp,
+            name: identity.name.clone(),
+            rate_hz: identity.rate_hz,
+            bits,
+            range_v,
+            roles: identity.roles.iter().map(|role| role.number()).collect(),
+            skew_ns: identity.skew_ns.clone(),
+            output_bits: identity.output_bits,
+            simulated: identity.simulated,
+        }
+    }
+
+    /// The source.
+    pub fn read(self) -> Identity {
+        Identity {
+            name: self.name,
+            rate_hz: self.rate_hz,
+            converter: Converter { bits: self.bits, range_v: self.range_v },
+            roles: self.roles.into_iter().map(Role::of).collect(),
+            skew_ns: self.skew_ns,
+            output_bits: self.output_bits,
+            simulated: self.simulated,
+        }
+    }
+}
+
+/// `/trifacet/keyframe`.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Keyframe {
+    /// When it was written.
+    pub stamp: Time,
+    /// Of the program that can read the state.
+    pub version: String,
+    /// Whether there is a source.
+    pub source: bool,
+    /// Last scan and memory.
+    pub state: Vec<u8>,
+}
+
+/// `/trifacet/gap`.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Gap {
+    /// When it ended.
+    pub stamp: Time,
+    /// How much is missing.
+    pub entries: u64,
+    /// Why.
+    pub reason: String,
+}
+
+/// `geometry_msgs/PoseWithCovarianceStamped`.
+#[derive(Debug, Serialize)]
+pub struct PoseStamped {
+    stamp: Time,
+    frame_id: &'static str,
+    position: [f64; 3],
+    orientation: [f64; 4],
+    covariance: [[f64; 6]; 6],
+}
+
+impl PoseStamped {
+    /// Of the pose in a valid frame, with its covariance in m and rad of roll, pitch, yaw.
+    pub fn new(frame: &PoseFrame, covariance: &nalgebra::Matrix6<f64>) -> Self {
+        let pose = Pose::from_array(frame.pose);
+        // ROS means small turns about the fixed axes, where we mean roll, pitch and yaw.
+        let mut axes = nalgebra::Matrix6::identity();
+        axes.fixed_view_mut::<3, 3>(3, 3).copy_from(&pose.euler_axes());
+        let turned = axes * covariance * axes.transpose();
+        // Single precision is more than a covariance is good for, and takes half the room.
+        let covariance = std::array::from_fn(|i| std::array::from_fn(|k| f64::from(turned[(i, k)] as f32)));
+        Self {
+            stamp: Time::new(frame.time_ns),
+            frame_id: "trifacet",
+            position: pose.t.into(),
+            orientation: quaternion(&pose),
+            covariance,
+        }
+    }
+}
+
+/// x, y, z, w.
+fn quaternion(pose: &Pose) -> [f64; 4] {
+    let q = nalgebra::UnitQuaternion::from_euler_angles(pose.roll, pose.pitch, pose.yaw);
+    [q.i, q.j, q.k, q.w]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::optics::{Mat3, Vec3};
+
+    #[test]
+    fn the_quaternion_is_the_rotation() {
+        let pose = Pose { t: Vec3::zeros(), roll: 0.3, pitch: -0.2, yaw: 1.1 };
+        let [i, j, k, w] = quaternion(&pose);
+        let q = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, i, j, k));
+        let difference: Mat3 = q.to_rotation_matrix().matrix() - pose.rotation();
+        assert!(difference.norm() < 1e-14, "{difference}");
+    }
+
+    #[test]
+    fn moments_before_1970_have_positive_nanoseconds() {
+        assert_eq!(Time::new(-1), Time { sec: -1, nanosec: 999_999_999 });
+        assert_eq!(Time::new(5 * NS_PER_S + 7), Time { sec: 5, nanosec: 7 });
+    }
+}

@@ -1,0 +1,240 @@
+//! A file to entries, with everything that is wrong with it. Damage costs the chunk that it is in; no bytes make
+//! the reader panic, or take more memory than a chunk may have.
+//!
+//! - [`parts`]: a file to chunks, past every damage. [`chunk`]: unpacked, and held against their checksum.
+//! - [`tally`]: what was in it.
+
+mod bytes;
+pub mod chunk;
+pub mod damage;
+pub mod parts;
+pub mod tally;
+
+use std::collections::{HashMap, VecDeque};
+use std::path::Path;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use chunk::Chunk;
+pub use damage::{Damage, ReadError};
+use parts::{Part, Parts};
+pub use tally::Tally;
+
+use super::codec::{self, DecodeError, Decoder};
+use super::{Entry, Topic, message};
+use crate::acquisition::Identity;
+use crate::config::Meaning;
+
+/// What comes out of a file.
+#[derive(Debug)]
+#[expect(clippy::large_enum_variant, reason = "entries are the rule")]
+pub enum Read {
+    /// What was recorded.
+    Entry(Entry),
+    /// A keyframe whose state another version wrote: what comes after it can be computed, but not as it was.
+    Foreign {
+        /// What samples mean from here on.
+        meaning: Arc<Meaning>,
+        /// The source, if one was up.
+        source: Option<Arc<Identity>>,
+        /// Why the state cannot be read.
+        why: String,
+    },
+    /// The recorder had to leave something out.
+    Gap {
+        /// So many entries.
+        entries: u64,
+        /// Why.
+        reason: String,
+    },
+    /// A place that cannot be read.
+    Damage(Damage),
+}
+
+/// Reads a file from start to end.
+#[derive(Debug)]
+pub struct Reader {
+    parts: Parts,
+    channels: Channels,
+    desk: Desk,
+}
+
+/// The topics of the channels of a file.
+#[derive(Debug, Default)]
+struct Channels(HashMap<u16, Option<Topic>>);
+
+/// What becomes of messages.
+#[derive(Debug)]
+struct Desk {
+    decoder: Decoder,
+    wanted: Vec<Topic>,
+    ready: VecDeque<Read>,
+    tally: Tally,
+}
+
+impl Reader {
+    /// All topics from which a replay is made.
+    pub const REPLAY: &'static [Topic] = &[
+        Topic::Frame,
+        Topic::Sample,
+        Topic::Silence,
+        Topic::Lock,
+        Topic::Config,
+        Topic::Source,
+        Topic::Keyframe,
+        Topic::Gap,
+    ];
+
+    /// Opens a file. Messages on other topics than the wanted ones are counted, not read.
+    ///
+    /// # Errors
+    /// It cannot be read, or is no MCAP file.
+    pub fn open(path: &Path, wanted: &[Topic]) -> Result<Self, ReadError> {
+        let parts = Parts::open(path)?;
+        let tally = Tally { size: parts.size(), ..Tally::default() };
+        let (decoder, ready) = <(Decoder, VecDeque<Read>)>::default();
+        let desk = Desk { decoder, wanted: wanted.to_vec(), ready, tally };
+        Ok(Self { parts, channels: Channels::default(), desk })
+    }
+
+    /// What was in it so far.
+    pub fn tally(&self) -> &Tally {
+        &self.desk.tally
+    }
+
+    /// How far the file was read, bytes.
+    pub fn at(&self) -> u64 {
+        self.parts.at()
+    }
+
+    /// The next thing in the file; none at its end.
+    ///
+    /// # Errors
+    /// The system says no.
+    pub fn next(&mut self) -> Result<Option<Read>, ReadError> {
+        loop {
+            if let Some(read) = self.desk.ready.pop_front() {
+                return Ok(Some(read));
+            }
+            let Some(part) = self.part()? else { return Ok(None) };
+            match part {
+                Part::Chunk(chunk) => {
+                    let (at, desk) = (self.parts.at(), &mut self.desk);
+                    let whole = self.channels.messages(&chunk, |topic, time_ns, data| {
+                        desk.message(topic, time_ns, data, at);
+                    });
+                    self.badly_written(whole);
+                }
+                Part::Damage(damage) => self.desk.damaged(damage),
+            }
+        }
+    }
+
+    /// Hands over the messages of the next part as they are; false at the end of the file.
+    ///
+    /// # Errors
+    /// The system says no.
+    pub fn raw(&mut self, mut put: impl FnMut(Topic, i64, &[u8])) -> Result<bool, ReadError> {
+        let Some(part) = self.part()? else { return Ok(false) };
+        match part {
+            Part::Chunk(chunk) => {
+                let tally = &mut self.desk.tally;
+                let whole = self.channels.messages(&chunk, |topic, time_ns, data| {
+                    tally.message(topic, time_ns);
+                    if let Some(topic) = topic {
+                        put(topic, time_ns, data);
+                    }
+                });
+                self.badly_written(whole);
+            }
+            Part::Damage(damage) => self.desk.damaged(damage),
+        }
+        Ok(true)
+    }
+
+    fn part(&mut self) -> Result<Option<Part>, ReadError> {
+        let part = self.parts.next()?;
+        if part.is_none() {
+            (self.desk.tally.finished, self.desk.tally.torn) = (self.parts.finished, self.parts.torn);
+        }
+        Ok(part)
+    }
+
+    fn badly_written(&mut self, whole: Option<()>) {
+        if whole.is_none() {
+            let what = "the chunk before was written wrongly".into();
+            self.desk.damaged(Damage { at: self.parts.at(), bytes: 0, what });
+        }
+    }
+}
+
+impl Channels {
+    /// Hands over the messages of a chunk, with the topic if it is one of ours; none if the chunk breaks off.
+    fn messages(&mut self, chunk: &Chunk, mut put: impl FnMut(Option<Topic>, i64, &[u8])) -> Option<()> {
+        let mut records = chunk.records();
+        while !records.0.is_empty() {
+            let (opcode, body) = records.record()?;
+            let mut body = Bytes(body);
+            match opcode {
+                4 => {
+                    let (id, _schema) = (body.u16()?, body.u16()?);
+                    let (topic, encoding) = (body.text()?, body.text()?);
+                    self.0.insert(id, Topic::of(topic).filter(|_| encoding == "cdr"));
+                }
+                5 => {
+                    let (id, _sequence) = (body.u16()?, body.u32()?);
+                    let (log_time, _publish_time) = (body.u64()?, body.u64()?);
+                    put(self.topic(id), log_time as i64, body.0);
+                }
+                _ => {}
+            }
+        }
+        Some(())
+    }
+
+    /// The definitions stand in the first chunk. With that one damaged, the ids that this program gives hold.
+    fn topic(&self, id: u16) -> Option<Topic> {
+        let usual = || Topic::ALL.get(usize::from(id).checked_sub(1)?).copied();
+        self.0.get(&id).copied().unwrap_or_else(|| if self.0.is_empty() { usual() } else { None })
+    }
+}
+
+impl Desk {
+    fn damaged(&mut self, damage: Damage) {
+        self.tally.damages.push(damage.clone());
+        self.ready.push_back(Read::Damage(damage));
+    }
+
+    fn message(&mut self, topic: Option<Topic>, time_ns: i64, data: &[u8], at: u64) {
+        self.tally.message(topic, time_ns);
+        let Some(topic) = topic.filter(|topic| self.wanted.contains(topic)) else { return };
+        if let Err(error) = self.decode(topic, data) {
+            let what = format!("in the chunk before, {error}");
+            self.damaged(Damage { at, bytes: 0, what });
+        }
+    }
+
+    fn decode(&mut self, topic: Topic, data: &[u8]) -> Result<(), DecodeError> {
+        if topic == Topic::Gap {
+            let message::Gap { entries, reason, .. } = codec::read(topic, data)?;
+            self.tally.gaps.push((entries, reason.clone()));
+            self.ready.push_back(Read::Gap { entries, reason });
+            return Ok(());
+        }
+        match self.decoder.decode(topic, data) {
+            Ok(Some(entry)) => {
+                self.tally.entry(&entry);
+                self.ready.push_back(Read::Entry(entry));
+            }
+            Ok(None) => {}
+            Err(error @ DecodeError::Version(_)) => {
+                let meaning = self.decoder.meaning().cloned().ok_or(DecodeError::Order)?;
+                let source = self.decoder.source().cloned();
+                self.tally.config(&meaning);
+                self.ready.push_back(Read::Foreign { meaning, source, why: error.to_string() });
+            }
+            Err(error) => return Err(error),
+        }
+        Ok(())
+    }
+}

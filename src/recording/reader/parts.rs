@@ -1,0 +1,262 @@
+//! A file to chunks. No length in it is believed before it was held against the size of the file.
+
+use std::fs::File;
+use std::io;
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+
+use super::bytes::Bytes;
+use super::chunk::{Chunk, Header, MOST};
+use super::damage::{Damage, ReadError};
+
+/// Stands at the start of the file, and at its end.
+const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
+/// Opcode and length before each record.
+const PREFIX: u64 = 9;
+/// Records between chunks are read whole up to this size: an index of a chunk.
+const SMALL: u64 = 8 << 20;
+/// Bytes that are looked through at once for the next chunk.
+const WINDOW: u64 = 1 << 20;
+
+mod op {
+    pub const HEADER: u8 = 1;
+    pub const FOOTER: u8 = 2;
+    pub const SCHEMA: u8 = 3;
+    pub const CHANNEL: u8 = 4;
+    pub const CHUNK: u8 = 6;
+    pub const MESSAGE_INDEX: u8 = 7;
+    pub const CHUNK_INDEX: u8 = 8;
+    pub const STATISTICS: u8 = 0x0b;
+    pub const METADATA: u8 = 0x0c;
+    pub const METADATA_INDEX: u8 = 0x0d;
+    pub const SUMMARY_OFFSET: u8 = 0x0e;
+    pub const DATA_END: u8 = 0x0f;
+}
+
+/// A part of a file.
+#[derive(Debug)]
+pub enum Part {
+    /// Messages, with the definitions that come with them.
+    Chunk(Chunk),
+    /// A place that cannot be read.
+    Damage(Damage),
+}
+
+/// The parts of a file, in order.
+#[derive(Debug)]
+pub struct Parts {
+    file: File,
+    path: PathBuf,
+    size: u64,
+    at: u64,
+    chunks: u64,
+    ended: bool,
+    /// It was closed as it should be.
+    pub finished: bool,
+    /// Bytes at the end that are no whole record: the file was being written.
+    pub torn: u64,
+}
+
+impl Parts {
+    /// Opens a file.
+    ///
+    /// # Errors
+    /// It cannot be read, or is something else.
+    pub fn open(path: &Path) -> Result<Self, ReadError> {
+        let io = |source| ReadError::Io { path: path.to_owned(), source };
+        let file = File::open(path).map_err(io)?;
+        let about = file.metadata().map_err(io)?;
+        if about.is_dir() {
+            return Err(io(io::Error::from(io::ErrorKind::IsADirectory)));
+        }
+        let mut parts = Self {
+            file,
+            path: path.to_owned(),
+            size: about.len(),
+            at: 0,
+            chunks: 0,
+            ended: false,
+            finished: false,
+            torn: 0,
+        };
+        if parts.magic(0).map_err(io)? {
+            parts.at = MAGIC.len() as u64;
+        } else if parts.chunk_after(0).map_err(io)?.is_none() {
+            return Err(ReadError::NotMcap(path.to_owned()));
+        }
+        Ok(parts)
+    }
+
+    /// Size of the file, bytes.
+    pub fn size(&self) -> u64 {
+        self.size
+    }
+
+    /// How far it was read, bytes.
+    pub fn at(&self) -> u64 {
+        self.at
+    }
+
+    /// The next part; none at the end.
+    ///
+    /// # Errors
+    /// The system says no.
+    pub fn next(&mut self) -> Result<Option<Part>, ReadError> {
+        self.part().map_err(|source| ReadError::Io { path: self.path.clone(), source })
+    }
+
+    fn part(&mut self) -> io::Result<Option<Part>> {
+        while !self.ended {
+            if let Some(part) = self.record()? {
+                return Ok(Some(part));
+            }
+        }
+        Ok(None)
+    }
+
+    fn magic(&self, at: u64) -> io::Result<bool> {
+        Ok(self.size >= at + 8 && self.read(at, 8)? == MAGIC)
+    }
+
+    fn read(&self, at: u64, length: u64) -> io::Result<Vec<u8>> {
+        let mut bytes = vec![0; usize::try_from(length).map_err(io::Error::other)?];
+        self.file.read_exact_at(&mut bytes, at)?;
+        Ok(bytes)
+    }
+
+    /// Takes the next record. None says nothing.
+    fn record(&mut self) -> io::Result<Option<Part>> {
+        if self.at == 0 {
+            return self.lost("the file does not begin as an MCAP file");
+        }
+        if self.size - self.at < PREFIX {
+            return self.lost("no whole record");
+        }
+        let prefix = self.read(self.at, PREFIX)?;
+        let (opcode, length) = (prefix[0], Bytes(&prefix[1..]).u64().unwrap_or(u64::MAX));
+        if length > self.size - self.at - PREFIX {
+            return self.lost("a record that is longer than the file");
+        }
+        match opcode {
+            op::CHUNK => self.chunk(length),
+            _ if length > SMALL => self.lost("a record that is too long"),
+            _ => {
+                let body = self.read(self.at + PREFIX, length)?;
+                self.small(opcode, &body)
+            }
+        }
+    }
+
+    fn chunk(&mut self, length: u64) -> io::Result<Option<Part>> {
+        let Some(header) = self.header(self.at)? else {
+            return self.lost("the header of a chunk contradicts itself");
+        };
+        let (at, body) = (self.at, self.at + PREFIX + header.size());
+        self.at += PREFIX + length;
+        self.chunks += 1;
+        let compressed = self.read(body, header.compressed)?;
+        Ok(Some(match Chunk::unpack(&header, compressed) {
+            Ok(chunk) => Part::Chunk(chunk),
+            Err(what) => Part::Damage(Damage { at, bytes: PREFIX + length, what }),
+        }))
+    }
+
+    /// The header of the chunk there, if there is one that makes sense.
+    fn header(&self, at: u64) -> io::Result<Option<Header>> {
+        let room = self.size - at;
+        let bytes = self.read(at, room.min(PREFIX + Header::LONGEST))?;
+        let mut bytes = Bytes(&bytes);
+        if bytes.u8() != Some(op::CHUNK) {
+            return Ok(None);
+        }
+        let Some((length, header)) = bytes.u64().zip(Header::read(&mut bytes)) else { return Ok(None) };
+        let fits = header.uncompressed <= MOST
+            && header.size().checked_add(header.compressed) == Some(length)
+            && length <= room - PREFIX;
+        Ok(fits.then_some(header))
+    }
+
+    /// What stands between chunks, and behind them.
+    fn small(&mut self, opcode: u8, body: &[u8]) -> io::Result<Option<Part>> {
+        if !well_formed(opcode, body) {
+            return self.lost("a record that makes no sense here");
+        }
+        let at = self.at;
+        self.at += PREFIX + body.len() as u64;
+        match opcode {
+            op::STATISTICS => {
+                let counted = Bytes(body.get(22..).unwrap_or_default()).u32();
+                if counted.map(u64::from) != Some(self.chunks) {
+                    let what = format!("{} chunks are there, and {} were written", self.chunks, counted.unwrap_or(0));
+                    return Ok(Some(Part::Damage(Damage { at, bytes: 0, what })));
+                }
+            }
+            op::FOOTER => {
+                self.ended = true;
+                self.finished = self.magic(self.at)? && self.size == self.at + 8;
+                if !self.finished {
+                    let what = "the file does not end as an MCAP file".into();
+                    let bytes = self.size - self.at;
+                    return Ok(Some(Part::Damage(Damage { at: self.at, bytes, what })));
+                }
+                self.at = self.size;
+            }
+            _ => {}
+        }
+        Ok(None)
+    }
+
+    /// Nothing is known from here to the next chunk, or to the end of a file that was being written.
+    fn lost(&mut self, what: &str) -> io::Result<Option<Part>> {
+        let at = self.at;
+        let Some(next) = self.chunk_after(at)? else {
+            (self.at, self.ended, self.torn) = (self.size, true, self.size - at);
+            return Ok(None);
+        };
+        self.at = next;
+        Ok(Some(Part::Damage(Damage { at, bytes: next - at, what: what.into() })))
+    }
+
+    /// Where the next chunk begins that makes sense.
+    fn chunk_after(&self, at: u64) -> io::Result<Option<u64>> {
+        let mut start = at + 1;
+        while start < self.size {
+            let window = self.read(start, WINDOW.min(self.size - start))?;
+            for (offset, _) in (start..).zip(&window).filter(|(_, byte)| **byte == op::CHUNK) {
+                if self.header(offset)?.is_some() {
+                    return Ok(Some(offset));
+                }
+            }
+            start += window.len() as u64;
+        }
+        Ok(None)
+    }
+}
+
+/// Whether a record has the form of its kind. Such records carry no checksum; nothing is taken from them but the
+/// number of chunks.
+fn well_formed(opcode: u8, body: &[u8]) -> bool {
+    let mut rest = Bytes(body);
+    let ends = |rest: &Bytes<'_>| rest.0.is_empty();
+    let whole = match opcode {
+        op::HEADER => rest.text().and_then(|_| rest.text()).is_some(),
+        op::SCHEMA => {
+            rest.u16().is_some() && rest.text().is_some() && rest.text().is_some() && rest.block().is_some()
+        }
+        op::CHANNEL => {
+            rest.u32().is_some() && rest.text().is_some() && rest.text().is_some() && rest.block().is_some()
+        }
+        op::MESSAGE_INDEX => rest.u16().is_some() && rest.block().is_some_and(|b| b.len().is_multiple_of(16)),
+        op::CHUNK_INDEX => {
+            rest.skip(32) && rest.block().is_some() && rest.skip(8) && rest.text().is_some() && rest.skip(16)
+        }
+        op::STATISTICS => rest.skip(42) && rest.block().is_some(),
+        op::METADATA => rest.text().is_some() && rest.block().is_some(),
+        op::METADATA_INDEX => rest.skip(16) && rest.text().is_some(),
+        op::SUMMARY_OFFSET => rest.skip(17),
+        op::DATA_END => rest.skip(4),
+        op::FOOTER => rest.skip(20),
+        _ => false,
+    };
+    whole && ends(&rest)
+}
