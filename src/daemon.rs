@@ -45,7 +45,7 @@ use crate::publishing::{
     Descriptor, Outlets, PoseFrame, Publisher, PublisherSettings, StreamId, subscribe, subscription, tcp,
 };
 use crate::realtime;
-use crate::recording::{Entry, Tap, Witness};
+use crate::recording::{self, Entry, Tap, Witness};
 use crate::service::{Notify, Service};
 use crate::steering::{self, Gcs, Outputs, Stage, gcs};
 use crate::twin::{Twin, TwinSource};
@@ -93,6 +93,8 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         None => None,
     };
     let (told, config_now) = watch::channel(config.clone());
+    let (tap, recording, recorder) =
+        recording::recorder::start(&config.recording, &counters).context("cannot start the recorder")?;
     let udp = config.publishing.udp.clone();
     let (desk, subscribers) = config.publishing.subscribe.map(subscribe::open).transpose()?.unzip();
     let publisher = Publisher::new(
@@ -104,6 +106,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
             subscribers,
             tcp: server.is_some().then_some(to_tcp),
             monitor: monitor.is_some().then_some(to_monitor),
+            recording_fault: Arc::clone(&recording.state.fault),
         },
     )?;
     let parts = Parts {
@@ -116,7 +119,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         turns: Arc::clone(&turns),
         glance,
         stop: CancellationToken::new(),
-        tap: Tap::default(),
+        tap,
         meaning: Arc::clone(&meaning),
         control: at_fast,
         config: config.clone(),
@@ -136,6 +139,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         log: Arc::clone(log),
         counters: Arc::clone(&counters),
         turns: Arc::clone(&turns),
+        recording: recording.clone(),
         started,
     }));
     let view = View::new(view::Sources {
@@ -145,6 +149,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         subscribers: desk.as_ref().map(subscribe::Desk::subscribers),
         turns,
         control: Controls::of(&config.monitor, &live),
+        recording: recording.state,
     });
     let slow = Slow {
         service: &service,
@@ -156,6 +161,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     };
     let control = control(live, socket, hangup, &service.notify);
     let result = serve(&main, config, slow, control, fast, &counters, &stop);
+    recorder.join();
     let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
     tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
     main.shutdown_background(); // a port that is being opened, or a name that is looked up, is not waited for

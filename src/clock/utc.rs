@@ -116,7 +116,7 @@ impl Utc {
 }
 
 /// Reads both clocks as close together as the scheduler allows: the tightest of five attempts.
-fn read_clocks() -> Reading {
+pub fn read_clocks() -> Reading {
     let ns = |id| {
         let t = clock_gettime(id);
         t.tv_sec * NS_PER_S + t.tv_nsec

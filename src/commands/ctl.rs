@@ -8,6 +8,7 @@ use trifacet::config::LoopMode;
 use trifacet::control::{self, Command};
 use trifacet::exit::{self, Failure};
 use trifacet::monitor::turns::{Drill, Task};
+use trifacet::recording::Wish;
 
 use super::written;
 
@@ -70,6 +71,12 @@ enum Order {
         #[arg(value_enum)]
         task: Which,
     },
+    /// Record, or say what is recorded
+    Record {
+        /// What to do
+        #[arg(value_enum)]
+        what: Recording,
+    },
     /// Read the configuration file again, as on SIGHUP
     Reload,
 }
@@ -108,6 +115,18 @@ enum What {
     Block,
     /// End by itself
     End,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Recording {
+    /// Record from now on
+    Start,
+    /// End the recording
+    Stop,
+    /// Do as if there were a fault: with [recording] mode = "on-fault"
+    Trigger,
+    /// Say what is recorded, and where
+    Status,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -153,6 +172,10 @@ impl Order {
             Order::Setpoint { x_um, y_um } => Command::Setpoint([x_um, y_um]),
             Order::Gains { kp, ki_per_s } => Command::Gains { kp, ki_per_s },
             Order::Drill { what, task } => Command::Drill(what.into(), task.into()),
+            Order::Record { what: Recording::Start } => Command::Record(Wish::Start),
+            Order::Record { what: Recording::Stop } => Command::Record(Wish::Stop),
+            Order::Record { what: Recording::Trigger } => Command::Record(Wish::Trigger),
+            Order::Record { what: Recording::Status } => Command::Recording,
             Order::Reload => Command::Reload,
         }
     }

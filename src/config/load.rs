@@ -83,6 +83,10 @@ fn resolve_paths(config: &mut Config, file: Option<&Path>) {
     for psd in config.channels.psds_mut() {
         psd.correction = psd.correction.take().map(|table| folder.join(table));
     }
+    let recordings = &mut config.recording.folder;
+    if !recordings.as_os_str().is_empty() {
+        *recordings = folder.join(&*recordings);
+    }
 }
 
 /// The text is no TOML.

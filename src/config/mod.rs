@@ -28,6 +28,7 @@ mod motion;
 mod network;
 mod publishing;
 mod realtime;
+mod recording;
 pub mod reload;
 mod steering;
 mod tables;
@@ -55,6 +56,7 @@ pub use motion::{Axis, Motion, MotionKind};
 pub use network::Network;
 pub use publishing::{PublishingConfig, UdpTarget};
 pub use realtime::RealtimeConfig;
+pub use recording::{Compression, RecordingConfig, RecordingMode};
 pub use steering::{NO_TILT, OnExit, SteeringConfig, SteeringKind};
 pub use tables::{Meaning, TableError, Tables};
 pub use twin::{TwinConfig, TwinSteering};
@@ -83,6 +85,8 @@ pub struct Config {
     pub control: ControlConfig,
     /// Health, metrics and the live page.
     pub monitor: MonitorConfig,
+    /// What is written to files.
+    pub recording: RecordingConfig,
     /// The digital twin.
     pub twin: TwinConfig,
     /// Priority, memory and CPU of the fast thread.
@@ -104,6 +108,7 @@ impl Config {
         self.publishing.check(at.section("publishing"));
         self.control.check(at.section("control"));
         self.monitor.check(at.section("monitor"));
+        self.recording.check(at.section("recording"));
         self.twin.check(at.section("twin"), self.acquisition.rate_hz);
         self.realtime.check(at.section("realtime"));
         self.log.check(at.section("log"));

@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use crate::config::LoopMode;
 use crate::monitor::turns::{Drill, Task};
+use crate::recording::Wish;
 
 /// A command.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,6 +43,10 @@ pub enum Command {
     Search,
     /// Lets a task misbehave, to see whether the supervision notices; the twin only.
     Drill(Drill, Task),
+    /// What is recorded?
+    Recording,
+    /// Lets the recorder begin, end, or do as if there were a fault.
+    Record(Wish),
     /// Reads the configuration file again.
     Reload,
 }
@@ -56,6 +61,7 @@ pub struct NoCommand {
 /// Every command in its form.
 pub const ALLOWED: &str = "status, tare [poses=N] [save], tare clear [save], loop on|off|shadow|manual, \
     setpoint X_UM Y_UM, gains KP KI_PER_S, move X_UM Y_UM, park, search, reload, \
+    record start|stop|trigger|status, \
     drill stall|block|end acquisition|centering|estimation";
 
 impl FromStr for Command {
@@ -75,6 +81,8 @@ fn parse(word: &str, rest: &[&str]) -> Option<Command> {
         ("reload", []) => Command::Reload,
         ("loop", [mode]) => Command::Loop(LoopMode::ALL.into_iter().find(|m| m.name() == *mode)?),
         ("park", []) => Command::Park,
+        ("record", ["status"]) => Command::Recording,
+        ("record", [wish]) => Command::Record(Wish::ALL.into_iter().find(|w| w.name() == *wish)?),
         ("search", []) => Command::Search,
         ("move", [x, y]) => Command::Move([number(x)?, number(y)?]),
         ("drill", [drill, task]) => Command::Drill(
@@ -121,6 +129,8 @@ impl fmt::Display for Command {
             Command::Park => f.write_str("park"),
             Command::Search => f.write_str("search"),
             Command::Drill(drill, task) => write!(f, "drill {} {task}", drill.name()),
+            Command::Recording => f.write_str("record status"),
+            Command::Record(wish) => write!(f, "record {}", wish.name()),
             Command::Reload => f.write_str("reload"),
         }
     }
@@ -147,6 +157,10 @@ mod tests {
             Command::Search,
             Command::Setpoint([-1.5, 1e-3]),
             Command::Gains { kp: 0.1, ki_per_s: 200.0 },
+            Command::Recording,
+            Command::Record(Wish::Start),
+            Command::Record(Wish::Stop),
+            Command::Record(Wish::Trigger),
             Command::Drill(Drill::Stall, Task::Centering),
             Command::Drill(Drill::Block, Task::Acquisition),
             Command::Drill(Drill::End, Task::Estimation),
@@ -183,6 +197,9 @@ mod tests {
             "gains inf 1",
             "gains 0,1 200",
             "reload /etc/passwd",
+            "record",
+            "record on",
+            "record start now",
             "drill",
             "drill stall",
             "drill stall publishing",

@@ -25,6 +25,7 @@ use crate::monitor::Counters;
 use crate::monitor::turns::{Drill, Task, Turns};
 use crate::optics::Pose;
 use crate::publishing::{Descriptor, descriptor::StreamFacts};
+use crate::recording::{Handle, Wish};
 use crate::steering::Xy;
 
 /// How long the fast side may take to answer.
@@ -59,6 +60,8 @@ pub struct Live {
     pub counters: Arc<Counters>,
     /// The turns of the fast side's tasks.
     pub turns: Arc<Turns>,
+    /// The recorder.
+    pub recording: Handle,
     /// When the daemon started.
     pub started: Mono,
 }
@@ -80,6 +83,8 @@ impl Live {
             Command::Park => self.park().await,
             Command::Search => self.search().await,
             Command::Drill(drill, task) => self.drill(drill, task),
+            Command::Recording => Ok(self.recording.state.tell()),
+            Command::Record(wish) => self.record(wish).await,
             Command::Reload => self.reload().await,
         };
         answer.unwrap_or_else(|failure| error(&failure))
@@ -129,6 +134,12 @@ impl Live {
     ) -> Result<Value, Failure> {
         ask(&self.fast.orders, PATIENCE, order).await?.map_err(|why| Failure::new(exit::USAGE, why))?;
         Ok(json!({ "loop": self.loop_now().await? }))
+    }
+
+    async fn record(&self, wish: Wish) -> Result<Value, Failure> {
+        let done = ask(&self.recording.wishes, PATIENCE, |reply| (wish, reply)).await?;
+        done.map_err(|why| Failure::new(exit::IO, why))?;
+        Ok(json!({ "recording": self.recording.state.tell() }))
     }
 
     /// Reads the file again and takes over what can be.
@@ -304,6 +315,7 @@ impl Live {
             "loop": self.loop_now().await?,
             "pose": pose,
             "frames": self.running.frames,
+            "recording": self.recording.state.tell(),
             "counters": counters,
         }))
     }

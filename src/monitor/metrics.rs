@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use prometheus_client::collector::Collector;
 use prometheus_client::encoding::text::encode;
@@ -41,6 +42,7 @@ impl Collector for View {
             page.put(name, meaning.trim_end_matches('.'), &ConstCounter::new(count))?;
         }
         page.state(self)?;
+        page.recording(self)?;
         let books = self.books();
         page.frames(&books.tally)?;
         page.second(&books.tally.second)?;
@@ -113,6 +115,17 @@ impl Page<'_> {
         let lock = view.newest().borrow().filter(|_| view.dead().is_none()).map(|newest| newest.frame.lock);
         let states = LockState::ALL.map(|state| (state.name(), flag(lock == Some(state))));
         self.each("lock_state", "1 for the state of the loop", "state", states)
+    }
+
+    fn recording(&mut self, view: &View) -> fmt::Result {
+        let state = &view.sources.recording;
+        let on = |flag: &AtomicBool| f64::from(u8::from(flag.load(Ordering::Relaxed)));
+        self.gauge("recording", "1 while a recording is being written", on(&state.recording))?;
+        self.gauge("recording_fault", "1 while the recorder loses data", on(&state.fault))?;
+        let ring = state.ring.load(Ordering::Relaxed);
+        self.gauge("recording_ring_bytes", "What is kept in memory for a fault", ring as f64)?;
+        let free = state.free().map(|free| free as f64);
+        self.known("recording_free_bytes", "Room where the recordings are", free)
     }
 
     /// What was added up over every frame.

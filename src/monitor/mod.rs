@@ -103,6 +103,18 @@ counters! {
     tcp_refused,
     /// Entries that never reached the recorder because it was behind.
     recording_overflows,
+    /// Entries that are in no file because it could not be written.
+    recording_lost,
+    /// Messages written to recordings.
+    recording_messages,
+    /// Bytes written to recordings.
+    recording_bytes,
+    /// Recordings begun.
+    recording_files,
+    /// Recordings deleted because the budget was spent.
+    recording_deletions,
+    /// Times a recording could not go on: disk full, folder gone, or the like.
+    recording_faults,
     /// Frames that never reached the monitor because it was behind.
     monitor_overflows,
     /// Updates of the page that were made, each once for all viewers.

@@ -17,6 +17,7 @@ use crate::clock::{Clock, Mono, SystemClock};
 use crate::config::Config;
 use crate::publishing::target::Subscriber;
 use crate::publishing::{Descriptor, PoseFrame};
+use crate::recording::handle::State;
 
 /// How often new frames are looked for. A frame wakes nobody, so its rate costs little here.
 const LOOK: Duration = Duration::from_millis(20);
@@ -44,6 +45,8 @@ pub struct Sources {
     pub subscribers: Option<watch::Receiver<Arc<[Subscriber]>>>,
     /// Signs of life of the fast side's tasks.
     pub turns: Arc<Turns>,
+    /// What the recorder does.
+    pub recording: Arc<State>,
     /// How the page steers, if it may.
     pub control: Option<Controls>,
 }

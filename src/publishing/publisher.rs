@@ -3,7 +3,10 @@
 
 use std::{
     hash::{BuildHasher, Hasher, RandomState},
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
 };
 
 use tokio::sync::mpsc::{self, error::TrySendError};
@@ -16,7 +19,7 @@ use super::{
 use crate::{
     clock::{Clock, utc::Utc},
     config::UdpTarget,
-    estimation::PoseReport,
+    estimation::{PoseReport, Status},
     exit::Failure,
     monitor::{Counter, Counters},
 };
@@ -56,6 +59,8 @@ pub struct Outlets {
     pub tcp: Option<mpsc::Sender<PoseFrame>>,
     /// To [`crate::monitor::http::serve`].
     pub monitor: Option<mpsc::Sender<PoseFrame>>,
+    /// Whether a recording loses data.
+    pub recording_fault: Arc<AtomicBool>,
 }
 
 /// Makes frames of reports and gives them to the network. Lives on the fast thread.
@@ -68,6 +73,7 @@ pub struct Publisher<C> {
     counters: Arc<Counters>,
     tcp: Option<mpsc::Sender<PoseFrame>>,
     monitor: Option<mpsc::Sender<PoseFrame>>,
+    recording_fault: Arc<AtomicBool>,
     sequence: u64,
 }
 
@@ -83,9 +89,9 @@ impl<C: Clock> Publisher<C> {
         outlets: Outlets,
     ) -> Result<Self, Failure> {
         let PublisherSettings { id, udp } = settings;
-        let Outlets { subscribers, tcp, monitor } = outlets;
+        let Outlets { subscribers, tcp, monitor, recording_fault } = outlets;
         let targets = Targets::open(&udp, subscribers)?;
-        Ok(Self { id, targets, clock, utc, counters, tcp, monitor, sequence: 0 })
+        Ok(Self { id, targets, clock, utc, counters, tcp, monitor, recording_fault, sequence: 0 })
     }
 
     /// Sends the frame of a report to everyone. Frames go out at the full rate, valid or not: silence
@@ -96,7 +102,8 @@ impl<C: Clock> Publisher<C> {
         // Not that of the start: it changes when the meaning of poses does, with the sample.
         let (session, config) = (self.id.session, report.config);
         let stamp = Stamp { session, config, sequence: self.sequence, time_ns, synced, sent };
-        let frame = PoseFrame::from_report(report, stamp);
+        let mut frame = PoseFrame::from_report(report, stamp);
+        frame.status.set(Status::RECORDING_FAULT, self.recording_fault.load(Ordering::Relaxed));
         self.sequence += 1;
         self.counters.frames.one();
         if frame.pose[0].is_nan() {
@@ -126,7 +133,7 @@ mod tests {
     };
 
     use super::*;
-    use crate::{clock::Mono, estimation::Status, publishing::stamp::tests::report};
+    use crate::{clock::Mono, publishing::stamp::tests::report};
 
     #[derive(Clone)]
     struct Fixed(Mono);

@@ -3,17 +3,26 @@
 //! - [`entry`]: what is recorded, as the fast side hands it over without ever waiting.
 //! - [`witness`]: what estimation says for the record, with a keyframe every second.
 //! - [`schema`], [`message`]: topics and messages, as tools for ROS 2 know them. [`codec`]: entries to messages and back.
-//! - [`writer`]: messages to a file.
+//! - [`reader`]: a file to entries, past every damage.
+//! - [`writer`]: messages to a file. [`ring`]: the last seconds in memory. [`folder`], `disk`: where files are.
+//! - [`recorder`]: the thread that does it. [`trigger`]: when. [`handle`]: what others see of it.
 
 pub mod codec;
+mod disk;
 pub mod entry;
+pub mod folder;
+pub mod handle;
 pub mod message;
 pub mod reader;
+pub mod recorder;
+pub mod ring;
 pub mod schema;
+pub mod trigger;
 pub mod witness;
 pub mod writer;
 
 pub use entry::{Entry, Keyframe, Tap};
 pub use reader::Reader;
+pub use handle::{Handle, Wish};
 pub use schema::Topic;
 pub use witness::Witness;

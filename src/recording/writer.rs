@@ -8,10 +8,21 @@ use mcap::write::NoSeek;
 use mcap::{Compression, McapError, WriteOptions};
 
 use super::Topic;
-use super::codec::{Encoded, VERSION};
+use super::codec::{EncodeError, Encoded, VERSION};
 
 /// Size of a chunk before compression, bytes: a third of a second at 10 kHz.
 const CHUNK: u64 = 2 << 20;
+
+/// What cannot be recorded.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    /// It cannot be encoded.
+    #[error("{0}")]
+    Encode(#[from] EncodeError),
+    /// It cannot be written.
+    #[error("{0}")]
+    File(#[from] McapError),
+}
 
 /// Writes one file, or what will be one.
 pub struct Writer<W: Write> {

@@ -14,6 +14,7 @@ use super::own_page;
 use crate::config::{LoopMode, MonitorConfig, Token};
 use crate::control::{self, Command, Live};
 use crate::monitor::view::View;
+use crate::recording::Wish;
 
 /// What a person with the token may do. There is none unless `monitor.control` is on.
 #[derive(Clone, Debug)]
@@ -61,7 +62,7 @@ pub async fn obey(State(view): State<Arc<View>>, headers: HeaderMap, Json(order)
             Json(answer).into_response()
         }
         _ => {
-            let why = "allowed are: tare, tare clear, loop on, loop off, loop shadow, park";
+            let why = "allowed are: tare, tare clear, loop on, loop off, loop shadow, park, record start, record stop";
             (StatusCode::BAD_REQUEST, Json(Value::from_iter([("error", why)]))).into_response()
         }
     }
@@ -79,5 +80,6 @@ fn allowed(command: &Command) -> bool {
             | Command::ClearTare { save: false }
             | Command::Loop(LoopMode::On | LoopMode::Off | LoopMode::Shadow)
             | Command::Park
+            | Command::Record(Wish::Start | Wish::Stop)
     )
 }

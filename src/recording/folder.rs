@@ -1,0 +1,173 @@
+//! The folder of the recordings: names, room, and what is deleted.
+
+use std::fs::{self, File, OpenOptions};
+use std::io;
+use std::os::unix::fs::OpenOptionsExt as _;
+use std::path::{Path, PathBuf};
+
+use jiff::Timestamp;
+use rustix::fs::statvfs;
+
+/// Stands behind the name of a file that is not finished.
+pub const UNFINISHED: &str = "part";
+/// Permissions of a file, less those that the umask takes.
+const MODE: u32 = 0o640;
+
+/// A folder of recordings. Files of others in it are left alone.
+#[derive(Clone, Debug)]
+pub struct Folder(pub PathBuf);
+
+/// A recording.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Recording {
+    /// Its path: the oldest sorts first.
+    pub path: PathBuf,
+    /// Its size.
+    pub bytes: u64,
+}
+
+impl Folder {
+    /// Makes the folder, if only itself is missing.
+    ///
+    /// # Errors
+    /// It cannot be made.
+    pub fn make(&self) -> io::Result<()> {
+        match fs::create_dir(&self.0) {
+            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => Ok(()),
+            made => made,
+        }
+    }
+
+    /// A new file for what begins at this moment, UTC.
+    ///
+    /// # Errors
+    /// It cannot be made.
+    pub fn create(&self, mut time_ns: i64) -> io::Result<(File, PathBuf)> {
+        loop {
+            let path = self.0.join(name(time_ns));
+            // Also finished files are not to be written over.
+            if !path.exists() {
+                let unfinished = unfinished(&path);
+                match OpenOptions::new().write(true).create_new(true).mode(MODE).open(&unfinished) {
+                    Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {}
+                    made => return made.map(|file| (file, unfinished)),
+                }
+            }
+            time_ns += 1_000_000;
+        }
+    }
+
+    /// Bytes that may still be written.
+    ///
+    /// # Errors
+    /// The folder is gone.
+    pub fn free(&self) -> io::Result<u64> {
+        let room = statvfs(&self.0)?;
+        Ok(room.f_bavail.saturating_mul(room.f_frsize))
+    }
+
+    /// All recordings, the oldest first.
+    ///
+    /// # Errors
+    /// The folder cannot be read.
+    pub fn list(&self) -> io::Result<Vec<Recording>> {
+        let mut recordings = Vec::new();
+        for entry in fs::read_dir(&self.0)? {
+            let entry = entry?;
+            let ours = entry.file_name().to_str().is_some_and(is_ours);
+            // One that is renamed meanwhile is no recording any more, or another one.
+            if let Some(found) = entry.metadata().ok().filter(|found| ours && found.is_file()) {
+                recordings.push(Recording { path: entry.path(), bytes: found.len() });
+            }
+        }
+        recordings.sort();
+        Ok(recordings)
+    }
+
+    /// Deletes the oldest recordings until all of them take so many bytes less than the budget. Gives those
+    /// that are deleted.
+    ///
+    /// # Errors
+    /// The folder cannot be read.
+    pub fn make_room(&self, budget: u64, wanted: u64) -> io::Result<Vec<Recording>> {
+        let all = self.list()?;
+        let mut taken: u64 = all.iter().map(|r| r.bytes).sum();
+        let mut deleted = Vec::new();
+        for recording in all {
+            if taken + wanted <= budget {
+                break;
+            }
+            match fs::remove_file(&recording.path) {
+                Ok(()) => {
+                    taken -= recording.bytes;
+                    deleted.push(recording);
+                }
+                Err(e) => tracing::warn!(
+                    file = %recording.path.display(),
+                    "an old recording cannot be deleted, to keep recording.budget_gb: {e}"
+                ),
+            }
+        }
+        Ok(deleted)
+    }
+}
+
+/// The name of a recording that begins at this moment: `trifacet-20260102T030405.678Z.mcap`.
+fn name(time_ns: i64) -> String {
+    let time = Timestamp::from_nanosecond(time_ns.into()).unwrap_or(Timestamp::UNIX_EPOCH);
+    format!("trifacet-{}.mcap", time.strftime("%Y%m%dT%H%M%S.%3fZ"))
+}
+
+/// The same file before it is finished.
+fn unfinished(path: &Path) -> PathBuf {
+    let mut path = path.as_os_str().to_owned();
+    path.push(".");
+    path.push(UNFINISHED);
+    path.into()
+}
+
+/// Whether this is the name of a recording, finished or not.
+fn is_ours(name: &str) -> bool {
+    let pattern = b"trifacet-00000000T000000.000Z.mcap";
+    let name = name.strip_suffix(UNFINISHED).and_then(|name| name.strip_suffix('.')).unwrap_or(name);
+    name.len() == pattern.len()
+        && name.bytes().zip(pattern).all(|(found, wanted)| match wanted {
+            b'0' => found.is_ascii_digit(),
+            wanted => found == *wanted,
+        })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_tell_utc_and_are_known_again() {
+        let name = name(1_767_323_045_678_900_000);
+        assert_eq!(name, "trifacet-20260102T030405.678Z.mcap");
+        assert!(is_ours(&name) && is_ours(&format!("{name}.part")));
+        for other in ["notes.txt", "trifacet.mcap", "trifacet-20260102T030405.678Z.mcap.bak", ".part"] {
+            assert!(!is_ours(other), "{other}");
+        }
+    }
+
+    #[test]
+    fn the_oldest_of_ours_go_and_nothing_else() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = Folder(dir.path().to_owned());
+        let foreign = dir.path().join("aaa.mcap");
+        fs::write(&foreign, [0; 1000]).unwrap();
+        for second in 0..4 {
+            let (file, path) = folder.create(second * 1_000_000_000).unwrap();
+            file.set_len(100).unwrap();
+            assert!(path.to_str().unwrap().ends_with(".mcap.part"));
+        }
+        let (_, other) = folder.create(0).unwrap();
+        assert!(other.to_str().unwrap().contains("000000.001Z"), "no file is written over");
+        let deleted = folder.make_room(350, 100).unwrap();
+        assert_eq!(deleted.len(), 3, "{deleted:?}");
+        let left: Vec<u64> = folder.list().unwrap().iter().map(|r| r.bytes).collect();
+        assert_eq!(left, [100, 100]);
+        assert!(foreign.exists());
+    }
+}

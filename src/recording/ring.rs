@@ -1,0 +1,113 @@
+//! What happened lately, in memory: compressed stretches of a second, each of which begins at a keyframe.
+
+use std::collections::VecDeque;
+
+use super::codec::{Encoded, Encoder};
+use super::writer::{RecordError, Writer};
+use super::{Entry, Topic};
+use crate::clock::{Mono, NS_PER_S};
+
+/// Most that it takes, bytes: then it reaches less far back.
+const MOST: usize = 512 << 20;
+
+/// The last seconds.
+pub struct Ring {
+    keep_ns: i64,
+    compression: Option<mcap::Compression>,
+    done: VecDeque<Stretch>,
+    open: Option<(Mono, Writer<Vec<u8>>)>,
+    bytes: usize,
+}
+
+/// From one keyframe to the next.
+struct Stretch {
+    /// When it ended.
+    end: Mono,
+    file: Vec<u8>,
+}
+
+impl Ring {
+    /// Keeps so many seconds.
+    pub fn new(keep_s: f64, compression: Option<mcap::Compression>) -> Self {
+        let keep_ns = (keep_s * NS_PER_S as f64) as i64;
+        Self { keep_ns, compression, done: VecDeque::new(), open: None, bytes: 0 }
+    }
+
+    /// Bytes of the stretches that are done.
+    pub fn bytes(&self) -> usize {
+        self.bytes
+    }
+
+    /// Takes an entry. `forget` what is older than was asked for; not while it is being emptied.
+    ///
+    /// # Errors
+    /// It cannot be encoded.
+    pub fn put(
+        &mut self,
+        encoder: &mut Encoder,
+        entry: &Entry,
+        now: Mono,
+        forget: bool,
+    ) -> Result<(), RecordError> {
+        if matches!(entry, Entry::Keyframe(_)) {
+            self.close(now)?;
+            if forget {
+                self.forget(now);
+            }
+            encoder.restart();
+            self.open = Some((now, Writer::new(Vec::new(), self.compression)?));
+        }
+        let Some((_, writer)) = &mut self.open else { return Ok(()) };
+        encoder.encode(entry, |message| writer.put(message).map_err(RecordError::from))
+    }
+
+    /// Ends the stretch in the making.
+    ///
+    /// # Errors
+    /// It cannot be encoded.
+    pub fn close(&mut self, now: Mono) -> Result<(), RecordError> {
+        if let Some((_, writer)) = self.open.take() {
+            let file = writer.finish()?;
+            self.bytes += file.len();
+            self.done.push_back(Stretch { end: now, file });
+        }
+        Ok(())
+    }
+
+    fn forget(&mut self, now: Mono) {
+        while let Some(oldest) = self.done.front()
+            && (now - oldest.end > self.keep_ns || self.bytes > MOST)
+        {
+            self.pop();
+        }
+    }
+
+    fn pop(&mut self) -> Option<Stretch> {
+        let stretch = self.done.pop_front()?;
+        self.bytes -= stretch.file.len();
+        Some(stretch)
+    }
+
+    /// Forgets everything.
+    pub fn clear(&mut self) {
+        (self.open, self.bytes) = (None, 0);
+        self.done.clear();
+    }
+
+    /// Gives the messages of the oldest stretch and forgets it; false if there is none.
+    ///
+    /// # Errors
+    /// What `put` says.
+    pub fn drain(
+        &mut self,
+        mut put: impl FnMut(Encoded<'_>) -> Result<(), RecordError>,
+    ) -> Result<bool, RecordError> {
+        let Some(stretch) = self.pop() else { return Ok(false) };
+        for message in mcap::MessageStream::new(&stretch.file)? {
+            let message = message?;
+            let Some(topic) = Topic::of(&message.channel.topic) else { continue };
+            put(Encoded { topic, time_ns: message.log_time as i64, data: &message.data })?;
+        }
+        Ok(true)
+    }
+}

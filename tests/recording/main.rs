@@ -1,0 +1,12 @@
+//! Recordings, made by the real daemon on its twin, read by programs that know nothing of it and by ours.
+
+#![allow(clippy::unwrap_used)]
+
+mod command;
+mod crash;
+mod disk;
+mod fixture;
+mod readers;
+mod trigger;
+#[path = "../shared/venv.rs"]
+mod venv;
