@@ -3,6 +3,8 @@
 
 use std::{fmt::Display, io};
 
+/// A replay gave other poses than those that were recorded.
+pub const DIFFERENT: u8 = 1;
 /// The command line is wrong.
 pub const USAGE: u8 = 64;
 /// Some rows of the input could not be worked on; the rest were.

@@ -16,7 +16,7 @@ struct Cli {
     command: Command,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 fine, 64 wrong command line, 65 bad rows in the data, \
+const EXIT_CODES: &str = "Exit codes: 0 fine, 1 a replay that differs, 64 wrong command line, 65 bad rows in the data, \
     69 nothing there to talk to, 70 a defect, 74 a file or socket failed, 75 in use by another process, \
     78 wrong configuration, 130 interrupted.";
 
@@ -48,6 +48,14 @@ enum Command {
     Status(commands::StatusArgs),
     /// Send the stage to its parking position while no daemon runs
     Park(commands::ParkArgs),
+    /// Compute recorded poses again, and compare
+    Replay(commands::ReplayArgs),
+    /// Say what recordings hold, and whether they are whole
+    Info(commands::InfoArgs),
+    /// Save what can be read of a damaged recording
+    Recover(commands::RecoverArgs),
+    /// Write a recording as a table: CSV or Parquet
+    Export(commands::ExportArgs),
     /// Write man pages and shell completions, for a package
     #[command(hide = true)]
     Generate(commands::GenerateArgs),
@@ -75,6 +83,10 @@ fn main() -> ExitCode {
         Command::Watch(args) => commands::watch(&args),
         Command::Status(args) => commands::status(&args),
         Command::Park(args) => commands::park(&args),
+        Command::Replay(args) => commands::replay(&args),
+        Command::Info(args) => commands::info(&args),
+        Command::Recover(args) => commands::recover(&args),
+        Command::Export(args) => commands::export(&args),
         Command::Generate(args) => commands::generate(&args, Cli::command()),
     };
     result.map_or_else(|error| report(&error), |()| ExitCode::SUCCESS)

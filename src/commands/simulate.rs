@@ -3,17 +3,22 @@
 //!
 //! The same configuration gives the same bytes. A spot that the channel map does not accept is NaN.
 
-use std::io::{self, Write};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
 
 use trifacet::{
     acquisition::{ChannelMap, Channels, Sample},
     clock::{Mono, NS_PER_S},
+    config::Config,
     exit::{self, Failure},
     optics::Pose,
+    recording::codec::{Encoded, Encoder},
+    recording::writer::Writer,
     rig::{Rig, Turn},
     twin::{Twin, TwinScan},
 };
 
+use super::replay::{cannot_write, new_file};
 use super::table::digits;
 use super::trace::{POSE, POWERS, SPOTS};
 use super::{ConfigArg, written};
@@ -30,11 +35,17 @@ pub(crate) struct SimulateArgs {
     /// twin's stage, and computing takes no time
     #[arg(long)]
     closed_loop: bool,
+    /// Record it instead, as the daemon would; the time of the twin begins in 1970
+    #[arg(long, value_name = "FILE", requires = "closed_loop")]
+    record: Option<PathBuf>,
 }
 
 /// Prints samples of the twin and the truth behind them to standard output.
 pub(crate) fn simulate(args: &SimulateArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
+    if let Some(file) = &args.record {
+        return record(&config, args.samples, file);
+    }
     if args.closed_loop {
         let rig = Rig::new(&config)?;
         return written(closed_loop(rig, args.samples, io::stdout().lock()));
@@ -43,6 +54,23 @@ pub(crate) fn simulate(args: &SimulateArgs) -> anyhow::Result<()> {
     let mut twin = Twin::new(&config).map_err(|e| wrong(e.to_string()))?;
     let mut map = Channels::load(&config)?.map(twin.identity()).map_err(wrong)?;
     written(table(&mut twin, &mut map, args.samples, io::stdout().lock()))
+}
+
+/// What the twin's scans lead to, as a recording.
+fn record(config: &Config, samples: u64, file: &Path) -> anyhow::Result<()> {
+    let (mut rig, mut outflow) = Rig::recorded(config)?;
+    let to = BufWriter::new(new_file(file)?);
+    let mut writer = cannot_write(Writer::new(to, Some(mcap::Compression::Zstd)), file)?;
+    let mut encoder = Encoder::new((Mono(0), 0));
+    for _ in 0..samples {
+        rig.turn();
+        while let Ok(entry) = outflow.entries.try_recv() {
+            let put = |message: Encoded<'_>| writer.put(message).map_err(anyhow::Error::from);
+            cannot_write(encoder.encode(&entry, put), file)?;
+        }
+    }
+    let mut to = cannot_write(writer.finish(), file)?;
+    cannot_write(to.flush(), file)
 }
 
 const TRUTH: [&str; 8] = [
@@ -107,7 +135,7 @@ fn closed_loop(mut rig: Rig, samples: u64, out: impl Write) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use trifacet::config::{Config, Fault, FaultKind};
+    use trifacet::config::{Fault, FaultKind};
 
     use super::*;
 

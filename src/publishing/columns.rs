@@ -131,7 +131,8 @@ impl Columns {
 }
 
 impl Value {
-    fn csv(&self) -> String {
+    /// 17 digits, empty where not known, words apart by a space.
+    pub fn csv(&self) -> String {
         match self {
             Self::Number(x) if x.is_nan() => String::new(),
             Self::Number(x) => format!("{x:.16e}"),
@@ -175,7 +176,7 @@ fn singles<const N: usize>(
 }
 
 /// "2026-11-21T12:00:00.000000001Z".
-fn rfc3339(ns: i64) -> String {
+pub fn rfc3339(ns: i64) -> String {
     // Always within range: 64 bits of nanoseconds reach from 1677 to 2262.
     jiff::Timestamp::from_nanosecond(ns.into()).map(|t| format!("{t:.9}")).unwrap_or_default()
 }

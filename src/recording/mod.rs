@@ -22,7 +22,7 @@ pub mod witness;
 pub mod writer;
 
 pub use entry::{Entry, Keyframe, Tap};
-pub use reader::Reader;
 pub use handle::{Handle, Wish};
+pub use reader::Reader;
 pub use schema::Topic;
 pub use witness::Witness;

@@ -156,7 +156,14 @@ impl State {
         if let Some((map, last)) = map.as_mut().zip(keyframe.last) {
             map.follow(&last);
         }
-        Ok(Self { meaning, source: keyframe.source.clone(), map, last: keyframe.last, sample: None, estimation })
+        Ok(Self {
+            meaning,
+            source: keyframe.source.clone(),
+            map,
+            last: keyframe.last,
+            sample: None,
+            estimation,
+        })
     }
 
     /// Whether this is the state of the keyframe.

@@ -5,9 +5,9 @@
 //! - [`verdict`]: whether they are what was published then, bit by bit, or by how much they differ.
 
 pub mod engine;
+pub mod feed;
 #[cfg(test)]
 mod tests;
-pub mod feed;
 pub mod verdict;
 
 pub use engine::Engine;

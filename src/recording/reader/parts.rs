@@ -187,7 +187,11 @@ impl Parts {
             op::STATISTICS => {
                 let counted = Bytes(body.get(22..).unwrap_or_default()).u32();
                 if counted.map(u64::from) != Some(self.chunks) {
-                    let what = format!("{} chunks are there, and {} were written", self.chunks, counted.unwrap_or(0));
+                    let what = format!(
+                        "{} chunks are there, and {} were written",
+                        self.chunks,
+                        counted.unwrap_or(0)
+                    );
                     return Ok(Some(Part::Damage(Damage { at, bytes: 0, what })));
                 }
             }

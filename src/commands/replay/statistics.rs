@@ -1,0 +1,56 @@
+//! By how much poses differ with another configuration.
+
+use std::fmt::Write as _;
+
+use trifacet::replay::verdict::Pair;
+
+const AXES: [(&str, &str); 6] =
+    [("tx", "um"), ("ty", "um"), ("tz", "um"), ("roll", "urad"), ("pitch", "urad"), ("yaw", "urad")];
+
+/// Sums over frames with a pose, then and now.
+#[derive(Debug, Default)]
+pub(super) struct Statistics {
+    both: u64,
+    only_then: u64,
+    only_now: u64,
+    neither: u64,
+    sum: [f64; 6],
+    squares: [f64; 6],
+    most: [f64; 6],
+}
+
+impl Statistics {
+    pub(super) fn push(&mut self, pair: &Pair) {
+        match [&pair.then, &pair.now].map(|frame| !frame.pose[0].is_nan()) {
+            [true, true] => {}
+            [true, false] => return self.only_then += 1,
+            [false, true] => return self.only_now += 1,
+            [false, false] => return self.neither += 1,
+        }
+        self.both += 1;
+        for i in 0..6 {
+            let difference = pair.now.pose[i] - pair.then.pose[i];
+            self.sum[i] += difference;
+            self.squares[i] += difference * difference;
+            self.most[i] = self.most[i].max(difference.abs());
+        }
+    }
+
+    /// For a person.
+    pub(super) fn text(&self, same: u64) -> String {
+        let Self { both, only_then, only_now, neither, .. } = self;
+        let mut text = format!(
+            "{both} frames have a pose then and now, {only_then} only then, {only_now} only now, {neither} neither; \
+             {same} are identical, bit by bit\nnow minus then:\n"
+        );
+        if *both > 0 {
+            let n = *both as f64;
+            for (i, (axis, unit)) in AXES.into_iter().enumerate() {
+                let [mean, rms, most] =
+                    [self.sum[i] / n, (self.squares[i] / n).sqrt(), self.most[i]].map(|x| x * 1e6);
+                let _ = writeln!(text, "{axis:<6} mean {mean:+.6} {unit}, rms {rms:.6}, at most {most:.6}"); // a String takes everything
+            }
+        }
+        text
+    }
+}
