@@ -1,6 +1,7 @@
 //! The release daemon on its real-time twin at 10 kHz for 30 s, seen from outside: `cargo bench --bench realtime`.
+//! First without a recording, then with one in each compression.
 //!
-//! Prints what arrived, how late it was, and what it cost. Ends with 1 if a sample is lost. A frame may be lost
+//! Prints what arrived, how late it was, and what it cost. Ends with 1 if a sample is lost, on its way to the stream or to the file. A frame may be lost
 //! in two places: before the daemon made it (then its sample is missing: `lost`, or a gap in the sample
 //! index), or on its way here (then only the sequence has a gap, and the network or this program was too slow).
 
@@ -8,11 +9,13 @@ use std::{
     fs, io,
     io::Write,
     net::UdpSocket,
+    path::Path,
     process::{Child, Command, ExitCode, Stdio},
     time::Duration,
 };
 
 use trifacet::client::PoseFrame;
+use trifacet::recording::{Entry, Topic, codec::Decoder};
 
 const RATE_HZ: f64 = 10_000.0;
 const SECONDS: f64 = 30.0;
@@ -34,9 +37,13 @@ fn main() -> ExitCode {
     if !std::env::args().any(|arg| arg == "--bench") {
         return ExitCode::SUCCESS;
     }
-    match measure() {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::FAILURE,
+    let runs = [None, Some("none"), Some("lz4"), Some("zstd")].into_iter().map(|record| {
+        println!("\nrecording: {}", record.map_or("off".into(), |c| format!("always, compression {c}")));
+        measure(record)
+    });
+    match runs.collect::<io::Result<Vec<bool>>>() {
+        Ok(runs) if runs.iter().all(|fine| *fine) => ExitCode::SUCCESS,
+        Ok(_) => ExitCode::FAILURE,
         Err(error) => {
             eprintln!("realtime: {error}");
             ExitCode::FAILURE
@@ -44,8 +51,8 @@ fn main() -> ExitCode {
     }
 }
 
-/// Runs it all; whether no sample was lost.
-fn measure() -> io::Result<bool> {
+/// Runs it, with a recording in this compression; whether no sample was lost.
+fn measure(record: Option<&str>) -> io::Result<bool> {
     let socket = UdpSocket::bind("127.0.0.1:0")?;
     rustix::net::sockopt::set_socket_recv_buffer_size(&socket, 1 << 20)?;
     socket.set_read_timeout(Some(Duration::from_secs(5)))?;
@@ -53,7 +60,15 @@ fn measure() -> io::Result<bool> {
     writeln!(config, "acquisition.rate_hz = {RATE_HZ}")?;
     writeln!(config, "monitor.listen = \"off\"")?;
     writeln!(config, "publishing = {{ tcp = \"off\", udp = [\"{}\"] }}", socket.local_addr()?)?;
-    let daemon = Daemon(
+    let recordings = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR"))?;
+    if let Some(compression) = record {
+        let folder = recordings.path().display();
+        writeln!(
+            config,
+            "[recording]\nmode = \"always\"\nfolder = \"{folder}\"\ncompression = \"{compression}\""
+        )?;
+    }
+    let mut daemon = Daemon(
         Command::new(env!("CARGO_BIN_EXE_trifacet"))
             .args(["run", "--config"])
             .arg(config.path())
@@ -70,7 +85,50 @@ fn measure() -> io::Result<bool> {
     }
     let cpu_s = cpu_seconds(daemon.0.id())?;
     seen.report(expected, cpu_s);
-    Ok(seen.samples_lost == 0 && seen.index_gaps == 0)
+    let mut fine = seen.samples_lost == 0 && seen.index_gaps == 0;
+    if record.is_some() {
+        let recorder_s = thread_seconds(daemon.0.id(), "recorder")? + thread_seconds(daemon.0.id(), "disk")?;
+        rustix::process::kill_process(
+            rustix::process::Pid::from_child(&daemon.0),
+            rustix::process::Signal::TERM,
+        )?;
+        daemon.0.wait()?;
+        fine &= recorded(recordings.path(), recorder_s)?;
+    }
+    Ok(fine)
+}
+
+/// Tells what the recording holds and cost; whether no sample is missing in it.
+fn recorded(folder: &Path, cpu_s: f64) -> io::Result<bool> {
+    let (mut bytes, mut indices, mut times) = (0, Vec::new(), Vec::new());
+    for file in fs::read_dir(folder)? {
+        let file = fs::read(file?.path())?;
+        bytes += file.len();
+        let mut decoder = Decoder::default();
+        for message in mcap::MessageStream::new(&file).map_err(io::Error::other)? {
+            let message = message.map_err(io::Error::other)?;
+            if message.channel.topic == Topic::Sample.name() {
+                let entry = decoder.decode(Topic::Sample, &message.data).map_err(io::Error::other)?;
+                let Some(Entry::Sample { scan, .. }) = entry else { continue };
+                indices.push(scan.index);
+                times.push(scan.time);
+            }
+        }
+    }
+    indices.sort_unstable();
+    let (Some(first), Some(last)) = (indices.first(), indices.last()) else { return Ok(false) };
+    let missing = last - first + 1 - indices.len() as u64;
+    let seconds =
+        times.iter().max().zip(times.iter().min()).map_or(0.0, |(end, begin)| end.seconds_since(*begin));
+    let per_s = bytes as f64 / seconds;
+    println!(
+        "file:    {} samples, {missing} missing; {:.2} MB/s, {:.1} GB/h; recorder {:.1} % of a CPU",
+        indices.len(),
+        per_s * 1e-6,
+        per_s * 3600e-9,
+        100.0 * cpu_s / seconds
+    );
+    Ok(missing == 0)
 }
 
 /// What the frames say.
@@ -138,7 +196,23 @@ impl Seen {
 
 /// User and system time of a process so far.
 fn cpu_seconds(pid: u32) -> io::Result<f64> {
-    let stat = fs::read_to_string(format!("/proc/{pid}/stat"))?;
+    seconds_in(&format!("/proc/{pid}/stat"))
+}
+
+/// The same of its threads of this name.
+fn thread_seconds(pid: u32, name: &str) -> io::Result<f64> {
+    let mut seconds = 0.0;
+    for thread in fs::read_dir(format!("/proc/{pid}/task"))? {
+        let thread = thread?.path();
+        if fs::read_to_string(thread.join("comm"))?.trim() == name {
+            seconds += seconds_in(&thread.join("stat").display().to_string())?;
+        }
+    }
+    Ok(seconds)
+}
+
+fn seconds_in(path: &str) -> io::Result<f64> {
+    let stat = fs::read_to_string(path)?;
     // The name in brackets may hold anything; the numbers after it are fixed: 12th and 13th.
     let after = stat.rsplit_once(')').map_or("", |(_, after)| after);
     let ticks = after.split_whitespace().skip(11).take(2).filter_map(|field| field.parse::<f64>().ok());

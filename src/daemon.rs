@@ -83,15 +83,8 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let (steering, steering_now) = watch::channel(config.steering.clone());
     let (gcs, gcs_task) = gcs::pair(config, steering_now).unzip();
     let (to_tcp, frames) = mpsc::channel(TO_MAIN);
-    let server = match config.publishing.tcp {
-        Some(address) => Some(main.block_on(tcp::bind(address))?),
-        None => None,
-    };
     let (to_monitor, monitored) = mpsc::channel(TO_MAIN);
-    let monitor = match config.monitor.listen {
-        Some(address) => Some(main.block_on(monitor::http::bind(address))?),
-        None => None,
-    };
+    let [server, monitor] = main.block_on(listeners(config))?;
     let (told, config_now) = watch::channel(config.clone());
     let (tap, recording, recorder) =
         recording::recorder::start(&config.recording, &counters).context("cannot start the recorder")?;
@@ -166,6 +159,19 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
     main.shutdown_background(); // a port that is being opened, or a name that is looked up, is not waited for
     result
+}
+
+/// Where TCP clients and browsers connect, if they may.
+async fn listeners(config: &Config) -> anyhow::Result<[Option<tokio::net::TcpListener>; 2]> {
+    let server = match config.publishing.tcp {
+        Some(address) => Some(tcp::bind(address).await?),
+        None => None,
+    };
+    let monitor = match config.monitor.listen {
+        Some(address) => Some(monitor::http::bind(address).await?),
+        None => None,
+    };
+    Ok([server, monitor])
 }
 
 /// What the fast thread is made of.

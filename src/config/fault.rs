@@ -6,6 +6,7 @@ use super::check::Checker;
 
 /// What can go wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum FaultKind {
     /// No light at all.
     BeamBlocked,
@@ -59,6 +60,7 @@ pub struct Fault {
     /// How long it lasts; without, for ever.
     pub for_s: Option<f64>,
     /// What it is.
+    #[serde(flatten)]
     pub kind: FaultKind,
 }
 

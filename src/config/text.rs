@@ -17,6 +17,7 @@ impl Config {
 }
 
 /// None is `"off"`.
+#[expect(clippy::ref_option, reason = "so serde calls it")]
 pub(super) fn or_off<T: Serialize, S: Serializer>(value: &Option<T>, to: S) -> Result<S::Ok, S::Error> {
     match value {
         Some(value) => value.serialize(to),
@@ -26,7 +27,6 @@ pub(super) fn or_off<T: Serialize, S: Serializer>(value: &Option<T>, to: S) -> R
 
 #[cfg(test)]
 mod tests {
-
     use crate::config::{Token, load, parse};
 
     #[test]
@@ -46,6 +46,11 @@ mod tests {
     #[test]
     fn what_is_switched_off_stays_off_and_secrets_stay_out() {
         let text = "monitor.listen = 'off'\npublishing.tcp = 'off'\ntwin.steering.readback_noise_um = 'off'\n\
+                    twin.fault = [{ at_s = 1.5, kind = 'laser-bump', shift_um = [1.0, -2.0] }, \
+                    { at_s = 2.0, for_s = 0.1, kind = 'psd-dark', psd = 1 }]\n\
+                    twin.motion = [{ axis = 'roll', amount_urad = 3.0, kind = 'vibration', frequency_hz = 1.0, high_hz = 9.0 }]\n\
+                    publishing.udp = ['127.0.0.1:9', { address = '239.255.73.62:7362', divider = 4, ttl = 2 }]\n\
+                    publishing.allow = ['10.0.0.0/8']\ncontrol.mode = '0600'\n\
                     channels.b.dark_v = [0.1, -0.30000000000000004, 1e-300]\ntwin.seed = 9223372036854775807";
         let config = parse(text, None).unwrap();
         assert_eq!(parse(&config.to_text().unwrap(), None).unwrap(), config);

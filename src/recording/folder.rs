@@ -57,12 +57,13 @@ impl Folder {
         }
     }
 
-    /// Bytes that may still be written.
+    /// Bytes that may still be written, here or where the folder would be made.
     ///
     /// # Errors
-    /// The folder is gone.
+    /// The system does not say.
     pub fn free(&self) -> io::Result<u64> {
-        let room = statvfs(&self.0)?;
+        let there = self.0.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new("."));
+        let room = statvfs(there)?;
         Ok(room.f_bavail.saturating_mul(room.f_frsize))
     }
 

@@ -44,7 +44,7 @@ const PATIENCE: Duration = Duration::from_secs(4);
 /// The thread of the recorder.
 #[derive(Debug)]
 pub struct Thread {
-    thread: JoinHandle<()>,
+    handle: JoinHandle<()>,
     ended: std::sync::mpsc::Receiver<()>,
     stop: Arc<AtomicBool>,
 }
@@ -55,6 +55,8 @@ pub struct Thread {
 /// No thread can be had.
 pub fn start(config: &RecordingConfig, counters: &Arc<Counters>) -> std::io::Result<(Tap, Handle, Thread)> {
     let (tap, outflow) = Tap::new(Arc::clone(counters));
+    // Open before the first sample.
+    outflow.open.store(config.mode != RecordingMode::Off, Ordering::Relaxed);
     let (wishes, asked) = mpsc::channel(4);
     let state = Arc::new(State::new(config.mode));
     let disk = Disk::start()?;
@@ -69,7 +71,7 @@ pub fn start(config: &RecordingConfig, counters: &Arc<Counters>) -> std::io::Res
         // Who does not wait any more does not need it.
         let _ = end.send(());
     })?;
-    Ok((tap, Handle { state, wishes }, Thread { thread, ended, stop }))
+    Ok((tap, Handle { state, wishes }, Thread { handle: thread, ended, stop }))
 }
 
 impl Thread {
@@ -79,7 +81,7 @@ impl Thread {
         self.stop.store(true, Ordering::Relaxed);
         if self.ended.recv_timeout(PATIENCE) == Err(std::sync::mpsc::RecvTimeoutError::Timeout) {
             tracing::error!("the disk does not take the end of the recording: it stays unfinished");
-        } else if self.thread.join().is_err() {
+        } else if self.handle.join().is_err() {
             tracing::error!("the recorder panicked");
         }
     }
@@ -366,7 +368,8 @@ impl Recorder {
                 "no room: {free} bytes are free in recording.folder, {folder}; make room there"
             ));
         }
-        let output = Output::begin(&self.folder, self.encoder.now_ns(), SystemClock.now(), self.compression)
+        let begin_ns = self.ring.as_ref().and_then(Ring::begin_ns).unwrap_or_else(|| self.encoder.now_ns());
+        let output = Output::begin(&self.folder, begin_ns, SystemClock.now(), self.compression)
             .map_err(|e| within("cannot make a file", &e))?;
         tracing::info!(file = %output.path.display(), "recording");
         self.counters.recording_files.one();
@@ -407,7 +410,8 @@ impl Recorder {
     /// What is to be done now and then.
     fn mind(&mut self, now: Mono) {
         self.watch_overflows(now);
-        if self.until.is_some_and(|until| now >= until) && self.ring.is_none() {
+        let filling = self.ring.is_some() && self.output.is_some();
+        if self.until.is_some_and(|until| now >= until) && !filling {
             (self.wanted, self.until) = (false, None);
             self.end();
             self.well();
@@ -463,6 +467,9 @@ impl Recorder {
 
     /// Finishes the file.
     fn end(&mut self) {
+        if let Some(Err(e)) = self.output.as_mut().map(Output::flush) {
+            return self.fail(&e);
+        }
         let Some(output) = self.output.take() else { return };
         tracing::info!(file = %output.path.display(), bytes = output.bytes(), "recorded");
         self.counters.recording_bytes.add(output.news());

@@ -15,12 +15,14 @@ pub struct Ring {
     keep_ns: i64,
     compression: Option<mcap::Compression>,
     done: VecDeque<Stretch>,
-    open: Option<(Mono, Writer<Vec<u8>>)>,
+    open: Option<(i64, Writer<Vec<u8>>)>,
     bytes: usize,
 }
 
 /// From one keyframe to the next.
 struct Stretch {
+    /// When it began, UTC.
+    begin_ns: i64,
     /// When it ended.
     end: Mono,
     file: Vec<u8>,
@@ -36,6 +38,12 @@ impl Ring {
     /// Bytes of the stretches that are done.
     pub fn bytes(&self) -> usize {
         self.bytes
+    }
+
+    /// When what it holds begins: nanoseconds of UTC since 1970.
+    pub fn begin_ns(&self) -> Option<i64> {
+        let open = self.open.as_ref().map(|(begin_ns, _)| *begin_ns);
+        self.done.front().map(|oldest| oldest.begin_ns).or(open)
     }
 
     /// Takes an entry. `forget` what is older than was asked for; not while it is being emptied.
@@ -55,7 +63,7 @@ impl Ring {
                 self.forget(now);
             }
             encoder.restart();
-            self.open = Some((now, Writer::new(Vec::new(), self.compression)?));
+            self.open = Some((encoder.now_ns(), Writer::new(Vec::new(), self.compression)?));
         }
         let Some((_, writer)) = &mut self.open else { return Ok(()) };
         encoder.encode(entry, |message| writer.put(message).map_err(RecordError::from))
@@ -66,10 +74,10 @@ impl Ring {
     /// # Errors
     /// It cannot be encoded.
     pub fn close(&mut self, now: Mono) -> Result<(), RecordError> {
-        if let Some((_, writer)) = self.open.take() {
+        if let Some((begin_ns, writer)) = self.open.take() {
             let file = writer.finish()?;
             self.bytes += file.len();
-            self.done.push_back(Stretch { end: now, file });
+            self.done.push_back(Stretch { begin_ns, end: now, file });
         }
         Ok(())
     }

@@ -20,6 +20,7 @@ fn a_full_disk_harms_no_stream_and_recording_resumes_when_there_is_room() {
         "acquisition.rate_hz = 2000\nrecording.mode = \"always\"\nrecording.compression = \"none\"",
         &through,
     );
+    daemon.waits("at all", |_| true);
     // From outside, the disk is seen through the daemon's own eyes.
     let pid = daemon.status()["pid"].as_u64().unwrap_or_else(|| panic!("a user namespace is needed here"));
     let inside = std::path::PathBuf::from(format!("/proc/{pid}/root{}", disk.display()));

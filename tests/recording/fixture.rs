@@ -17,7 +17,7 @@ use trifacet::client::PoseFrame;
 use trifacet::recording::{Entry, Topic, codec::Decoder};
 
 /// Longer than anything here takes on the slowest machine.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
 
 /// A running daemon with everything that it sends. Killed when dropped.
 pub(crate) struct Daemon {
