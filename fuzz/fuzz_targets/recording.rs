@@ -1,0 +1,39 @@
+//! Whatever bytes a recording has: the reader ends, without a panic and within its memory, and so does a replay of
+//! what it read.
+
+#![no_main]
+
+use std::io::Write;
+
+use libfuzzer_sys::fuzz_target;
+use trifacet::recording::reader::{Read, Reader};
+use trifacet::replay::{Engine, Verdict};
+
+fuzz_target!(|bytes: &[u8]| {
+    // As it is, and with the bytes as an uncompressed chunk whose checksum is right: the fuzzer cannot guess that.
+    for file in [bytes.to_vec(), chunk(bytes)] {
+        let mut place = tempfile::NamedTempFile::new().expect("a file");
+        place.write_all(&file).expect("room");
+        let Ok(mut reader) = Reader::open(place.path(), Reader::REPLAY) else { continue };
+        let (mut engine, mut verdict) = (Engine::new(), Verdict::default());
+        while let Some(read) = reader.next().expect("the file is there") {
+            let Read::Entry(entry) = read else { continue };
+            let Ok(report) = engine.take(&entry) else { break };
+            verdict.take(&entry, report);
+        }
+    }
+});
+
+fn chunk(records: &[u8]) -> Vec<u8> {
+    let mut file = b"\x89MCAP0\r\n".to_vec();
+    let size = records.len() as u64;
+    file.push(6);
+    file.extend((40 + size).to_le_bytes());
+    file.extend([0; 16]);
+    file.extend(size.to_le_bytes());
+    file.extend(crc32fast::hash(records).to_le_bytes());
+    file.extend(0_u32.to_le_bytes());
+    file.extend(size.to_le_bytes());
+    file.extend(records);
+    file
+}

@@ -1,0 +1,79 @@
+//! Recordings of the free-running twin.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// A folder with recordings.
+pub(crate) struct Lab(tempfile::TempDir);
+
+/// What a command did.
+pub(crate) struct Done {
+    pub(crate) code: i32,
+    pub(crate) out: String,
+    pub(crate) err: String,
+}
+
+/// Everything that can happen to samples, within three seconds at 2 kHz.
+pub(crate) const EVENTFUL: &str = "
+    acquisition.rate_hz = 2000
+    estimation.fuse_steering = true
+    [twin]
+    channel_skew_us = 20
+    steering.readback_noise_um = 0.1
+    [[twin.motion]]
+    axis = 'tx'
+    kind = 'sine'
+    amount_um = 200
+    frequency_hz = 3
+    [[twin.fault]]
+    kind = 'stalled'
+    at_s = 0.7
+    for_s = 0.2
+    [[twin.fault]]
+    kind = 'beam-blocked'
+    at_s = 1.6
+    for_s = 0.3
+";
+
+impl Lab {
+    pub(crate) fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    pub(crate) fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> PathBuf {
+        std::fs::write(self.path(name), bytes).unwrap();
+        self.path(name)
+    }
+
+    /// So many scans of the twin with this configuration.
+    pub(crate) fn record(&self, name: &str, config: &str, samples: u32) -> PathBuf {
+        let config = self.write("lab.toml", config);
+        let file = self.path(name);
+        let mut command = trifacet(&["simulate", "--closed-loop", "--samples", &samples.to_string()]);
+        let done = run(command.arg("--config").arg(config).arg("--record").arg(&file));
+        assert_eq!(done.code, 0, "{}", done.err);
+        file
+    }
+}
+
+pub(crate) fn trifacet(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_trifacet"));
+    command.args(args);
+    command
+}
+
+pub(crate) fn run(command: &mut Command) -> Done {
+    let output = command.output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    let code = output.status.code().unwrap_or_else(|| panic!("{command:?} ended with {}", output.status));
+    Done { code, out: text(output.stdout), err: text(output.stderr) }
+}
+
+/// A command on a file.
+pub(crate) fn on(args: &[&str], file: &Path) -> Done {
+    run(trifacet(args).arg(file))
+}

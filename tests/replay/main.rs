@@ -1,0 +1,10 @@
+//! Recordings computed again, looked at, saved and exported, through the binary.
+
+#![allow(clippy::unwrap_used)]
+
+mod damage;
+mod export;
+mod fixture;
+mod identity;
+#[path = "../shared/venv.rs"]
+mod venv;
