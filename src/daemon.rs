@@ -27,7 +27,7 @@ use tokio_util::sync::CancellationToken;
 use crate::acquisition::{self, Channels, SerialSource, Source};
 use crate::centering::{self, Centering};
 use crate::clock::{Clock, SystemClock, utc::Utc};
-use crate::config::{Config, Meaning, SourceKind};
+use crate::config::{Config, Meaning, RealtimeConfig, SourceKind};
 use crate::control::{self, AtFast, Command, Live, server::Socket};
 use crate::estimation::{self, Estimation, PoseReport};
 use crate::exit::{self, Failure};
@@ -46,6 +46,7 @@ use crate::publishing::{
 };
 use crate::realtime;
 use crate::recording::{self, Entry, Tap, Witness};
+use crate::replay;
 use crate::service::{Notify, Service};
 use crate::steering::{self, Gcs, Outputs, Stage, gcs};
 use crate::twin::{Twin, TwinSource};
@@ -64,7 +65,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let counters = Arc::new(Counters::default());
     let (turns, glance) = <(Arc<Turns>, Arc<Glance>)>::default();
     let service = Service::new(&config.realtime, Arc::clone(&turns), Arc::clone(&glance));
-    let meaning = Arc::new(Meaning::read(config.clone())?);
+    let (config, meaning) = &meaning_of(config)?;
     let channels = Channels::new(config, &meaning.tables)?;
     let id = StreamId::new(meaning.id());
     let facts = StreamFacts {
@@ -114,6 +115,8 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         stop: CancellationToken::new(),
         tap,
         meaning: Arc::clone(&meaning),
+        facts,
+        descriptor: descriptor.clone(),
         control: at_fast,
         config: config.clone(),
     };
@@ -174,6 +177,18 @@ async fn listeners(config: &Config) -> anyhow::Result<[Option<tokio::net::TcpLis
     Ok([server, monitor])
 }
 
+/// The configuration and what poses mean by it; of a recording, what they mean at its beginning.
+fn meaning_of(config: &Config) -> anyhow::Result<(Config, Arc<Meaning>)> {
+    if config.acquisition.source != SourceKind::Replay {
+        return Ok((config.clone(), Arc::new(Meaning::read(config.clone())?)));
+    }
+    let (then, rate_hz) = replay::task::beginning(&config.replay.file)?;
+    let Config { head, channels, estimation, frames, .. } = then.config.clone();
+    let mut config = Config { head, channels, estimation, frames, ..config.clone() };
+    config.acquisition.rate_hz = rate_hz;
+    Ok((config, then))
+}
+
 /// What the fast thread is made of.
 struct Parts {
     config: Config,
@@ -188,6 +203,8 @@ struct Parts {
     glance: Arc<Glance>,
     control: AtFast,
     meaning: Arc<Meaning>,
+    facts: StreamFacts,
+    descriptor: watch::Sender<Descriptor>,
     tap: Tap,
     stop: CancellationToken,
 }
@@ -228,27 +245,29 @@ fn start(parts: Parts) -> anyhow::Result<Fast> {
     match parts.config.acquisition.source {
         SourceKind::Twin => {
             let twin = Twin::new(&parts.config)?;
-            start_fast(parts, || TwinSource::new(twin, SystemClock, counters))
+            let source = || TwinSource::new(twin, SystemClock, counters);
+            start_fast(parts.config.realtime.clone(), || fast(parts, source))
         }
+        SourceKind::Replay => start_fast(parts.config.realtime.clone(), || replayed(parts)),
         SourceKind::Serial => {
             let source = SerialSource::open(&parts.config, SystemClock, counters)?;
-            start_fast(parts, || Ok(source))
+            start_fast(parts.config.realtime.clone(), || fast(parts, || Ok(source)))
         }
     }
 }
 
-fn start_fast<S: Source + 'static>(
-    parts: Parts,
-    source: impl FnOnce() -> io::Result<S> + Send + 'static,
+fn start_fast<F: Future<Output = anyhow::Result<()>>>(
+    realtime: RealtimeConfig,
+    tasks: impl FnOnce() -> F + Send + 'static,
 ) -> anyhow::Result<Fast> {
     let (end, ended) = oneshot::channel();
     let thread = std::thread::Builder::new().name("fast".into()).spawn(move || {
-        realtime::apply(&parts.config.realtime);
+        realtime::apply(&realtime);
         let result = Builder::new_current_thread()
             .enable_all()
             .build()
             .context("cannot start the fast runtime")
-            .and_then(|runtime| LocalSet::new().block_on(&runtime, fast(parts, source)));
+            .and_then(|runtime| LocalSet::new().block_on(&runtime, tasks()));
         // The main thread may have given up waiting; then there is nobody to tell.
         let _ = end.send(result);
     });
@@ -339,6 +358,25 @@ async fn fast<S: Source + 'static>(
     stop_acquisition.cancel();
     acquisition.await.context("task acquisition failed at the end")?;
     estimation.await.context("task estimation failed at the end")
+}
+
+/// One task in place of the three: a recording, at the pace at which it was made.
+async fn replayed(parts: Parts) -> anyhow::Result<()> {
+    let Parts { config, mut publisher, glance, turns, control, stop, mut facts, descriptor, .. } = parts;
+    let publish = move |told: &replay::task::Told| {
+        publisher.publish_of(&told.report, told.time_ns, told.synced);
+        glance.at(&told.report);
+    };
+    let means = move |meaning: &Meaning| {
+        facts.id.config = meaning.id();
+        descriptor.send_replace(Descriptor::new(facts));
+    };
+    let edges = replay::task::Edges { control, publish, means };
+    let task = replay::task::run(config.replay, SystemClock, edges, stop);
+    // It does the work of all three.
+    let [acquisition, centering, estimation] = Task::ALL.map(|task| turns.of(task));
+    counted(counted(counted(task, acquisition), centering), estimation).await;
+    Ok(())
 }
 
 /// A task whose turns are counted.

@@ -55,6 +55,10 @@ fn measure(config: &Config, samples: u32) -> anyhow::Result<DarkOffsets> {
             eprintln!("averaging {samples} scans of the board; the laser must be off");
             runtime.block_on(average(source, config, samples))
         }
+        SourceKind::Replay => {
+            let why = "acquisition.source = \"replay\": a recording cannot be measured anew";
+            Err(Failure::new(exit::CONFIG, why).into())
+        }
         SourceKind::Twin => {
             let mut twin = Twin::new(config)?;
             twin.inject(FaultKind::BeamBlocked, None)?;

@@ -48,7 +48,7 @@ pub(crate) fn park(args: &ParkArgs) -> anyhow::Result<()> {
     let counters = Arc::new(Counters::default());
     let source = match config.acquisition.source {
         SourceKind::Serial => Some(SerialSource::open(&config, SystemClock, Arc::clone(&counters))?),
-        SourceKind::Twin => None,
+        SourceKind::Twin | SourceKind::Replay => None,
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let parking = async {
@@ -61,7 +61,7 @@ pub(crate) fn park(args: &ParkArgs) -> anyhow::Result<()> {
     let parked = runtime.block_on(parking);
     runtime.shutdown_background(); // a port that is still being opened is not waited for
     match parked? {
-        None => eprintln!("nothing is parked: the stage of the twin goes with its daemon"),
+        None => eprintln!("nothing is parked: no stage is there without the daemon"),
         Some(at) => eprintln!("parked at {at:?} um"),
     }
     Ok(())

@@ -134,6 +134,10 @@ fn measure(config: &Config, args: &TuneArgs) -> anyhow::Result<Option<Recording>
             let source = SerialSource::open(config, SystemClock, Arc::clone(&counters))?;
             LocalSet::new().block_on(&runtime, with(|| Ok(source), config, args, counters))
         }
+        SourceKind::Replay => {
+            let why = "acquisition.source = \"replay\": a recording cannot be measured anew";
+            Err(Failure::new(exit::CONFIG, why).into())
+        }
         SourceKind::Twin => {
             let twin = Twin::new(config)?;
             let counted = Arc::clone(&counters);

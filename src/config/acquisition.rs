@@ -14,6 +14,8 @@ pub enum SourceKind {
     Twin,
     /// An acquisition board on a serial port.
     Serial,
+    /// A recording.
+    Replay,
 }
 
 /// `[acquisition]`.

@@ -87,6 +87,9 @@ fn resolve_paths(config: &mut Config, file: Option<&Path>) {
     if !recordings.as_os_str().is_empty() {
         *recordings = folder.join(&*recordings);
     }
+    if config.replay.file.is_relative() && !config.replay.file.as_os_str().is_empty() {
+        config.replay.file = folder.join(&config.replay.file);
+    }
 }
 
 /// The text is no TOML.

@@ -30,6 +30,7 @@ mod publishing;
 mod realtime;
 mod recording;
 pub mod reload;
+mod replay;
 mod steering;
 mod tables;
 mod text;
@@ -57,6 +58,7 @@ pub use network::Network;
 pub use publishing::{PublishingConfig, UdpTarget};
 pub use realtime::RealtimeConfig;
 pub use recording::{Compression, RecordingConfig, RecordingMode};
+pub use replay::ReplayConfig;
 pub use steering::{NO_TILT, OnExit, SteeringConfig, SteeringKind};
 pub use tables::{Meaning, TableError, Tables};
 pub use twin::{TwinConfig, TwinSteering};
@@ -87,6 +89,8 @@ pub struct Config {
     pub monitor: MonitorConfig,
     /// What is written to files.
     pub recording: RecordingConfig,
+    /// A recording as a source.
+    pub replay: ReplayConfig,
     /// The digital twin.
     pub twin: TwinConfig,
     /// Priority, memory and CPU of the fast thread.
@@ -110,6 +114,7 @@ impl Config {
         self.monitor.check(at.section("monitor"));
         self.recording.check(at.section("recording"));
         self.twin.check(at.section("twin"), self.acquisition.rate_hz);
+        self.replay.check(at.section("replay"));
         self.realtime.check(at.section("realtime"));
         self.log.check(at.section("log"));
         if at.clean() {

@@ -1,7 +1,7 @@
 //! Checks across sections: values that are fine alone and not together.
 
 use super::check::Checker;
-use super::{CenteringConfig, Config, Model, SourceKind, SteeringKind};
+use super::{CenteringConfig, Config, Model, RecordingMode, SourceKind, SteeringKind};
 use crate::acquisition::board::required_baud;
 use crate::acquisition::scan::SIGNALS;
 use crate::centering::stability::is_stable;
@@ -16,6 +16,7 @@ pub(super) fn check(config: &Config, at: &mut Checker<'_>) {
     match config.acquisition.source {
         SourceKind::Twin => twin_signals(config, at),
         SourceKind::Serial => serial_speed(config, at),
+        SourceKind::Replay => replay(config, at),
     }
     edge_margin(config, at);
     fusion(config, at);
@@ -99,6 +100,34 @@ fn serial_speed(config: &Config, at: &mut Checker<'_>) {
         &["acquisition.rate_hz"],
         acquisition.serial.baud,
         format_args!("{needed} or more: nine channels at {} Hz need it", acquisition.rate_hz),
+    );
+}
+
+/// There is a recording, nothing real is steered, and nothing is recorded.
+fn replay(config: &Config, at: &mut Checker<'_>) {
+    let source = "acquisition.source";
+    let file = &config.replay.file;
+    let named = !file.as_os_str().is_empty();
+    at.agree(
+        named,
+        "replay.file",
+        &[source],
+        format!("{file:?}"),
+        "a recording, with acquisition.source = \"replay\"",
+    );
+    at.agree(
+        config.steering.kind == SteeringKind::Outputs,
+        "steering.kind",
+        &[source],
+        "\"gcs\"",
+        "\"outputs\" with acquisition.source = \"replay\", where no command goes anywhere",
+    );
+    at.agree(
+        config.recording.mode == RecordingMode::Off,
+        "recording.mode",
+        &[source],
+        format!("{:?}", config.recording.mode.name()),
+        "\"off\" with acquisition.source = \"replay\": it is recorded already",
     );
 }
 

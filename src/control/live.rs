@@ -69,6 +69,10 @@ pub struct Live {
 impl Live {
     /// Does what a command says. What it answers is a JSON object; with an `error` in it if not all was done.
     pub async fn obey(&mut self, command: Command) -> Value {
+        if self.running.acquisition.source == SourceKind::Replay && command != Command::Status {
+            let why = "a recording is replayed: nothing steers, and nothing about it can be changed";
+            return error(&Failure::new(exit::USAGE, why));
+        }
         let answer = match command {
             Command::Status => self.status().await,
             Command::Tare { poses, save } => self.tare(poses, save).await,

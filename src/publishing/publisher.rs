@@ -97,8 +97,13 @@ impl<C: Clock> Publisher<C> {
     /// Sends the frame of a report to everyone. Frames go out at the full rate, valid or not: silence
     /// means that the link is down, a status bit means why the optics are. Gives the frame.
     pub fn publish(&mut self, report: &PoseReport) -> PoseFrame {
+        let (time_ns, synced) = self.utc.at(report.time, self.clock.now());
+        self.publish_of(report, time_ns, synced)
+    }
+
+    /// The same with signals that were taken at another time, nanoseconds of UTC since 1970.
+    pub fn publish_of(&mut self, report: &PoseReport, time_ns: i64, synced: bool) -> PoseFrame {
         let sent = self.clock.now();
-        let (time_ns, synced) = self.utc.at(report.time, sent);
         // Not that of the start: it changes when the meaning of poses does, with the sample.
         let (session, config) = (self.id.session, report.config);
         let stamp = Stamp { session, config, sequence: self.sequence, time_ns, synced, sent };

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod daemon;
 mod damage;
 mod export;
 mod fixture;

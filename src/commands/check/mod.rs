@@ -91,6 +91,13 @@ fn source(config: &Config, lines: &mut Lines) {
                 config.twin.fault.len(),
                 config.twin.seed
             ),
+            SourceKind::Replay => format!(
+                "recording {}, {} times as fast as recorded{}; what poses mean is recorded there: the sections head, \
+                 channels, estimation and frames are not used, and nothing is steered",
+                config.replay.file.display(),
+                config.replay.speed,
+                if config.replay.repeat { ", again and again" } else { "" }
+            ),
             SourceKind::Serial => format!(
                 "serial board at {}, {} baud, {rate} Hz",
                 acquisition.serial.port.display(),

@@ -71,6 +71,7 @@ pub(super) fn stage(config: &Config, lines: &mut Lines) {
             let source = match config.acquisition.source {
                 SourceKind::Twin => "the twin's own stage",
                 SourceKind::Serial => "the board's two outputs",
+                SourceKind::Replay => "none, a recording is replayed",
             };
             lines.say("steering", format!("{source}, full scale +-{full_scale_um} um, {limits}"));
             let on_lease = does(steering.on_lease);

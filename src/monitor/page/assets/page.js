@@ -89,7 +89,8 @@ function begin(first) {
   detectors.configure(config);
   balance.configure(config);
   strips.period_ms = 1000 / descriptor.rate_hz;
-  const source = config.acquisition.source === "twin" ? "digital twin" : `board at ${config.acquisition.serial.port}`;
+  const source = config.acquisition.source === "twin" ? "digital twin" :
+    config.acquisition.source === "replay" ? `recording ${config.replay.file}` : `board at ${config.acquisition.serial.port}`;
   say($("device"), `${source}, ${descriptor.rate_hz} poses/s`);
   say($("config"), JSON.stringify(config, null, 2));
   facts($("facts"), [
