@@ -83,10 +83,10 @@ fn replay(file: &Path, samples: usize) {
     let (mut engine, mut verdict) = (Engine::new(), Verdict::default());
     for news in feed::read(vec![file.to_owned()]) {
         let News::Read(reads, _) = news else { continue };
-        for read in reads {
+        for read in &reads {
             let Read::Entry(entry) = read else { panic!("{read:?}") };
-            let report = engine.take(&entry).expect("the recorded configuration");
-            verdict.take(&entry, report);
+            let report = engine.take(entry).expect("the recorded configuration");
+            verdict.take(entry, report);
         }
     }
     assert_eq!((verdict.same, verdict.other), (samples as u64, 0));

@@ -7,9 +7,9 @@ use std::thread;
 use crate::recording::reader::{Read, ReadError, Reader, Tally};
 
 /// Batches that may wait.
-const AHEAD: usize = 8;
-/// Things in a batch, about; a chunk has some thousands.
-const BATCH: usize = 2048;
+const AHEAD: usize = 64;
+/// Things in a batch: few enough to stay in the cache, and below the size for which memory is mapped anew.
+const BATCH: usize = 128;
 
 /// What comes from the files.
 #[derive(Debug)]

@@ -79,8 +79,13 @@ impl Chunk {
         Ok(Self(bytes))
     }
 
-    pub(super) fn records(&self) -> Bytes<'_> {
-        Bytes(&self.0)
+    pub(super) fn size(&self) -> usize {
+        self.0.len()
+    }
+
+    /// The records from one of them on.
+    pub(super) fn records(&self, from: usize) -> Bytes<'_> {
+        Bytes(self.0.get(from..).unwrap_or_default())
     }
 }
 

@@ -55,6 +55,8 @@ pub enum Read {
 #[derive(Debug)]
 pub struct Reader {
     parts: Parts,
+    /// The chunk at present, and how far it was read.
+    chunk: Option<(Chunk, usize)>,
     channels: Channels,
     desk: Desk,
 }
@@ -94,7 +96,7 @@ impl Reader {
         let tally = Tally { size: parts.size(), ..Tally::default() };
         let (decoder, ready) = <(Decoder, VecDeque<Read>)>::default();
         let desk = Desk { decoder, wanted: wanted.to_vec(), ready, tally };
-        Ok(Self { parts, channels: Channels::default(), desk })
+        Ok(Self { parts, chunk: None, channels: Channels::default(), desk })
     }
 
     /// What was in it so far.
@@ -116,15 +118,23 @@ impl Reader {
             if let Some(read) = self.desk.ready.pop_front() {
                 return Ok(Some(read));
             }
+            if let Some((chunk, from)) = self.chunk.take() {
+                let (at, desk) = (self.parts.at(), &mut self.desk);
+                let mut records = chunk.records(from);
+                let whole = self.channels.message(&mut records, |topic, time_ns, data| {
+                    desk.message(topic, time_ns, data, at);
+                });
+                if whole.is_some() && !records.0.is_empty() {
+                    let from = chunk.size() - records.0.len();
+                    self.chunk = Some((chunk, from));
+                }
+                self.badly_written(whole);
+                continue;
+            }
             let Some(part) = self.part()? else { return Ok(None) };
             match part {
-                Part::Chunk(chunk) => {
-                    let (at, desk) = (self.parts.at(), &mut self.desk);
-                    let whole = self.channels.messages(&chunk, |topic, time_ns, data| {
-                        desk.message(topic, time_ns, data, at);
-                    });
-                    self.badly_written(whole);
-                }
+                Part::Chunk(chunk) if chunk.size() == 0 => {}
+                Part::Chunk(chunk) => self.chunk = Some((chunk, 0)),
                 Part::Damage(damage) => self.desk.damaged(damage),
             }
         }
@@ -139,12 +149,16 @@ impl Reader {
         match part {
             Part::Chunk(chunk) => {
                 let tally = &mut self.desk.tally;
-                let whole = self.channels.messages(&chunk, |topic, time_ns, data| {
-                    tally.message(topic, time_ns);
-                    if let Some(topic) = topic {
-                        put(topic, time_ns, data);
-                    }
-                });
+                let mut records = chunk.records(0);
+                let mut whole = Some(());
+                while whole.is_some() && !records.0.is_empty() {
+                    whole = self.channels.message(&mut records, |topic, time_ns, data| {
+                        tally.message(topic, time_ns);
+                        if let Some(topic) = topic {
+                            put(topic, time_ns, data);
+                        }
+                    });
+                }
                 self.badly_written(whole);
             }
             Part::Damage(damage) => self.desk.damaged(damage),
@@ -169,25 +183,27 @@ impl Reader {
 }
 
 impl Channels {
-    /// Hands over the messages of a chunk, with the topic if it is one of ours; none if the chunk breaks off.
-    fn messages(&mut self, chunk: &Chunk, mut put: impl FnMut(Option<Topic>, i64, &[u8])) -> Option<()> {
-        let mut records = chunk.records();
-        while !records.0.is_empty() {
-            let (opcode, body) = records.record()?;
-            let mut body = Bytes(body);
-            match opcode {
-                4 => {
-                    let (id, _schema) = (body.u16()?, body.u16()?);
-                    let (topic, encoding) = (body.text()?, body.text()?);
-                    self.0.insert(id, Topic::of(topic).filter(|_| encoding == "cdr"));
-                }
-                5 => {
-                    let (id, _sequence) = (body.u16()?, body.u32()?);
-                    let (log_time, _publish_time) = (body.u64()?, body.u64()?);
-                    put(self.topic(id), log_time as i64, body.0);
-                }
-                _ => {}
+    /// Takes the next record of a chunk; hands it over if it is a message, with the topic if that is one of ours. None
+    /// if the chunk breaks off.
+    fn message(
+        &mut self,
+        records: &mut Bytes<'_>,
+        put: impl FnOnce(Option<Topic>, i64, &[u8]),
+    ) -> Option<()> {
+        let (opcode, body) = records.record()?;
+        let mut body = Bytes(body);
+        match opcode {
+            4 => {
+                let (id, _schema) = (body.u16()?, body.u16()?);
+                let (topic, encoding) = (body.text()?, body.text()?);
+                self.0.insert(id, Topic::of(topic).filter(|_| encoding == "cdr"));
             }
+            5 => {
+                let (id, _sequence) = (body.u16()?, body.u32()?);
+                let (log_time, _publish_time) = (body.u64()?, body.u64()?);
+                put(self.topic(id), log_time as i64, body.0);
+            }
+            _ => {}
         }
         Some(())
     }
