@@ -53,7 +53,7 @@ fn timed(work: impl FnOnce()) -> f64 {
 
 fn samples(file: &Path) -> Vec<Signals> {
     let mut reader = Reader::open(file, &[Topic::Sample]).expect("a recording");
-    let next = || reader.next().expect("it can be read");
+    let next = || reader.read().expect("it can be read");
     let signals = |read| match read {
         Read::Entry(Entry::Sample { sample, .. }) => {
             Some(Signals { spots: sample.spots, powers: sample.powers })

@@ -114,7 +114,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         glance,
         stop: CancellationToken::new(),
         tap,
-        meaning: Arc::clone(&meaning),
+        meaning: Arc::clone(meaning),
         facts,
         descriptor: descriptor.clone(),
         control: at_fast,
@@ -375,7 +375,7 @@ async fn replayed(parts: Parts) -> anyhow::Result<()> {
     let task = replay::task::run(config.replay, SystemClock, edges, stop);
     // It does the work of all three.
     let [acquisition, centering, estimation] = Task::ALL.map(|task| turns.of(task));
-    counted(counted(counted(task, acquisition), centering), estimation).await;
+    Box::pin(counted(counted(counted(task, acquisition), centering), estimation)).await;
     Ok(())
 }
 

@@ -16,7 +16,7 @@ fuzz_target!(|bytes: &[u8]| {
         place.write_all(&file).expect("room");
         let Ok(mut reader) = Reader::open(place.path(), Reader::REPLAY) else { continue };
         let (mut engine, mut verdict) = (Engine::new(), Verdict::default());
-        while let Some(read) = reader.next().expect("the file is there") {
+        while let Some(read) = reader.read().expect("the file is there") {
             let Read::Entry(entry) = read else { continue };
             let Ok(report) = engine.take(&entry) else { break };
             verdict.take(&entry, report);

@@ -100,7 +100,7 @@ fn write(reader: &mut Reader, file: File, format: Format, output: &Path) -> anyh
         Format::Parquet => Box::new(cannot_write(parquet::Parquet::new(to), output)?),
     };
     let mut rows = 0;
-    while let Some(read) = reader.next()? {
+    while let Some(read) = reader.read()? {
         let row = match read {
             Read::Entry(Entry::Frame { frame, .. }) => Columns::of(&frame).0,
             Read::Entry(Entry::Sample { scan, sample, steering }) => samples::row(&scan, &sample, &steering),

@@ -46,7 +46,7 @@ pub(crate) fn info(args: &InfoArgs) -> anyhow::Result<()> {
 fn look(file: &Path) -> anyhow::Result<(Tally, Option<f64>)> {
     let mut reader = Reader::open(file, Reader::REPLAY)?;
     let mut rate_hz = None;
-    while let Some(read) = reader.next()? {
+    while let Some(read) = reader.read()? {
         if let trifacet::recording::reader::Read::Entry(trifacet::recording::Entry::Keyframe(keyframe)) = read
         {
             rate_hz = keyframe.source.as_ref().map(|source| source.rate_hz).or(rate_hz);

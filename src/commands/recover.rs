@@ -73,7 +73,7 @@ fn child(file: &Path, out: &Path) -> anyhow::Result<()> {
         .finish()
         .with_context(cannot)?
         .into_inner()
-        .map_err(|e| e.into_error())
+        .map_err(std::io::IntoInnerError::into_error)
         .with_context(cannot)?;
     to.sync_all().with_context(cannot)?;
     let tally = reader.tally();

@@ -112,7 +112,7 @@ fn replay(config: &Config, at: &mut Checker<'_>) {
         named,
         "replay.file",
         &[source],
-        format!("{file:?}"),
+        format!("\"{}\"", file.display()),
         "a recording, with acquisition.source = \"replay\"",
     );
     at.agree(

@@ -46,7 +46,7 @@ pub fn read(files: Vec<PathBuf>) -> Receiver<News> {
 fn one(file: &std::path::Path, before: u64, to: &SyncSender<News>) -> Result<Option<Tally>, ReadError> {
     let mut reader = Reader::open(file, Reader::REPLAY)?;
     let mut batch = Vec::with_capacity(BATCH);
-    while let Some(read) = reader.next()? {
+    while let Some(read) = reader.read()? {
         batch.push(read);
         if batch.len() == BATCH {
             let full = std::mem::replace(&mut batch, Vec::with_capacity(BATCH));

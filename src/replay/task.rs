@@ -119,8 +119,7 @@ impl<C: Clock, Publish: FnMut(&Told), Means: FnMut(&Meaning)> Player<C, Publish,
         const WHY: &str = "a recording is replayed: nothing steers";
         match order {
             Order::Retune(_, done) => drop(done.send(())),
-            Order::Move(_, reply) => drop(reply.send(Err(WHY))),
-            Order::Search(reply) => drop(reply.send(Err(WHY))),
+            Order::Move(_, reply) | Order::Search(reply) => drop(reply.send(Err(WHY))),
             Order::View(reply) => drop(reply.send(LoopView {
                 mode: LoopMode::Off,
                 lock: self.steering.lock,
@@ -284,7 +283,7 @@ impl<C: Clock, Publish: FnMut(&Told), Means: FnMut(&Meaning)> Player<C, Publish,
 pub fn beginning(file: &Path) -> Result<(Arc<Meaning>, f64), Failure> {
     let cannot = |why: String| Failure::new(exit::IO, why);
     let mut reader = Reader::open(file, Reader::REPLAY).map_err(|e| cannot(e.to_string()))?;
-    while let Some(read) = reader.next().map_err(|e| cannot(e.to_string()))? {
+    while let Some(read) = reader.read().map_err(|e| cannot(e.to_string()))? {
         let (meaning, source) = match read {
             Read::Entry(Entry::Keyframe(keyframe)) => (keyframe.meaning, keyframe.source),
             Read::Foreign { meaning, source, .. } => (meaning, source),

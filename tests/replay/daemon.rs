@@ -55,7 +55,7 @@ impl Drop for Daemon {
 
 fn frames(file: &Path) -> Vec<PoseFrame> {
     let mut reader = Reader::open(file, &[Topic::Frame]).unwrap();
-    std::iter::from_fn(|| reader.next().unwrap())
+    std::iter::from_fn(|| reader.read().unwrap())
         .map(|read| match read {
             Read::Entry(Entry::Frame { frame, .. }) => frame,
             other => panic!("{other:?}"),

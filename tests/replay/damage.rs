@@ -24,7 +24,7 @@ enum Broken {
 
 fn entries(file: &Path) -> Vec<Entry> {
     let mut reader = Reader::open(file, Reader::REPLAY).unwrap();
-    std::iter::from_fn(|| reader.next().unwrap())
+    std::iter::from_fn(|| reader.read().unwrap())
         .filter_map(|read| if let Read::Entry(entry) = read { Some(entry) } else { None })
         .collect()
 }
@@ -64,7 +64,7 @@ pub(crate) fn split(file: &Path, first: &Path, second: &Path) {
 fn contents(file: &Path) -> (Vec<String>, usize, bool) {
     let mut reader = Reader::open(file, Reader::REPLAY).unwrap();
     let mut entries = Vec::new();
-    while let Some(read) = reader.next().unwrap() {
+    while let Some(read) = reader.read().unwrap() {
         if let Read::Entry(entry) = read {
             entries.push(format!("{entry:?}"));
         }

@@ -247,12 +247,16 @@ impl Thrift {
 
     fn ints(&mut self, id: i16, values: &[i64]) {
         self.begin(id, values.len(), Self::INT);
-        values.iter().for_each(|x| self.zigzag(*x));
+        for x in values {
+            self.zigzag(*x);
+        }
     }
 
     fn texts(&mut self, id: i16, values: &[&str]) {
         self.begin(id, values.len(), Self::BINARY);
-        values.iter().for_each(|text| self.binary(text));
+        for text in values {
+            self.binary(text);
+        }
     }
 
     fn list(&mut self, id: i16, count: usize, mut element: impl FnMut(usize, &mut Thrift)) {

@@ -23,7 +23,7 @@ pub(super) struct Output {
 
 enum Form {
     Csv { to: BufWriter<File>, begun: bool },
-    Mcap { writer: Box<Writer<BufWriter<File>>>, encoder: Box<Encoder>, covariance: Option<PoseReport> },
+    Mcap { writer: Box<Writer<BufWriter<File>>>, encoder: Box<Encoder>, last: Option<Box<PoseReport>> },
 }
 
 /// What may go wrong with a message.
@@ -45,7 +45,7 @@ impl Output {
                 let to = BufWriter::new(new_file(path)?);
                 let writer = cannot_write(Writer::new(to, Some(mcap::Compression::Zstd)), path)?;
                 let encoder = Encoder::new((Mono(0), 0));
-                Form::Mcap { writer: Box::new(writer), encoder: Box::new(encoder), covariance: None }
+                Form::Mcap { writer: Box::new(writer), encoder: Box::new(encoder), last: None }
             }
             _ => {
                 let why = format!("--output {}: allowed are names that end in .mcap or .csv", path.display());
@@ -72,11 +72,11 @@ impl Output {
                 }
                 cannot_write(writeln!(to, "{}", columns.csv_line()), &self.path)
             }
-            Form::Mcap { writer, encoder, covariance } => {
-                if report.is_some() {
-                    *covariance = report.copied();
+            Form::Mcap { writer, encoder, last } => {
+                if let Some(report) = report {
+                    *last = Some(Box::new(*report));
                 }
-                let Some(now) = now(entry, pair, covariance.as_ref(), engine) else { return Ok(()) };
+                let Some(now) = now(entry, pair, last.as_deref(), engine) else { return Ok(()) };
                 let put = |message: trifacet::recording::codec::Encoded<'_>| {
                     writer.put(message).map_err(Broken::from)
                 };

@@ -113,7 +113,7 @@ impl Reader {
     ///
     /// # Errors
     /// The system says no.
-    pub fn next(&mut self) -> Result<Option<Read>, ReadError> {
+    pub fn read(&mut self) -> Result<Option<Read>, ReadError> {
         loop {
             if let Some(read) = self.desk.ready.pop_front() {
                 return Ok(Some(read));
@@ -167,7 +167,7 @@ impl Reader {
     }
 
     fn part(&mut self) -> Result<Option<Part>, ReadError> {
-        let part = self.parts.next()?;
+        let part = self.parts.take()?;
         if part.is_none() {
             (self.desk.tally.finished, self.desk.tally.torn) = (self.parts.finished, self.parts.torn);
         }

@@ -101,7 +101,7 @@ impl Parts {
     ///
     /// # Errors
     /// The system says no.
-    pub fn next(&mut self) -> Result<Option<Part>, ReadError> {
+    pub fn take(&mut self) -> Result<Option<Part>, ReadError> {
         self.part().map_err(|source| ReadError::Io { path: self.path.clone(), source })
     }
 
