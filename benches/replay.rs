@@ -6,8 +6,8 @@
 
 use std::path::Path;
 use std::process::Command;
-use std::time::Instant;
 
+use trifacet::clock::{Clock, SystemClock};
 use trifacet::config::Config;
 use trifacet::optics::{Estimator, Noise, Optics, Signals, Solution};
 use trifacet::recording::reader::{Read, Reader};
@@ -46,9 +46,9 @@ fn main() {
 }
 
 fn timed(work: impl FnOnce()) -> f64 {
-    let start = Instant::now();
+    let start = SystemClock.now();
     work();
-    start.elapsed().as_secs_f64()
+    SystemClock.now().seconds_since(start)
 }
 
 fn samples(file: &Path) -> Vec<Signals> {
