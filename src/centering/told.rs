@@ -24,8 +24,8 @@ pub struct LoopView {
     pub lock: LockState,
     /// The offset of the beam in the last sample, metres; not looked at while the loop is off.
     pub offset: Option<Xy>,
-    /// Velocity of the apex by the tracking filter, metres per second.
-    pub velocity: Xy,
+    /// Velocity of the apex by the tracking filter, metres per second; with the offset.
+    pub velocity: Option<Xy>,
     /// Where the stage was last commanded to, metres; none unless the loop has it.
     pub commanded: Option<Xy>,
     /// In the shadow: where the stage stands, and where the loop would send it next, metres.
