@@ -15,6 +15,15 @@ pub struct LoopState {
     pub position: Option<Xy>,
 }
 
+impl LoopState {
+    /// What may be claimed of it while the loop gets no samples, or makes no turns.
+    #[must_use]
+    pub fn unseen(self) -> Self {
+        // A command is no news of the stage any more: its lease runs out, and the board acts by itself.
+        Self { lock: self.lock.unseen(), position: None }
+    }
+}
+
 /// What a person may want to know of the loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LoopView {
