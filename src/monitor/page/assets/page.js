@@ -267,7 +267,15 @@ async function order(command) {
   }
 }
 
-setInterval(() => {
-  strips.tick(span_s <= 60 ? 250 : 1000);
-  spectra.tick(1000);
-}, 50);
+// Nothing turns while nobody looks.
+let turning;
+function turn() {
+  clearInterval(turning);
+  if (document.hidden) return;
+  turning = setInterval(() => {
+    strips.tick(span_s <= 60 ? 250 : 1000);
+    spectra.tick(1000);
+  }, 50);
+}
+document.addEventListener("visibilitychange", turn);
+turn();
