@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use tokio::time::timeout;
 
-use super::reading::{Look, Mean};
+use super::reading::{Look, Mean, at_rest};
 use super::twin::why_not;
 use crate::centering::LockState;
 use crate::client::{Client, ClientError, Endpoint, Message, PoseFrame};
@@ -12,8 +12,9 @@ use crate::estimation::Status;
 
 /// A daemon says something each second. After this long without a word the link is dead.
 const SILENCE: Duration = Duration::from_secs(3);
-/// Frames must count for so long, one after the other, before one is taken: the hand has left the stage then.
-const SETTLE_NS: i64 = 200_000_000;
+/// Frames must count for so long, one after the other, before one is taken: the hand has left the stage, and what it did
+/// is no longer taken for noise.
+const SETTLE_NS: i64 = 600_000_000;
 /// Without a frame that counts for so long, something is to be done about it.
 const PATIENCE_NS: i64 = 5_000_000_000;
 
@@ -33,6 +34,8 @@ pub enum Trouble {
 pub struct Feed {
     client: Client,
     endpoint: Endpoint,
+    /// Frames a second, once the daemon has told.
+    rate_hz: f64,
 }
 
 impl Feed {
@@ -43,7 +46,7 @@ impl Feed {
     pub async fn connect(endpoint: &Endpoint) -> Result<Self, ClientError> {
         let silent = |_| ClientError::Refused(format!("{endpoint} does not answer"));
         let client = timeout(SILENCE, Client::connect(endpoint)).await.map_err(silent)??;
-        Ok(Self { client, endpoint: endpoint.clone() })
+        Ok(Self { client, endpoint: endpoint.clone(), rate_hz: 0.0 })
     }
 
     /// Lets frames go by until something else has come.
@@ -92,11 +95,23 @@ impl Feed {
         Ok(readings)
     }
 
+    /// The mirror at rest for so many seconds.
+    ///
+    /// # Errors
+    /// As [`Feed::readings`].
+    pub async fn rest(&mut self, seconds: f64, taken: impl FnMut()) -> Result<Vec<Look>, Trouble> {
+        self.frame().await?; // the descriptor comes before it
+        let poses = (seconds * self.rate_hz) as u64;
+        let average = at_rest(poses);
+        self.readings(poses as u32 / average, average, taken).await
+    }
+
     async fn frame(&mut self) -> Result<PoseFrame, Trouble> {
         let lost = |what: String| Trouble::Lost(format!("{}: {what}", self.endpoint));
         loop {
             match timeout(SILENCE, self.client.next()).await {
                 Ok(Ok(Message::Pose(frame))) => return Ok(frame),
+                Ok(Ok(Message::Descriptor(descriptor))) => self.rate_hz = descriptor.rate_hz,
                 Ok(Ok(_)) => {}
                 Ok(Err(e)) => return Err(lost(e.to_string())),
                 Err(_) => return Err(lost(format!("no sign of life for {} s", SILENCE.as_secs()))),
@@ -117,6 +132,7 @@ fn look(frame: &PoseFrame) -> Look {
         pose: frame.pose,
         deviations: frame.deviations.map(f64::from),
         averaged: frame.averaged.into(),
+        config: frame.config,
         status: frame.status,
     }
 }

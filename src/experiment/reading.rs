@@ -42,8 +42,18 @@ pub struct Look {
     pub deviations: [f64; 6],
     /// Samples in it.
     pub averaged: u32,
+    /// Fingerprint of geometry, calibration and frames: with another one, poses mean something else.
+    pub config: u32,
     /// Status bits.
     pub status: Status,
+}
+
+/// More readings than this of a record at rest are made into means.
+const MOST_AT_REST: u64 = 10_000;
+
+/// How many poses make a reading of a record at rest of so many poses.
+pub fn at_rest(poses: u64) -> u32 {
+    poses.div_ceil(MOST_AT_REST).max(1) as u32
 }
 
 /// A mean that is being made of looks.
@@ -82,6 +92,7 @@ impl Mean {
             // The noise of the looks is independent.
             deviations: self.variance.map(|sum| sum.sqrt() / n),
             averaged: self.averaged,
+            config: look.config,
             status: self.status,
         };
         *self = Self::default();
@@ -104,7 +115,7 @@ pub struct Reading {
     pub look: Look,
 }
 
-const COLUMNS: [&str; 20] = [
+const COLUMNS: [&str; 21] = [
     "part",
     "axis",
     "point",
@@ -124,6 +135,7 @@ const COLUMNS: [&str; 20] = [
     "sd_pitch_rad",
     "sd_yaw_rad",
     "averaged",
+    "config",
     "status",
 ];
 
@@ -145,7 +157,7 @@ pub fn write(readings: &[Reading], to: impl Write) -> std::io::Result<()> {
             write!(out, ",{x:.4e}")?;
         }
         let status: Vec<_> = look.status.names().collect();
-        writeln!(out, ",{},{}", look.averaged, status.join(" "))?;
+        writeln!(out, ",{},{},{}", look.averaged, look.config, status.join(" "))?;
     }
     out.flush()
 }
@@ -193,6 +205,7 @@ fn reading(row: &Row) -> Result<Reading, Failure> {
             pose: six(6)?,
             deviations: six(12)?,
             averaged: row.count("averaged")?,
+            config: row.count("config")?,
             status: row.parse("status", "names of status bits with blanks between", bits)?,
         },
     })
@@ -210,7 +223,14 @@ mod tests {
     use super::*;
 
     fn look(time_ns: i64, x: f64) -> Look {
-        Look { time_ns, pose: [x; 6], deviations: [2e-6; 6], averaged: 3, status: Status::POSE_VALID }
+        Look {
+            time_ns,
+            pose: [x; 6],
+            deviations: [2e-6; 6],
+            averaged: 3,
+            config: 9,
+            status: Status::POSE_VALID,
+        }
     }
 
     #[test]

@@ -81,6 +81,13 @@ pub fn measured(readings: &[Reading], part: Part) -> Result<Vec<Measured>, Failu
 }
 
 fn measured_axis(axis: Axis, readings: &[&Reading]) -> Result<Measured, Failure> {
+    if readings.iter().any(|r| r.look.config != readings[0].look.config) {
+        let what = "its readings were made with different geometries, calibrations or frames";
+        return Err(Failure::new(
+            exit::DATA,
+            format!("{}: {what}; was the sensor tared meanwhile?", axis.name()),
+        ));
+    }
     let numbers: std::collections::BTreeSet<u32> = readings.iter().map(|r| r.point).collect();
     let of = |number| readings.iter().filter(move |r| r.point == number).copied().collect::<Vec<_>>();
     let points = numbers.into_iter().map(|number| point(axis, number, &of(number)));
@@ -160,8 +167,14 @@ mod tests {
             let x = f64::from(point) * 2e-6;
             let swing = if number % 2 == 0 { 1e-7 } else { -1e-7 };
             let pose = [1.1 * x + 5e-6 + swing, 0.0, 0.0, 0.0, 0.0, -0.1 * x];
-            let look =
-                Look { time_ns: 0, pose, deviations: [1e-7; 6], averaged: 1, status: Status::POSE_VALID };
+            let look = Look {
+                time_ns: 0,
+                pose,
+                deviations: [1e-7; 6],
+                averaged: 1,
+                config: 0,
+                status: Status::POSE_VALID,
+            };
             Reading { part: Part::Table2, moved: Some((Axis::Tx, x)), point, number, look }
         };
         (1..=points).flat_map(|p| (1..=readings).map(move |n| one(p, n))).collect()

@@ -2,7 +2,7 @@
 //! the reference.
 
 use super::protocol::Protocol;
-use super::reading::{Look, Mean, Part, Reading};
+use super::reading::{Look, Mean, Part, Reading, at_rest};
 use crate::centering::LockState;
 use crate::config::{Axis, Config, FramesConfig};
 use crate::estimation::{PoseReport, Status};
@@ -12,8 +12,9 @@ use crate::rig::Rig;
 
 /// Without a pose that counts for so long, seconds of the twin, there will be none.
 const PATIENCE_S: f64 = 5.0;
-/// More readings than this of a record at rest are made into means.
-const MOST_AT_REST: u64 = 10_000;
+/// Samples after which the step of the mirror is no longer taken for noise: eight of the short windows in which
+/// estimation watches the noise of the signals.
+const FORGOTTEN: u64 = 512;
 
 /// The paper's bench, as a twin.
 pub struct Bench {
@@ -52,8 +53,9 @@ impl Bench {
         rig.place(Pose::default());
         let rate_hz = config.acquisition.rate_hz;
         let average = u32::from(config.estimation.average);
-        // A block that was begun before the mirror moved is not to count, nor how the loop comes after it.
-        let settle = (config.centering.lock_time_ms * 1e-3 * rate_hz).ceil() as u64 + u64::from(average);
+        // What was begun before the mirror moved does not count, nor how the loop comes after it.
+        let settle = (config.centering.lock_time_ms * 1e-3 * rate_hz).ceil() as u64;
+        let settle = settle.max(FORGOTTEN) + u64::from(average);
         let patience = (PATIENCE_S * rate_hz).ceil() as u64 + 2 * settle;
         Ok(Self { rig, settle, calm: 0, patience, rate_hz, average, why: String::new() })
     }
@@ -94,7 +96,7 @@ impl Bench {
     pub fn rest(&mut self, seconds: f64) -> Result<Vec<Reading>, Failure> {
         self.place(Axis::Tx, 0.0);
         let poses = (seconds * self.rate_hz / f64::from(self.average)) as u64;
-        let of = poses.div_ceil(MOST_AT_REST).max(1) as u32;
+        let of = at_rest(poses);
         let mut mean = Mean::default();
         let mut readings = Vec::new();
         for _ in 0..poses {
@@ -146,6 +148,7 @@ fn look(report: &PoseReport) -> Result<Look, String> {
         pose: pose.to_array(),
         deviations: std::array::from_fn(|i| covariance[(i, i)].sqrt()),
         averaged: report.averaged.into(),
+        config: report.config,
         status: report.status,
     })
 }
