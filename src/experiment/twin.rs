@@ -12,13 +12,14 @@ use crate::rig::Rig;
 
 /// Without a pose that counts for so long, seconds of the twin, there will be none.
 const PATIENCE_S: f64 = 5.0;
-/// Samples after which the step of the mirror is no longer taken for noise: eight of the short windows in which
-/// estimation watches the noise of the signals.
-const FORGOTTEN: u64 = 512;
+/// Samples that the mirror takes from point to point: a jump would be taken for noise, as that of a stage is not.
+const WAY: u32 = 64;
 
 /// The paper's bench, as a twin.
 pub struct Bench {
     rig: Rig,
+    /// Where the mirror stands, metres and radians.
+    at: [f64; 6],
     /// Samples for which poses must count, one after the other, before one is taken.
     settle: u64,
     /// Samples for which that has been so.
@@ -54,10 +55,9 @@ impl Bench {
         let rate_hz = config.acquisition.rate_hz;
         let average = u32::from(config.estimation.average);
         // What was begun before the mirror moved does not count, nor how the loop comes after it.
-        let settle = (config.centering.lock_time_ms * 1e-3 * rate_hz).ceil() as u64;
-        let settle = settle.max(FORGOTTEN) + u64::from(average);
+        let settle = (config.centering.lock_time_ms * 1e-3 * rate_hz).ceil() as u64 + u64::from(average);
         let patience = (PATIENCE_S * rate_hz).ceil() as u64 + 2 * settle;
-        Ok(Self { rig, settle, calm: 0, patience, rate_hz, average, why: String::new() })
+        Ok(Self { rig, at: [0.0; 6], settle, calm: 0, patience, rate_hz, average, why: String::new() })
     }
 
     /// Goes through a protocol; `taken` hears of every reading.
@@ -110,11 +110,17 @@ impl Bench {
         Ok(readings)
     }
 
+    /// Moves the mirror to where only this axis is off the middle.
     fn place(&mut self, axis: Axis, amount: f64) {
-        let mut pose = [0.0; 6];
-        pose[axis as usize] = amount;
-        self.rig.place(Pose::from_array(pose));
-        self.calm = 0;
+        let mut to = [0.0; 6];
+        to[axis as usize] = amount;
+        for k in 1..=WAY {
+            let part = f64::from(k) / f64::from(WAY);
+            let pose = std::array::from_fn(|i| self.at[i] + part * (to[i] - self.at[i]));
+            self.rig.place(Pose::from_array(pose));
+            self.rig.turn();
+        }
+        (self.at, self.calm) = (to, 0);
     }
 
     /// The next pose that counts: valid and locked, as were those before it since the mirror settled.
