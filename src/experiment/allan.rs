@@ -35,9 +35,10 @@ fn over(sums: &[f64], n: usize) -> Allan {
     let pairs = sums.len() - 2 * n;
     let difference = |i: usize| (sums[i + 2 * n] - 2.0 * sums[i + n] + sums[i]) / n as f64;
     let square = (0..pairs).map(|i| difference(i).powi(2)).sum::<f64>() / pairs as f64;
-    // White noise: the overlap makes of so many means about so many independent differences.
-    let means = (sums.len() - 1) as f64 / n as f64;
-    Allan { n, deviation: (square / 2.0).sqrt(), part: (0.75 / (means - 2.0).max(1.0)).sqrt() }
+    // Degrees of freedom of overlapping differences of white noise (Howe, Allan and Barnes, 1981).
+    let (all, m) = (sums.len() as f64, n as f64);
+    let freedom = (1.5 * (all - 1.0) / m - 2.0 * (all - 2.0) / all) * 4.0 * m * m / (4.0 * m * m + 5.0);
+    Allan { n, deviation: (square / 2.0).sqrt(), part: 1.0 / (2.0 * freedom).sqrt() }
 }
 
 /// The steady drift of a record: per second, from times in seconds.
@@ -76,7 +77,7 @@ mod tests {
         let n = found.len() as f64;
         let mean = found.iter().map(|a| a.deviation).sum::<f64>() / n;
         let scatter = (found.iter().map(|a| (a.deviation - mean).powi(2)).sum::<f64>() / n).sqrt() / mean;
-        assert!((scatter / found[0].part - 1.0).abs() < 0.2, "{scatter} {}", found[0].part);
+        assert!((scatter / found[0].part - 1.0).abs() < 0.1, "{scatter} {}", found[0].part);
     }
 
     #[test]

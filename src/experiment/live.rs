@@ -130,7 +130,7 @@ fn look(frame: &PoseFrame) -> Look {
     Look {
         time_ns: frame.time_ns,
         pose: frame.pose,
-        deviations: frame.deviations.map(f64::from),
+        deviations: frame.deviations,
         averaged: frame.averaged.into(),
         config: frame.config,
         status: frame.status,

@@ -52,7 +52,9 @@ impl Course {
     /// So many points at equal intervals (metres or radians), the middle of them at zero.
     pub fn even(axis: Axis, interval: f64, points: u32) -> Self {
         let middle = f64::from(points - 1) / 2.0;
-        let points = (0..points).map(|k| interval * (f64::from(k) - middle)).collect();
+        // No farther than to the picometre: the digits behind it mean nothing.
+        let pico = |x: f64| (x * 1e12).round() / 1e12;
+        let points = (0..points).map(|k| pico(interval * (f64::from(k) - middle))).collect();
         Self { axis, points }
     }
 

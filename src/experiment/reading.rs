@@ -39,7 +39,7 @@ pub struct Look {
     /// tx, ty, tz (m), roll, pitch, yaw (rad).
     pub pose: [f64; 6],
     /// One standard deviation of each, as stated with the pose.
-    pub deviations: [f64; 6],
+    pub deviations: [f32; 6],
     /// Samples in it.
     pub averaged: u32,
     /// Fingerprint of geometry, calibration and frames: with another one, poses mean something else.
@@ -78,7 +78,7 @@ impl Mean {
         self.since_ns += (look.time_ns - self.first_ns) as f64;
         for i in 0..6 {
             self.pose[i] += look.pose[i];
-            self.variance[i] += look.deviations[i].powi(2);
+            self.variance[i] += f64::from(look.deviations[i]).powi(2);
         }
         self.averaged += look.averaged;
         self.status |= look.status;
@@ -90,7 +90,7 @@ impl Mean {
             time_ns: self.first_ns + (self.since_ns / n) as i64,
             pose: self.pose.map(|sum| sum / n),
             // The noise of the looks is independent.
-            deviations: self.variance.map(|sum| sum.sqrt() / n),
+            deviations: self.variance.map(|sum| (sum.sqrt() / n) as f32),
             averaged: self.averaged,
             config: look.config,
             status: self.status,
@@ -154,7 +154,7 @@ pub fn write(readings: &[Reading], to: impl Write) -> std::io::Result<()> {
             write!(out, ",{x:e}")?;
         }
         for x in look.deviations {
-            write!(out, ",{x:.4e}")?;
+            write!(out, ",{x:e}")?;
         }
         let status: Vec<_> = look.status.names().collect();
         writeln!(out, ",{},{},{}", look.averaged, look.config, status.join(" "))?;
@@ -203,7 +203,7 @@ fn reading(row: &Row) -> Result<Reading, Failure> {
         look: Look {
             time_ns: row.count("time_ns")?,
             pose: six(6)?,
-            deviations: six(12)?,
+            deviations: six(12)?.map(|x| x as f32),
             averaged: row.count("averaged")?,
             config: row.count("config")?,
             status: row.parse("status", "names of status bits with blanks between", bits)?,
@@ -255,7 +255,7 @@ mod tests {
             assert_eq!((0..3).find_map(|k| mean.push(&look(10 * k, k as f64), 4)), None);
             let made = mean.push(&look(30, 3.0), 4).unwrap();
             assert_eq!((made.time_ns, made.pose, made.averaged), (15, [1.5; 6], 12));
-            assert!((made.deviations[0] - 1e-6).abs() < 1e-18);
+            assert!((made.deviations[0] - 1e-6).abs() < 1e-12);
         }
     }
 }

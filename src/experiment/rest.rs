@@ -9,7 +9,7 @@ use crate::exit::{self, Failure};
 /// Fewer readings say nothing of how noise and time go together.
 const LEAST: usize = 64;
 /// Stretches of the drawing.
-const STRETCHES: usize = 200;
+const STRETCHES: usize = 60;
 
 /// A record of the mirror at rest.
 #[derive(Clone, Debug, PartialEq)]
@@ -68,7 +68,7 @@ fn still(axis: usize, times: &[f64], rest: &[&Reading]) -> Still {
     let values: Vec<f64> = values.iter().map(|x| x - mean).collect();
     Still {
         allan: allan(&values),
-        stated: median(rest.iter().map(|r| r.look.deviations[axis])),
+        stated: median(rest.iter().map(|r| r.look.deviations[axis].into())),
         drift: drift(times, &values),
         course: stretches(&values),
     }

@@ -111,7 +111,7 @@ fn measured_axis(axis: Axis, readings: &[&Reading]) -> Result<Measured, Failure>
     let square = points.iter().map(|p| (p.means[i] - p.reference - offset).powi(2)).sum::<f64>() / n;
     let freedom: f64 = points.iter().map(|p| (p.readings - 1) as f64).sum();
     let variance = points.iter().map(|p| (p.readings - 1) as f64 * p.std * p.std).sum::<f64>() / freedom;
-    let predicted = median(readings.iter().map(|r| r.look.deviations[i]));
+    let predicted = median(readings.iter().map(|r| r.look.deviations[i].into()));
     let each = points.iter().map(|p| 1.0 / p.readings as f64).sum::<f64>() / n;
     Ok(Measured {
         axis,
@@ -165,7 +165,7 @@ mod tests {
     fn line(points: u32, readings: u32) -> Vec<Reading> {
         let one = |point: u32, number: u32| {
             let x = f64::from(point) * 2e-6;
-            let swing = if number % 2 == 0 { 1e-7 } else { -1e-7 };
+            let swing = if number.is_multiple_of(2) { 1e-7 } else { -1e-7 };
             let pose = [1.1 * x + 5e-6 + swing, 0.0, 0.0, 0.0, 0.0, -0.1 * x];
             let look = Look {
                 time_ns: 0,
@@ -195,7 +195,7 @@ mod tests {
         near(m.response[5].value, -0.1);
         assert!(m.response[0].sigma < 1e-9 && m.response[1].value == 0.0);
         near(m.relative, 0.2e-6 * 2.0_f64.sqrt() / 2e-6);
-        near(m.relative_noise, 1e-7 * (4.0_f64 / 250.0).sqrt() / 2e-6);
+        near(m.relative_noise, f64::from(1e-7_f32) * (4.0_f64 / 250.0).sqrt() / 2e-6);
         near(m.points[4].max - m.points[4].min, 2e-7);
         assert!((m.error(&m.points[0]) + 0.4e-6).abs() < 1e-15);
     }

@@ -30,7 +30,7 @@ impl fmt::Display for Table<'_> {
             let paper = m.printed();
             writeln!(
                 f,
-                "{:<6}{:<5}{:>9}{:>10}{:>10}{:>8}{:>11}{:>13} %{:>6} %",
+                "{:<6}{:<5}{:>9}{:>10}{:>10}{:>8.2}{:>11}{:>13} %{:>6} %",
                 m.axis.name(),
                 m.axis.micro_unit(),
                 three(m.range * 1e6),

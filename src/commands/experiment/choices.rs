@@ -8,6 +8,9 @@ use trifacet::experiment::{amount, reference};
 
 use super::ExperimentArgs;
 
+/// The longest interval, metres or radians.
+const MOST: f64 = 1e-3;
+
 /// The protocol that is asked for.
 pub(super) fn protocol(args: &ExperimentArgs) -> Result<Protocol, Failure> {
     let wanted = |axis: &Axis| args.axes.is_empty() || args.axes.contains(axis);
@@ -46,8 +49,7 @@ pub(super) fn interval(text: &str) -> Result<(Axis, f64), String> {
     let (name, amount) = text.split_once('=').ok_or("must be AXIS=X, such as tx=1.44")?;
     let axis = axis(name)?;
     let interval = amount::parse(axis, amount)?;
-    let most = if axis.is_turn() { 1e-3 } else { 1e-3 };
-    if interval > 0.0 && interval <= most {
+    if interval > 0.0 && interval <= MOST {
         return Ok((axis, interval));
     }
     Err(format!("must be above 0 and at most 1000 {}", axis.micro_unit()))

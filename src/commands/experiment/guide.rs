@@ -155,7 +155,7 @@ impl Guide<'_> {
 
     async fn line(&mut self) -> anyhow::Result<String> {
         let line = self.feed.until(self.lines.recv()).await;
-        line.map_err(lost)?
+        line.map_err(|why| lost(&why))?
             .ok_or_else(|| Failure::new(exit::DATA, "the input has ended before the last point").into())
     }
 
@@ -170,7 +170,7 @@ impl Guide<'_> {
                 eprintln!("{why}\nonce more, when that is mended; `trifacet doctor` may know more");
                 return Ok(false);
             }
-            Err(why) => return Err(lost(why)),
+            Err(why) => return Err(lost(&why)),
         };
         if self.other_config(step, &looks) {
             let what = "geometry, calibration or frames of the sensor have changed (a tare?) since the points before";
@@ -180,7 +180,7 @@ impl Guide<'_> {
             );
             return Ok(false);
         }
-        self.say(step, reference, &looks);
+        say(step, reference, &looks);
         let moved = Some((step.axis, reference));
         let taken = (1..).zip(looks).map(|(number, look)| Reading {
             part: Part::Table2,
@@ -200,18 +200,6 @@ impl Guide<'_> {
         let mut configs = before.map(|r| r.look.config).chain(looks.iter().map(|look| look.config));
         let first = configs.next();
         configs.any(|config| Some(config) != first)
-    }
-
-    fn say(&self, step: &Step, reference: f64, looks: &[Look]) {
-        let (i, n) = (step.axis as usize, looks.len() as f64);
-        let mean = looks.iter().map(|look| look.pose[i]).sum::<f64>() / n;
-        let std = (looks.iter().map(|look| (look.pose[i] - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
-        let unit = step.axis.micro_unit();
-        let [mean, reference] = [mean, reference].map(|x| x * 1e6);
-        eprintln!(
-            "  {n} readings: {mean:+.3} {unit}, deviation {} {unit}, reference {reference:+.3} {unit}",
-            three(std * 1e6)
-        );
     }
 
     fn average(&self) -> u32 {
@@ -235,7 +223,7 @@ impl Guide<'_> {
                     return keep(&self.readings, &self.args.out);
                 }
                 Err(why @ Trouble::NoPose(_)) => eprintln!("{why}"),
-                Err(why) => return Err(lost(why)),
+                Err(why) => return Err(lost(&why)),
             }
         }
     }
@@ -251,6 +239,19 @@ impl Guide<'_> {
     }
 }
 
-fn lost(why: Trouble) -> anyhow::Error {
+/// What was read at a point, in a line.
+fn say(step: &Step, reference: f64, looks: &[Look]) {
+    let (i, n) = (step.axis as usize, looks.len() as f64);
+    let mean = looks.iter().map(|look| look.pose[i]).sum::<f64>() / n;
+    let std = (looks.iter().map(|look| (look.pose[i] - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
+    let unit = step.axis.micro_unit();
+    let [mean, reference] = [mean, reference].map(|x| x * 1e6);
+    eprintln!(
+        "  {n} readings: {mean:+.3} {unit}, deviation {} {unit}, reference {reference:+.3} {unit}",
+        three(std * 1e6)
+    );
+}
+
+fn lost(why: &Trouble) -> anyhow::Error {
     unavailable(why.to_string())
 }

@@ -2,7 +2,7 @@
 
 const data = JSON.parse(document.getElementById("data").textContent);
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-const COLOURS = [["--line-1", "solid", "circle"], ["--line-2", "dash", "square"], ["--line-3", "dot", "diamond"]];
+const MARKS = [["--line-1", "circle"], ["--line-2", "square"], ["--line-3", "diamond"]];
 const PAPER_PX = [325, 235]; // of a chart in print, two beside each other on A4
 
 function look(more) {
@@ -64,10 +64,10 @@ const legend = { showlegend: true, legend: { orientation: "h", x: 0, y: 1.02, ya
 function allan(first) {
   const theory = (axis) => data.rest.tau.map((tau) => axis.stated / Math.sqrt(tau / data.rest.tau[0]));
   const own = three(first).flatMap((axis, i) => [
-    { ...lines(data.rest.tau, theory(axis), `${axis.name}, white noise`, { color: css(COLOURS[i][0]), width: 1, dash: "dot" }), showlegend: false },
+    { ...lines(data.rest.tau, theory(axis), `${axis.name}, white noise`, { color: css(MARKS[i][0]), width: 1, dash: "dot" }), showlegend: false },
     {
-      ...lines(data.rest.tau, axis.allan, axis.name, { color: css(COLOURS[i][0]), width: 1.5 }), mode: "markers", marker: { color: css(COLOURS[i][0]), symbol: COLOURS[i][2], size: 8 },
-      error_y: { type: "data", array: axis.allan.map((a, k) => a * axis.part[k]), color: css(COLOURS[i][0]), thickness: 1.2, width: 3 },
+      ...lines(data.rest.tau, axis.allan, axis.name, { color: css(MARKS[i][0]), width: 1.5 }), mode: "markers", marker: { color: css(MARKS[i][0]), symbol: MARKS[i][1], size: 8 },
+      error_y: { type: "data", array: axis.allan.map((a, k) => a * axis.part[k]), color: css(MARKS[i][0]), thickness: 1.2, width: 3 },
     },
   ]);
   const log = { type: "log", dtick: 1, exponentformat: "none", minor: { dtick: "D1" } };
@@ -75,7 +75,9 @@ function allan(first) {
 }
 
 function course(first) {
-  const own = three(first).map((axis, i) => lines(data.rest.times, axis.course, axis.name, { color: css(COLOURS[i][0]), dash: COLOURS[i][1], width: 1.3 }));
+  const own = three(first).map((axis, i) => ({
+    ...lines(data.rest.times, axis.course, axis.name, { color: css(MARKS[i][0]), width: 1.3 }), mode: "lines+markers", marker: { symbol: MARKS[i][1], size: 5 },
+  }));
   return [own, look({ ...legend, xaxis: { title: "time, s" }, yaxis: { title: `less the mean, ${data.rest.axes[first].unit}` } })];
 }
 

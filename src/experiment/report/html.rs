@@ -40,7 +40,9 @@ fn escaped(text: &str) -> String {
 /// A table; the first cell of each row is its heading.
 fn table(head: &[&str], rows: impl Iterator<Item = Vec<String>>) -> String {
     let mut html = String::from("<div class=\"scroll\"><table><thead><tr>");
-    head.iter().for_each(|cell| _ = write!(html, "<th scope=\"col\">{cell}</th>"));
+    for cell in head {
+        let _ = write!(html, "<th scope=\"col\">{cell}</th>");
+    }
     html.push_str("</tr></thead><tbody>");
     for row in rows {
         html.push_str("<tr>");
@@ -73,8 +75,19 @@ fn percent(x: f64) -> String {
     format!("{} %", three(x * 1e2))
 }
 
-fn paper(x: f64, unit: &str) -> String {
-    format!("<span class=\"paper\">{x}{unit}</span>")
+fn paper(said: &str) -> String {
+    format!("<span class=\"paper\">{said}</span>")
+}
+
+/// A time with no more digits than it needs.
+fn seconds(s: f64) -> String {
+    format!("{} s", three(s).parse::<f64>().unwrap_or(s))
+}
+
+/// A value with its deviation: of that two digits count.
+fn with_sigma(value: f64, sigma: f64) -> String {
+    let digits = if sigma > 0.0 { (1 - sigma.log10().floor() as i32).clamp(0, 9) as usize } else { 4 };
+    format!("{value:.digits$} <small>± {sigma:.digits$}</small>")
 }
 
 fn what(all: &[Measured]) -> String {
@@ -104,11 +117,11 @@ fn table2(all: &[Measured]) -> String {
             micro(m.range),
             micro(m.interval),
             format!("<b>{}</b>", micro(m.std)),
-            paper(printed.std, ""),
+            paper(&format!("{:.2}", printed.std)),
             micro(m.predicted),
             format!("{:.3}", m.std / m.predicted),
             percent(m.relative),
-            paper(printed.relative, " %"),
+            paper(&format!("{} %", printed.relative)),
             percent(m.relative_noise),
         ]
     };
@@ -124,9 +137,9 @@ fn figures(all: &[Measured]) -> String {
                 "<div class=\"chart\" data-kind=\"{kind}\" data-axis=\"{i}\" role=\"img\" aria-label=\"{name}: {label}\"></div>"
             )
         };
-        let _ = write!(
+        let _ = writeln!(
             html,
-            "<div class=\"pair\"><h3>Figure {figure}: {name} <small>σ measured {} {u}, paper {} {u}</small></h3>{}{}</div>\n",
+            "<div class=\"pair\"><h3>Figure {figure}: {name} <small>σ measured {} {u}, paper {:.2} {u}</small></h3>{}{}</div>",
             micro(m.std),
             m.printed().std,
             chart("displacement", "measured against reference"),
@@ -145,7 +158,7 @@ fn bound(all: &[Measured]) -> String {
             micro(m.pooled),
             micro(m.predicted),
             format!("{ratio:.3} ± {:.3}", WITHIN_95 * ratio * m.pooled_part),
-            paper(m.printed().std, ""),
+            paper(&format!("{:.2}", m.printed().std)),
             format!("{:.3}", m.printed().std / (m.predicted * 1e6)),
         ]
     };
@@ -159,7 +172,7 @@ fn crosstalk(all: &[Measured]) -> String {
         let cell = |axis: Axis| {
             let slope = m.response[axis as usize];
             let right = if axis == m.axis { 1.0 } else { 0.0 };
-            let text = format!("{:.4} <small>± {:.4}</small>", slope.value + 0.0, slope.sigma);
+            let text = with_sigma(slope.value, slope.sigma);
             let marked = (slope.value - right).abs() > MARKED * slope.sigma;
             if marked { format!("<b>{text}</b>") } else { text }
         };
@@ -177,20 +190,19 @@ fn at_rest(rest: &Rest) -> String {
         let deviation =
             |a: Option<&crate::experiment::allan::Allan>| a.map_or("-".into(), |a| micro(a.deviation));
         let white = |n: usize| still.stated / (n as f64).sqrt();
-        let hour = |x: f64| micro(x * 3600.0);
+        let hour = 3600e6;
         vec![
             named(axis),
             deviation(first),
             micro(still.stated),
             deviation(last),
             last.map_or("-".into(), |a| micro(white(a.n))),
-            least.map_or("-".into(), |a| format!("{} s", three(a.n as f64 * rest.period_s))),
-            format!("{} <small>± {}</small>", hour(still.drift.value), hour(still.drift.sigma)),
+            least.map_or("-".into(), |a| seconds(a.n as f64 * rest.period_s)),
+            with_sigma(hour * still.drift.value, hour * still.drift.sigma),
         ]
     };
     let longest = rest.axes[0].allan.last().map_or(0.0, |a| a.n as f64 * rest.period_s);
-    let (one, longest) = (three(rest.period_s), three(longest));
-    let [first, last] = [format!("Allan, {one} s"), format!("Allan, {longest} s")];
+    let [first, last] = [rest.period_s, longest].map(|s| format!("Allan, {}", seconds(s)));
     let head = ["axis", &first, "stated", &last, "white noise", "least at", "drift per hour"];
     let chart = |kind: &str, axis: u8, label: &str| {
         format!(
@@ -198,13 +210,13 @@ fn at_rest(rest: &Rest) -> String {
         )
     };
     format!(
-        "<section>\n<h2>At rest: Allan deviation and drift</h2>\n<p>{} readings in {} s with the mirror at rest. Dotted: white noise of the stated deviation, σ/√n; \
-         the bars are one deviation of what is drawn.</p>\n<div class=\"pair\">{}{}</div>\n<div class=\"pair\"><h3>Course <small>means over {} s</small></h3>{}{}</div>\n{}</section>\n",
+        "<section>\n<h2>At rest: Allan deviation and drift</h2>\n<p>{} readings in {} with the mirror at rest. Dotted: white noise of the stated deviation, σ/√n; \
+         the bars are one deviation of what is drawn.</p>\n<div class=\"pair\">{}{}</div>\n<div class=\"pair\"><h3>Course <small>means over {}</small></h3>{}{}</div>\n{}</section>\n",
         rest.readings,
-        three(rest.period_s * rest.readings as f64),
+        seconds(rest.period_s * rest.readings as f64),
         chart("allan", 0, "Allan deviation of the translations"),
         chart("allan", 3, "Allan deviation of the turns"),
-        three(rest.period_s * (rest.readings as f64 / rest.times_s.len() as f64)),
+        seconds(rest.period_s * (rest.readings as f64 / rest.times_s.len() as f64)),
         chart("course", 0, "translations over time"),
         chart("course", 3, "turns over time"),
         table(&head, Axis::ALL.into_iter().zip(&rest.axes).map(row)),
@@ -220,10 +232,10 @@ fn beyond(report: &Report) -> String {
             named(m.axis),
             format!("<b>{}</b>", micro(m.std)),
             micro(m.predicted),
-            paper(m.printed().std, ""),
+            paper(&format!("{:.2}", m.printed().std)),
             format!("{:.0} times", m.printed().std / (m.std * 1e6)),
             percent(m.relative),
-            paper(m.printed().relative, " %"),
+            paper(&format!("{} %", m.printed().relative)),
         ]
     };
     let head = [
@@ -237,7 +249,7 @@ fn beyond(report: &Report) -> String {
     ];
     format!(
         "<section>\n<h2>Beyond the paper</h2>\n<p>The same protocol with what can be bought today: an 18-bit converter, spots with 0.57 µm of noise \
-         (what the paper's 1.08 µm leave when its 12-bit converter is taken out), and {} samples averaged into each reading.</p>\n{}</section>\n",
+         (about half of the 1.08 µm that explain the paper's), and {} samples averaged into each reading.</p>\n{}</section>\n",
         report.averaged[1],
         table(&head, report.beyond.iter().map(row)),
     )
