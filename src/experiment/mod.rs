@@ -25,6 +25,19 @@ pub fn three(x: f64) -> String {
     if !x.is_finite() {
         return "-".into();
     }
-    let whole = if x == 0.0 { 1 } else { x.abs().log10().floor() as i32 + 1 };
+    // Rounded first: 0.9999 has one digit before the point.
+    let rounded: f64 = format!("{x:.2e}").parse().unwrap_or(x);
+    let whole = if rounded == 0.0 { 1 } else { rounded.abs().log10().floor() as i32 + 1 };
     format!("{x:.*}", (3 - whole).clamp(0, 9) as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::three;
+
+    #[test]
+    fn three_digits_count() {
+        let all = [0.0, 0.9999, -0.030_49, 9.996, 28.84, 309.6, 12_345.6, f64::NAN].map(three);
+        assert_eq!(all, ["0.00", "1.00", "-0.0305", "10.0", "28.8", "310", "12346", "-"]);
+    }
 }
