@@ -15,6 +15,7 @@ use trifacet::exit::{self, Failure};
 use trifacet::experiment::protocol::{self, Protocol};
 use trifacet::experiment::reading::{self, Part, Reading};
 use trifacet::experiment::report::Report;
+use trifacet::experiment::rest::LEAST;
 use trifacet::experiment::table::{self, Table};
 use trifacet::experiment::twin::{Bench, beyond};
 
@@ -79,8 +80,8 @@ pub(crate) fn experiment(args: &ExperimentArgs) -> anyhow::Result<()> {
         let readings = guide::guided(args, endpoint, &protocol)?;
         return told(&readings, endpoint.to_string(), &args.out);
     }
-    fresh(&args.out)?;
     let config = twin(args)?;
+    fresh(&args.out)?;
     let readings = on_twin(&config, &protocol, args)?;
     keep(&readings, &args.out)?;
     told(&readings, format!("digital twin, seed {}", config.twin.seed), &args.out)
@@ -108,6 +109,12 @@ fn twin(args: &ExperimentArgs) -> anyhow::Result<Config> {
     }
     config.twin.seed = args.seed.unwrap_or(config.twin.seed);
     config.estimation.average = args.average.unwrap_or(config.estimation.average);
+    let poses = args.rest * config.acquisition.rate_hz / f64::from(config.estimation.average);
+    if args.rest > 0.0 && poses < LEAST as f64 {
+        let message =
+            format!("--rest {} makes {poses:.0} poses: at least {LEAST} are needed, or --rest 0", args.rest);
+        return Err(Failure::new(exit::USAGE, message).into());
+    }
     Ok(config)
 }
 

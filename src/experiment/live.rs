@@ -5,6 +5,7 @@ use std::time::Duration;
 use tokio::time::timeout;
 
 use super::reading::{Look, Mean, at_rest};
+use super::rest::LEAST;
 use super::twin::why_not;
 use crate::centering::LockState;
 use crate::client::{Client, ClientError, Endpoint, Message, PoseFrame};
@@ -95,7 +96,7 @@ impl Feed {
         Ok(readings)
     }
 
-    /// The mirror at rest for so many seconds.
+    /// The mirror at rest for so many seconds; nothing where that is too short to say anything.
     ///
     /// # Errors
     /// As [`Feed::readings`].
@@ -103,6 +104,9 @@ impl Feed {
         self.frame().await?; // the descriptor comes before it
         let poses = (seconds * self.rate_hz) as u64;
         let average = at_rest(poses);
+        if poses < LEAST as u64 {
+            return Ok(Vec::new());
+        }
         self.readings(poses as u32 / average, average, taken).await
     }
 

@@ -7,7 +7,7 @@ use crate::clock::NS_PER_S;
 use crate::exit::{self, Failure};
 
 /// Fewer readings say nothing of how noise and time go together.
-const LEAST: usize = 64;
+pub const LEAST: usize = 64;
 /// Stretches of the drawing.
 const STRETCHES: usize = 60;
 

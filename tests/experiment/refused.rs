@@ -26,6 +26,7 @@ fn wrong_options_are_named() {
         (&["--interval", "tx=0"], "above 0 and at most 1000 um"),
         (&["--interval", "roll=5um"], "\"um\" is no unit of roll"),
         (&["--rest=-1"], "from 0 to 86400"),
+        (&["--rest", "0.06"], "--rest 0.06 makes 60 poses: at least 64 are needed, or --rest 0"),
         (&["--connect", "udp://127.0.0.1:7362"], "HOST:PORT"),
         (&["--connect", "127.0.0.1:1", "--seed", "1"], "cannot be used with"),
         (&["--from", "a.csv", "--points", "5"], "cannot be used with"),

@@ -216,6 +216,12 @@ impl Guide<'_> {
             let _ = io::stderr().flush();
             self.line().await?;
             match self.feed.rest(seconds, || {}).await {
+                Ok(looks) if looks.is_empty() => {
+                    eprintln!(
+                        "{seconds} s of this stream are too few poses for a record at rest: none is taken"
+                    );
+                    return Ok(());
+                }
                 Ok(looks) => {
                     let at_rest =
                         |(number, look)| Reading { part: Part::Rest, moved: None, point: 0, number, look };
