@@ -2,6 +2,7 @@
 
 mod choices;
 mod guide;
+mod steps;
 
 use std::fs::{self, File};
 use std::io::{self, Write};

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use tokio::time::timeout;
 
-use super::reading::{Look, Mean, at_rest};
+use super::look::{Look, Mean, at_rest};
 use super::rest::LEAST;
 use super::twin::why_not;
 use crate::centering::LockState;

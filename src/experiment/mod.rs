@@ -2,7 +2,7 @@
 //! reference.
 //!
 //! - [`protocol`]: what is measured where. [`amount`], [`reference`](mod@reference): the interferometer.
-//! - [`reading`]: what was read, and its file. [`statistics`], [`rest`], [`allan`](mod@allan), [`fit`]: what it says.
+//! - [`look`], [`reading`]: what was read, and its file. [`statistics`], [`rest`], [`allan`](mod@allan), [`fit`]: what it says.
 //! - [`twin`], [`live`]: where readings come from.
 //! - [`table`], [`report`]: how it is told.
 
@@ -10,6 +10,7 @@ pub mod allan;
 pub mod amount;
 pub mod fit;
 pub mod live;
+pub mod look;
 pub mod protocol;
 pub mod reading;
 pub mod reference;

@@ -1,5 +1,6 @@
 //! The report: one HTML file that needs nothing else.
 
+mod cells;
 mod html;
 
 use std::io::Read;
@@ -32,6 +33,10 @@ pub struct Report {
     pub rest: Option<Rest>,
     /// The light was computed by a twin.
     pub simulated: bool,
+    /// Every status bit of any reading.
+    status: Status,
+    /// First and last reading, nanoseconds.
+    time_ns: [i64; 2],
     /// Samples in a reading, of each part.
     averaged: [u32; 2],
 }
@@ -47,12 +52,16 @@ impl Report {
             return Err(Failure::new(exit::DATA, "there are no readings of the part table2"));
         }
         let averaged = |part| readings.iter().find(|r| r.part == part).map_or(0, |r| r.look.averaged);
+        let status = readings.iter().fold(Status::default(), |all, r| all | r.look.status);
+        let times = || readings.iter().map(|r| r.look.time_ns);
         Ok(Self {
             source,
             table2,
             beyond: measured(readings, Part::Beyond)?,
             rest: Rest::of(readings)?,
-            simulated: readings.iter().any(|r| r.look.status.has(Status::SIMULATED)),
+            simulated: status.has(Status::SIMULATED),
+            status,
+            time_ns: [times().min().unwrap_or(0), times().max().unwrap_or(0)],
             averaged: [averaged(Part::Table2), averaged(Part::Beyond)],
         })
     }

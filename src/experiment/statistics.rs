@@ -159,7 +159,7 @@ fn point(axis: Axis, number: u32, readings: &[&Reading]) -> Result<Point, Failur
 mod tests {
     use super::*;
     use crate::estimation::Status;
-    use crate::experiment::reading::Look;
+    use crate::experiment::look::Look;
 
     /// Readings about a line of slope 1.1 with an offset, and with yaw a tenth of tx.
     fn line(points: u32, readings: u32) -> Vec<Reading> {

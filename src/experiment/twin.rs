@@ -1,8 +1,9 @@
 //! The experiment on the digital twin: the daemon's cores in lockstep, the loop closed, the twin's truth for
 //! the reference.
 
+use super::look::{Look, Mean, at_rest};
 use super::protocol::Protocol;
-use super::reading::{Look, Mean, Part, Reading, at_rest};
+use super::reading::{Part, Reading};
 use crate::centering::LockState;
 use crate::config::{Axis, Config, FramesConfig};
 use crate::estimation::{PoseReport, Status};

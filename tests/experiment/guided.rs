@@ -129,9 +129,9 @@ fn a_person_moves_the_stage_and_types_what_the_interferometer_says() {
     assert_eq!(references.into_iter().collect::<Vec<_>>(), [7, 27, 47]);
     assert!(all.iter().filter(|r| r["part"] == "rest").count() > 900);
     assert!(all.iter().all(|r| r["status"].contains("SIMULATED") && number(r, "time_ns") > 1e18));
-    assert!(
-        std::fs::read_to_string(out.join("report.html")).unwrap().contains("computed by the digital twin")
-    );
+    let report = std::fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(report.contains("computed by the digital twin") && report.contains("Status: UNCALIBRATED"));
+    assert!(report.contains("150 readings, 20") && report.contains(" UTC. Status"));
 }
 
 #[test]

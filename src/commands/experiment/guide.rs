@@ -4,27 +4,16 @@ use std::io::{self, BufRead, Write};
 
 use tokio::sync::mpsc;
 use trifacet::client::Endpoint;
-use trifacet::config::Axis;
 use trifacet::exit::{self, Failure};
 use trifacet::experiment::live::{Feed, Trouble};
+use trifacet::experiment::look::Look;
 use trifacet::experiment::protocol::Protocol;
-use trifacet::experiment::reading::{self, Look, Part, Reading};
+use trifacet::experiment::reading::{self, Part, Reading};
 use trifacet::experiment::{amount, three};
 
+use super::steps::{Step, fits, steps};
 use super::{ExperimentArgs, READINGS, bar, fresh, keep};
 use crate::commands::watch::{opening_failed, unavailable};
-
-/// One point of the protocol.
-#[derive(Clone, Copy)]
-struct Step {
-    axis: Axis,
-    /// Counts the points of an axis from 1.
-    point: u32,
-    /// Points of the axis.
-    of: usize,
-    /// Where the mirror is to go, metres or radians; with a file of references where it is.
-    target: f64,
-}
 
 /// What a person at the prompt wants.
 enum Said {
@@ -67,27 +56,6 @@ pub(super) fn guided(
     })
 }
 
-fn steps(protocol: &Protocol) -> Vec<Step> {
-    let of_course = |c: &trifacet::experiment::protocol::Course| {
-        let (axis, of) = (c.axis, c.points.len());
-        (1..)
-            .zip(c.points.clone())
-            .map(move |(point, target)| Step { axis, point, of, target })
-            .collect::<Vec<_>>()
-    };
-    protocol.courses.iter().flat_map(of_course).collect()
-}
-
-/// What is there was measured with this protocol.
-fn fits(readings: &[Reading], steps: &[Step]) -> Result<(), Failure> {
-    let moved = readings.iter().filter_map(|r| Some((r.moved?.0, r.point)));
-    let mut strange = moved.filter(|(axis, point)| !steps.iter().any(|s| s.is(*axis, *point)));
-    strange.next().map_or(Ok(()), |(axis, point)| {
-        let what = format!("{READINGS} has point {point} of {}, which is none of this protocol", axis.name());
-        Err(Failure::new(exit::USAGE, format!("{what}: go on with the same options as before")))
-    })
-}
-
 /// Lines of standard input. A thread of its own waits for them, and is left behind at the end.
 fn typed() -> mpsc::UnboundedReceiver<String> {
     let (sender, lines) = mpsc::unbounded_channel();
@@ -95,16 +63,6 @@ fn typed() -> mpsc::UnboundedReceiver<String> {
         io::stdin().lock().lines().map_while(Result::ok).try_for_each(|line| sender.send(line))
     });
     lines
-}
-
-impl Step {
-    fn is(&self, axis: Axis, point: u32) -> bool {
-        self.axis == axis && self.point == point
-    }
-
-    fn took(&self, reading: &Reading) -> bool {
-        reading.moved.is_some_and(|(axis, _)| self.is(axis, reading.point))
-    }
 }
 
 impl Guide<'_> {

@@ -3,15 +3,19 @@
 use std::fmt::Write;
 
 use super::Report;
+use super::cells::{escaped, micro, paper, percent, seconds, table, with_sigma};
 use crate::config::Axis;
+use crate::estimation::Status;
 use crate::experiment::rest::Rest;
 use crate::experiment::statistics::Measured;
-use crate::experiment::three;
 
 /// 95 % of what is normally distributed lies within so many deviations.
 pub(super) const WITHIN_95: f64 = 1.96;
 /// A slope that is farther from what is right than so many deviations is marked.
 const MARKED: f64 = 3.0;
+
+/// Nanoseconds since 1970.
+const YEAR_2000_NS: i64 = 946_684_800_000_000_000;
 
 /// The page with all but style, script and data.
 pub(super) fn page(report: &Report, template: &str) -> String {
@@ -22,7 +26,7 @@ pub(super) fn page(report: &Report, template: &str) -> String {
     let simulated = "<p class=\"note\">The light is computed by the digital twin: this shows what the model and the software do, not what a real head does.</p>";
     template
         .replace("{{source}}", &escaped(&report.source))
-        .replace("{{what}}", &what(&report.table2))
+        .replace("{{what}}", &what(report))
         .replace("{{simulated}}", if report.simulated { simulated } else { "" })
         .replace("{{table2}}", &table2(&report.table2))
         .replace("{{figures}}", &figures(&report.table2))
@@ -33,31 +37,6 @@ pub(super) fn page(report: &Report, template: &str) -> String {
         .replace("{{averaged}}", &averaged)
 }
 
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('{', "&#123;")
-}
-
-/// A table; the first cell of each row is its heading.
-fn table(head: &[&str], rows: impl Iterator<Item = Vec<String>>) -> String {
-    let mut html = String::from("<div class=\"scroll\"><table><thead><tr>");
-    for cell in head {
-        let _ = write!(html, "<th scope=\"col\">{cell}</th>");
-    }
-    html.push_str("</tr></thead><tbody>");
-    for row in rows {
-        html.push_str("<tr>");
-        for (i, cell) in row.iter().enumerate() {
-            let _ = if i == 0 {
-                write!(html, "<th scope=\"row\">{cell}</th>")
-            } else {
-                write!(html, "<td>{cell}</td>")
-            };
-        }
-        html.push_str("</tr>");
-    }
-    html + "</tbody></table></div>"
-}
-
 fn unit(axis: Axis) -> &'static str {
     super::unit(axis.is_turn())
 }
@@ -66,35 +45,27 @@ fn named(axis: Axis) -> String {
     format!("{}, {}", axis.name(), unit(axis))
 }
 
-/// In um or urad.
-fn micro(x: f64) -> String {
-    three(x * 1e6)
-}
-
-fn percent(x: f64) -> String {
-    format!("{} %", three(x * 1e2))
-}
-
-fn paper(said: &str) -> String {
-    format!("<span class=\"paper\">{said}</span>")
-}
-
-/// A time with no more digits than it needs.
-fn seconds(s: f64) -> String {
-    format!("{} s", three(s).parse::<f64>().unwrap_or(s))
-}
-
-/// A value with its deviation: of that two digits count.
-fn with_sigma(value: f64, sigma: f64) -> String {
-    let digits = if sigma > 0.0 { (1 - sigma.log10().floor() as i32).clamp(0, 9) as usize } else { 4 };
-    format!("{value:.digits$} <small>± {sigma:.digits$}</small>")
-}
-
-fn what(all: &[Measured]) -> String {
+/// How much was measured, when, and what the sensor remarked meanwhile.
+fn what(report: &Report) -> String {
+    let all = &report.table2;
     let points: usize = all.iter().map(|m| m.points.len()).sum();
     let readings: usize = all.iter().flat_map(|m| &m.points).map(|p| p.readings).sum();
     let axes = if all.len() == 1 { "1 axis".into() } else { format!("{} axes", all.len()) };
-    format!("{axes}, {points} points, {readings} readings.")
+    let known = Status::POSE_VALID | Status::SIMULATED | Status::STEERING_MEASURED;
+    let remarks: Vec<_> = Status(report.status.0 & !known.0).names().collect();
+    let remarks =
+        if remarks.is_empty() { String::new() } else { format!(" Status: {}.", remarks.join(", ")) };
+    format!("{axes}, {points} points, {readings} readings{}.{remarks}", when(report.time_ns))
+}
+
+/// From when to when, of what has a time of day: the twin counts from its own start.
+fn when(time_ns: [i64; 2]) -> String {
+    let moment =
+        |ns: i64| jiff::Timestamp::from_nanosecond(ns.into()).ok().map(|t| t.strftime("%F %H:%M:%S"));
+    match time_ns.map(moment) {
+        [Some(first), Some(last)] if time_ns[0] > YEAR_2000_NS => format!(", {first} to {last} UTC"),
+        _ => String::new(),
+    }
 }
 
 fn table2(all: &[Measured]) -> String {
