@@ -173,6 +173,7 @@ impl Guide<'_> {
             eprint!("leave the mirror alone for {seconds} s, the record at rest; Enter starts it: ");
             let _ = io::stderr().flush();
             self.line().await?;
+            eprintln!("recording");
             match self.feed.rest(seconds, || {}).await {
                 Ok(looks) if looks.is_empty() => {
                     eprintln!(
