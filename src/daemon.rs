@@ -290,6 +290,7 @@ async fn fast<S: Source + 'static>(
     let outputs = || Outputs::new(config.steering.full_scale_um * 1e-6, commands_in, answers);
     let driver = gcs.map_or_else(|| Stage::Outputs(outputs()), Stage::Gcs);
     let (state_in, steering) = watch::channel(centering.state());
+    let steering = estimation::pulse::Loop::new(steering, Arc::clone(&turns));
     let (poses_in, poses) = watch::channel(None);
     let stop_acquisition = CancellationToken::new();
 

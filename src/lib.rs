@@ -13,7 +13,7 @@
 //! ```
 //!
 //! `optics` is the sensor model that everything rests on; `daemon` is the wiring, `control` changes it
-//! while it runs, `tuning` measures its loop.
+//! while it runs, `tuning` measures its loop, `experiment` repeats what the paper measured with it.
 //! Lengths are metres, angles radians, times nanoseconds of the monotonic clock, everywhere inside;
 //! other units exist only in the configuration (where every key carries its unit) and on screens.
 
@@ -25,6 +25,7 @@ pub mod control;
 pub mod daemon;
 pub mod estimation;
 pub mod exit;
+pub mod experiment;
 pub mod logging;
 pub mod monitor;
 pub mod optics;

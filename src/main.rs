@@ -40,6 +40,8 @@ enum Command {
     Solve(commands::TableArgs),
     /// Compute samples of the digital twin, with the truth behind them, as CSV
     Simulate(commands::SimulateArgs),
+    /// Repeat the paper's experiment, on the twin or with a running daemon, and write a report
+    Experiment(commands::ExperimentArgs),
     /// Say why nothing arrives, or nothing valid, and what to do
     Doctor(commands::DoctorArgs),
     /// Print the frames of a running daemon
@@ -79,6 +81,7 @@ fn main() -> ExitCode {
         Command::Trace(args) => commands::trace(&args),
         Command::Solve(args) => commands::solve(&args),
         Command::Simulate(args) => commands::simulate(&args),
+        Command::Experiment(args) => commands::experiment(&args),
         Command::Doctor(args) => commands::doctor(&args),
         Command::Watch(args) => commands::watch(&args),
         Command::Status(args) => commands::status(&args),

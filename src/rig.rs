@@ -14,6 +14,7 @@ use crate::clock::{Mono, NS_PER_S};
 use crate::config::{Config, FaultKind, Meaning};
 use crate::estimation::{Estimation, PoseReport, Settings};
 use crate::exit::{self, Failure};
+use crate::optics::Pose;
 use crate::publishing::{PoseFrame, stamp::Stamp};
 use crate::recording::entry::Outflow;
 use crate::recording::{Entry, Tap, Witness};
@@ -118,6 +119,11 @@ impl Rig {
     /// It is no fault that can be.
     pub fn inject(&mut self, kind: FaultKind, for_s: Option<f64>) -> Result<(), TwinError> {
         self.twin.inject(kind, for_s)
+    }
+
+    /// The mirror stands at this pose from the next scan on, whatever was to move it.
+    pub fn place(&mut self, pose: Pose) {
+        self.twin.place(pose);
     }
 
     /// Takes the next scan, and does what the daemon would do.

@@ -103,6 +103,8 @@ const BAD: &[(&str, &[&str])] = &[
     ("[[publishing.udp]]\naddress = '[ff02::1]:5'\ninterface = '::1'\n", &["publishing.udp[0].interface = '::1'", "the name"]),
     ("[publishing]\nudp = [{ address = '1.2.3.4:5', dividor = 2 }]\n", &["lab.toml:2:", "dividor", "divider"]),
     ("[publishing]\nudp = ['1.2.3.4:5', '1.2.3.4:5']\n", &["lab.toml:2:21: publishing.udp[1]", "each address once"]),
+    ("[publishing]\nsubscribe = '1.2.3.4:5'\nudp = ['1.2.3.4:5']\n", &["lab.toml:2:13: publishing.subscribe = '1.2.3.4:5'", "no target in publishing.udp"]),
+    ("[publishing]\nallow = ['10.1.2.3/16']\n", &["lab.toml:2:10: publishing.allow[0] = '10.1.2.3/16'", "10.1.0.0/16"]),
     // Motions
     ("[[twin.motion]]\naxis = 'roll'\nkind = 'step'\namount_um = 1\n",
         &["lab.toml:1:1: twin.motion[0].amount_urad = absent: allowed is a number", "lab.toml:4:13: twin.motion[0].amount_um = 1: allowed is absent: a turn has amount_urad"]),

@@ -77,7 +77,7 @@ impl Centering {
             mode: self.tuning.mode,
             lock: self.lock.state(),
             offset: self.offset,
-            velocity: self.lookout.velocity(),
+            velocity: self.offset.map(|_| self.lookout.velocity()),
             commanded: self.stage.commanded(),
             shadow: self.shadow,
             attempts: self.lock.attempts(),

@@ -15,6 +15,15 @@ pub struct LoopState {
     pub position: Option<Xy>,
 }
 
+impl LoopState {
+    /// What may be claimed of it while the loop gets no samples, or makes no turns.
+    #[must_use]
+    pub fn unseen(self) -> Self {
+        // A command is no news of the stage any more: its lease runs out, and the board acts by itself.
+        Self { lock: self.lock.unseen(), position: None }
+    }
+}
+
 /// What a person may want to know of the loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LoopView {
@@ -24,8 +33,8 @@ pub struct LoopView {
     pub lock: LockState,
     /// The offset of the beam in the last sample, metres; not looked at while the loop is off.
     pub offset: Option<Xy>,
-    /// Velocity of the apex by the tracking filter, metres per second.
-    pub velocity: Xy,
+    /// Velocity of the apex by the tracking filter, metres per second; with the offset.
+    pub velocity: Option<Xy>,
     /// Where the stage was last commanded to, metres; none unless the loop has it.
     pub commanded: Option<Xy>,
     /// In the shadow: where the stage stands, and where the loop would send it next, metres.

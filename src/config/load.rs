@@ -107,7 +107,8 @@ fn shape_problem(text: &str, file: &DeValue<'_>, error: &toml::de::Error) -> Pro
         unknown_key(&key, rest)
     } else {
         let value = span.clone().and_then(|span| one_line(text.get(span)?));
-        let found = value.filter(|v| !v.starts_with('[')).map_or(String::new(), |v| format!(" = {v}"));
+        let shown = |v: &String| !v.starts_with('[') && key != Token::KEY;
+        let found = value.filter(shown).map_or(String::new(), |v| format!(" = {v}"));
         let allowed = allowed_at(&key).map_or(String::new(), |rule| format!("; allowed is {rule}"));
         format!("{key}{found}: {serde_says}{allowed}")
     };

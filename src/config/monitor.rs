@@ -3,7 +3,7 @@
 use std::fmt;
 use std::net::SocketAddr;
 
-use serde::{Deserialize, Serialize, Serializer};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
 use subtle::ConstantTimeEq;
 
 use super::{check::Checker, publishing::address_or_off, text::or_off};
@@ -24,14 +24,14 @@ pub struct MonitorConfig {
 }
 
 /// A secret: no log, message or page shows it.
-#[derive(Clone, PartialEq, Eq, Deserialize)]
-#[serde(transparent)]
+#[derive(Clone, PartialEq, Eq)]
 pub struct Token(String);
 
 impl Token {
     /// Where it stands: what is written there is repeated in no message.
     pub(super) const KEY: &str = "monitor.token";
     const LENGTH: std::ops::RangeInclusive<usize> = 16..=256;
+    const ALLOWED: &str = "16 to 256 printable ASCII characters without spaces";
 
     /// Whether it is this. Takes as long for any wrong one of the same length.
     pub fn is(&self, given: &str) -> bool {
@@ -42,6 +42,15 @@ impl Token {
 impl fmt::Debug for Token {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("(secret)")
+    }
+}
+
+impl<'de> Deserialize<'de> for Token {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        // Not serde's own words, which repeat what is written there.
+        let wrong =
+            |_| D::Error::custom(format!("allowed is a text in quotation marks, of {}", Token::ALLOWED));
+        String::deserialize(deserializer).map(Token).map_err(wrong)
     }
 }
 
@@ -70,13 +79,17 @@ impl MonitorConfig {
             let allowed = "the name of a host without port, such as \"lab-pc\" or \"lab-pc.example.org\"";
             at.demand(is_host_name(name), &format!("allowed_hosts[{i}]"), format!("{name:?}"), allowed);
         }
-        let allowed = "16 to 256 printable ASCII characters without spaces";
         if let Some(Token(token)) = &self.token {
             let fine = Token::LENGTH.contains(&token.len()) && token.bytes().all(|b| b.is_ascii_graphic());
             // Not the token itself: messages end up in logs.
-            at.demand(fine, "token", format!("a token of {} characters", token.chars().count()), allowed);
+            at.demand(
+                fine,
+                "token",
+                format!("a token of {} characters", token.chars().count()),
+                Token::ALLOWED,
+            );
         } else {
-            at.demand(!self.control, "token", "none, with control = true", allowed);
+            at.demand(!self.control, "token", "none, with control = true", Token::ALLOWED);
         }
     }
 }
@@ -103,10 +116,20 @@ mod tests {
         assert!(!token.is("correct-horse-battery ") && !token.is("correct-horse"));
         let shown = format!("{good:?} {}", serde_json::to_string(&good).unwrap());
         assert!(!shown.contains(SECRET) && shown.contains("(secret)"));
-        for bad in ["fifteen-letters", "sixteen letters!", "sixteen-l\u{e9}tters"] {
-            let error = config(&format!("monitor.token = \"{bad}\"")).unwrap_err();
-            assert!(error.contains("monitor.token") && error.contains("16 to 256 printable"), "{error}");
-            assert!(!error.contains(bad), "{error}");
+        for [before, bad, after] in [
+            ["'", "fifteen-letters", "'"],
+            ["'", "sixteen letters!", "'"],
+            ["'", "sixteen-l\u{e9}tters", "'"],
+            ["", "1234567890123456789", ""],
+            ["", "1234567890.5", ""],
+            ["", "2026-01-02T03:04:05Z", ""],
+            ["['", SECRET, "']"],
+            ["{ a = '", SECRET, "' }"],
+            ["", SECRET, ""],
+        ] {
+            let error = config(&format!("monitor.token = {before}{bad}{after}")).unwrap_err();
+            assert!(error.contains("16 to 256 printable") || error.contains("must be quoted"), "{error}");
+            assert!(error.starts_with("(defaults):1:") && !error.contains(bad), "{error}");
         }
         let error = config("monitor.control = true").unwrap_err();
         assert!(error.contains("control = true"), "{error}");

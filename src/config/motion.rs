@@ -23,6 +23,26 @@ pub enum Axis {
 }
 
 impl Axis {
+    /// Every axis, in the order of a pose.
+    pub const ALL: [Axis; 6] = [Axis::Tx, Axis::Ty, Axis::Tz, Axis::Roll, Axis::Pitch, Axis::Yaw];
+
+    /// The name, as in a configuration.
+    pub fn name(self) -> &'static str {
+        match self {
+            Axis::Tx => "tx",
+            Axis::Ty => "ty",
+            Axis::Tz => "tz",
+            Axis::Roll => "roll",
+            Axis::Pitch => "pitch",
+            Axis::Yaw => "yaw",
+        }
+    }
+
+    /// What people read its amounts in: a millionth of the SI unit.
+    pub fn micro_unit(self) -> &'static str {
+        if self.is_turn() { "urad" } else { "um" }
+    }
+
     /// Whether its amounts are angles.
     pub fn is_turn(self) -> bool {
         matches!(self, Axis::Roll | Axis::Pitch | Axis::Yaw)

@@ -37,6 +37,20 @@ impl Network {
         }
     }
 
+    /// Its first address.
+    fn base(self) -> IpAddr {
+        match self.address {
+            IpAddr::V4(own) => {
+                let mask = u32::MAX.checked_shl(u32::from(32 - self.bits)).unwrap_or(0);
+                IpAddr::V4((own.to_bits() & mask).into())
+            }
+            IpAddr::V6(own) => {
+                let mask = u128::MAX.checked_shl(u32::from(128 - self.bits)).unwrap_or(0);
+                IpAddr::V6((own.to_bits() & mask).into())
+            }
+        }
+    }
+
     /// Whether it has no addresses but this machine's own.
     pub fn is_loopback(self) -> bool {
         self.address.is_loopback() && self.bits >= if self.address.is_ipv4() { 8 } else { 128 }
@@ -52,7 +66,17 @@ impl FromStr for Network {
         let address: IpAddr = address.parse().map_err(|_| bad())?;
         let most = if address.is_ipv4() { 32 } else { 128 };
         let bits = bits.map_or(Ok(most), str::parse).map_err(|_| bad())?;
-        if bits > most { Err(bad()) } else { Ok(Self { address, bits }) }
+        if bits > most {
+            return Err(bad());
+        }
+        let network = Self { address, bits };
+        let base = network.base();
+        if address != base {
+            return Err(format!(
+                "{text} is no network: its first address is {base}/{bits}; a single address has no /"
+            ));
+        }
+        Ok(network)
     }
 }
 
@@ -99,7 +123,7 @@ mod tests {
     fn networks_contain_what_begins_alike() {
         assert!(contains("127.0.0.0/8", "127.255.0.1") && !contains("127.0.0.0/8", "128.0.0.1"));
         assert!(contains("10.1.2.3", "10.1.2.3") && !contains("10.1.2.3/32", "10.1.2.2"));
-        assert!(contains("10.1.2.3/31", "10.1.2.2") && contains("0.0.0.0/0", "255.1.2.3"));
+        assert!(contains("10.1.2.2/31", "10.1.2.3") && contains("0.0.0.0/0", "255.1.2.3"));
         assert!(contains("fd00::/8", "fdff::1") && !contains("fd00::/8", "fe00::1"));
         assert!(contains("::/0", "1::") && contains("::1", "::1") && !contains("::1", "::2"));
         assert!(contains("127.0.0.0/8", "::ffff:127.0.0.1"), "a socket of both kinds says so");
@@ -110,6 +134,11 @@ mod tests {
     fn others_are_refused() {
         for bad in ["", "10.0.0.0/33", "::/129", "10.0.0/8", "10.0.0.0/", "10.0.0.0/-1", "lab", "1.2.3.4:5"] {
             assert!(bad.parse::<Network>().unwrap_err().contains("192.168.1.0/24"), "{bad}");
+        }
+        for (bad, first) in
+            [("10.1.2.3/16", "10.1.0.0/16"), ("1.1.1.1/0", "0.0.0.0/0"), ("fd00::1/8", "fd00::/8")]
+        {
+            assert!(bad.parse::<Network>().unwrap_err().contains(first), "{bad}");
         }
     }
 }

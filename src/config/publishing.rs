@@ -98,6 +98,10 @@ impl PublishingConfig {
             at.demand(!self.udp[..i].iter().any(same), &key, target.address, "each address once");
             target.check(at.section(&key));
         }
+        if let Some(own) = self.subscribe {
+            let taken = self.udp.iter().any(|target| target.address == own);
+            at.demand(!taken, "subscribe", own, "an address that is no target in publishing.udp");
+        }
         at.number("subscribers", self.subscribers as f64, 1.0..=1024.0);
     }
 }

@@ -51,7 +51,7 @@ mod tests {
                     twin.motion = [{ axis = 'roll', amount_urad = 3.0, kind = 'vibration', frequency_hz = 1.0, high_hz = 9.0 }]\n\
                     publishing.udp = ['127.0.0.1:9', { address = '239.255.73.62:7362', divider = 4, ttl = 2 }]\n\
                     publishing.allow = ['10.0.0.0/8']\ncontrol.mode = '0600'\n\
-                    channels.b.dark_v = [0.1, -0.30000000000000004, 1e-300]\ntwin.seed = 9223372036854775807";
+                    channels.b.dark_v = [0.1, -0.30000000000000004, 1e-300]\ntwin.seed = 9007199254740992";
         let config = parse(text, None).unwrap();
         assert_eq!(parse(&config.to_text().unwrap(), None).unwrap(), config);
         let secret = "monitor.control = true\nmonitor.token = 'correct-horse-battery'";

@@ -335,7 +335,7 @@ impl Live {
             "offset_um": view.offset.map(um),
             "setpoint_um": centering.setpoint_um,
             "commanded_um": view.commanded.map(um),
-            "apex_velocity_um_per_s": um(view.velocity),
+            "apex_velocity_um_per_s": view.velocity.map(um),
             "searches_in_vain": view.attempts,
             "shadow": view.shadow.map(|(at, to)| json!({ "stands_at_um": um(at), "would_go_to_um": um(to) })),
             "kp": gains.kp,

@@ -140,12 +140,9 @@ impl Estimation {
             steering: None,
             output_railed: false,
         };
-        let steering = LoopState { lock: steering.lock.unseen(), ..*steering };
-        let mut report =
-            self.blank(&Mean { sample: nothing, count: 0, gap: false, power: Power::Steady }, &steering);
+        let mean = Mean { sample: nothing, count: 0, gap: false, power: Power::Steady };
+        let mut report = self.blank(&mean, &steering.unseen());
         report.status |= Status::SOURCE_DOWN;
-        // A command is no news of the stage any more: its lease runs out, and the board acts by itself.
-        report.steering = None;
         report
     }
 

@@ -5,6 +5,7 @@
 //! - [`light`], [`power_step`]: what leaves no pose; [`integrity`]: what makes one doubtful.
 //! - [`frames`]: from the sensor's world to the user's frame.
 //! - [`noise`]: how noisy the signals are at present.
+//! - [`pulse`]: whether the loop still does what it said.
 //! - [`report`], [`status`]: what comes out.
 //! - [`task`]: the loop around it.
 
@@ -15,6 +16,7 @@ pub mod integrity;
 mod light;
 pub mod noise;
 pub mod power_step;
+pub mod pulse;
 pub mod report;
 pub mod settings;
 pub mod status;

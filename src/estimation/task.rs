@@ -4,11 +4,10 @@ use std::time::Duration;
 
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::yield_now;
-use tokio::time::{Instant, interval, sleep_until};
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 
-use super::{Estimation, PoseReport, Status};
+use super::{Estimation, PoseReport, Status, pulse::Loop};
 use crate::acquisition::{Identity, Role, task::Acquired};
-use crate::centering::LoopState;
 use crate::clock::Clock;
 use crate::monitor::turns::HEARTBEAT;
 use crate::optics::Pose;
@@ -27,7 +26,7 @@ pub struct Edges<Publish> {
     /// Questions from outside of the fast side.
     pub questions: mpsc::Receiver<Question>,
     /// What the loop does, from centering.
-    pub steering: watch::Receiver<LoopState>,
+    pub steering: Loop,
     /// The newest report, in the sensor's world, to centering.
     pub newest: watch::Sender<Option<PoseReport>>,
     /// Every report, in the user's frame, to publishing.
@@ -53,12 +52,13 @@ pub async fn run<C: Clock>(
     clock: C,
     edges: Edges<impl FnMut(&PoseReport)>,
 ) {
-    let Edges { mut samples, mut questions, steering, newest, mut publish, mut witness } = edges;
+    let Edges { mut samples, mut questions, mut steering, newest, mut publish, mut witness } = edges;
     let mut rhythm = Rhythm::new(rate_hz);
     let mut last = None;
     let mut mean: Option<PoseMean> = None;
     let mut doubts = Doubts::default();
     let mut heartbeat = interval(HEARTBEAT);
+    heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay); // one look after the thread has slept
     loop {
         let report = tokio::select! {
             biased;
@@ -81,7 +81,7 @@ pub async fn run<C: Clock>(
                 }
                 Some(Acquired::Sample(sample, scan)) => {
                     rhythm.heard();
-                    let steering = *steering.borrow();
+                    let steering = steering.now();
                     witness.sample(&sample, scan, &steering, estimation.memory());
                     estimation.sample(&sample, &steering)
                 }
@@ -95,7 +95,7 @@ pub async fn run<C: Clock>(
                 // Said at once, not after the next silence.
                 Some(Acquired::Down(down)) => {
                     rhythm.silent();
-                    let (now, steering) = (clock.now(), *steering.borrow());
+                    let (now, steering) = (clock.now(), steering.now());
                     witness.silence(now, &steering, Some(down), estimation.memory());
                     Some(estimation.silence(now, &steering))
                 }
@@ -107,11 +107,14 @@ pub async fn run<C: Clock>(
                     continue;
                 }
                 rhythm.silent();
-                let (now, steering) = (clock.now(), *steering.borrow());
+                let (now, steering) = (clock.now(), steering.now());
                 witness.silence(now, &steering, None, estimation.memory());
                 Some(estimation.silence(now, &steering))
             }
-            _ = heartbeat.tick() => None,
+            _ = heartbeat.tick() => {
+                steering.look();
+                None
+            }
         };
         if let Some(mut report) = report {
             report.solved = clock.now();

@@ -123,21 +123,21 @@ impl View {
         VIEWERS - self.seats.available_permits()
     }
 
-    /// Which part of the daemon stands still, if one does.
+    /// Which parts of the daemon stand still, if some do.
     pub fn dead(&self) -> Option<String> {
         let period_s = 1.0 / self.sources.descriptor.borrow().rate_hz;
         let books = self.books();
         let held_up_s = SystemClock.now().seconds_since(books.looked);
         let silent_s = books.looked.seconds_since(books.heard);
         if held_up_s > STANDSTILL_S {
-            Some(format!("the main side was held up for {held_up_s:.1} s"))
-        } else if silent_s > STANDSTILL_S.max(3.0 * period_s) {
-            Some(format!("the fast side has made no frame for {silent_s:.1} s"))
-        } else {
-            let stalled = self.sources.turns.stalled();
-            let names: Vec<_> = stalled.into_iter().map(Task::name).collect();
-            (!names.is_empty()).then(|| format!("task {} stands still", names.join(", ")))
+            return Some(format!("the main side was held up for {held_up_s:.1} s"));
         }
+        let silent = (silent_s > STANDSTILL_S.max(3.0 * period_s))
+            .then(|| format!("the fast side has made no frame for {silent_s:.1} s"));
+        let names: Vec<_> = self.sources.turns.stalled().into_iter().map(Task::name).collect();
+        let stalled = (!names.is_empty()).then(|| format!("task {} stands still", names.join(", ")));
+        let parts: Vec<_> = stalled.into_iter().chain(silent).collect();
+        (!parts.is_empty()).then(|| parts.join(", "))
     }
 
     /// Whether poses can be used.

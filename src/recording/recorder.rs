@@ -8,25 +8,28 @@
 //! Nothing that happens to it reaches the measurement: what cannot be written is lost, counted, told in
 //! the log, in every frame (RECORDING_FAULT), and in the next file.
 
+mod files;
+mod thread;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
 use tokio::sync::mpsc::{self, error::TryRecvError};
 
+use super::Entry;
 use super::codec::Encoder;
 use super::disk::{Disk, Output};
 use super::entry::Outflow;
 use super::folder::Folder;
-use super::handle::{Asked, Handle, State, Wish};
+use super::handle::{Asked, State, Wish};
 use super::ring::Ring;
 use super::trigger::Trigger;
-use super::writer::RecordError;
-use super::{Entry, Tap};
 use crate::clock::{Clock, Mono, NS_PER_S, SystemClock, utc};
 use crate::config::{Compression, RecordingConfig, RecordingMode};
 use crate::monitor::Counters;
+
+pub use thread::{Thread, start};
 
 /// How often the queue is looked at.
 const LOOK: Duration = Duration::from_millis(20);
@@ -38,67 +41,6 @@ const FLUSH_NS: i64 = NS_PER_S / 2;
 const SECOND_NS: i64 = NS_PER_S;
 /// Room that there must be to begin a recording, bytes.
 const ROOM: u64 = 4 << 20;
-/// How long the recorder may take to end: then it is left behind.
-const PATIENCE: Duration = Duration::from_secs(4);
-
-/// The thread of the recorder.
-#[derive(Debug)]
-pub struct Thread {
-    handle: JoinHandle<()>,
-    ended: std::sync::mpsc::Receiver<()>,
-    stop: Arc<AtomicBool>,
-}
-
-/// Starts the recorder.
-///
-/// # Errors
-/// No thread can be had.
-pub fn start(config: &RecordingConfig, counters: &Arc<Counters>) -> std::io::Result<(Tap, Handle, Thread)> {
-    let (tap, outflow) = Tap::new(Arc::clone(counters));
-    // Open before the first sample.
-    outflow.open.store(config.mode != RecordingMode::Off, Ordering::Relaxed);
-    let (wishes, asked) = mpsc::channel(4);
-    let state = Arc::new(State::new(config.mode));
-    let disk = Disk::start()?;
-    let recorder =
-        Recorder::new(config.clone(), outflow, asked, disk, Arc::clone(&state), Arc::clone(counters));
-    let stop = Arc::clone(&recorder.stop);
-    let (end, ended) = std::sync::mpsc::channel();
-    let alarm = Alarm(Arc::clone(&state));
-    let thread = std::thread::Builder::new().name("recorder".into()).spawn(move || {
-        let _alarm = alarm;
-        recorder.run();
-        // Who does not wait any more does not need it.
-        let _ = end.send(());
-    })?;
-    Ok((tap, Handle { state, wishes }, Thread { handle: thread, ended, stop }))
-}
-
-impl Thread {
-    /// Ends it, and waits until everything is on the disk, if that does not take too long. To be called
-    /// when the fast side has said its last.
-    pub fn join(self) {
-        self.stop.store(true, Ordering::Relaxed);
-        if self.ended.recv_timeout(PATIENCE) == Err(std::sync::mpsc::RecvTimeoutError::Timeout) {
-            tracing::error!("the disk does not take the end of the recording: it stays unfinished");
-        } else if self.handle.join().is_err() {
-            tracing::error!("the recorder panicked");
-        }
-    }
-}
-
-/// Says so if the recorder panics: the frames will tell.
-struct Alarm(Arc<State>);
-
-impl Drop for Alarm {
-    fn drop(&mut self) {
-        if std::thread::panicking() {
-            self.0.file(None);
-            self.0.fault(Some("the recorder has crashed: restart the daemon".into()));
-            tracing::error!("the recorder has crashed: nothing is recorded any more; restart the daemon");
-        }
-    }
-}
 
 /// What went wrong, and what it costs.
 struct Fault {
@@ -200,30 +142,12 @@ impl Recorder {
         // Now the disk is waited for: by its drop.
     }
 
-    /// What is left of another time.
-    fn look_around(&mut self) {
-        if self.config.mode == RecordingMode::Off {
-            return;
-        }
-        if let Err(e) = self.folder.make() {
-            tracing::warn!(folder = %self.folder.0.display(), "recording.folder cannot be made: {e}");
-        }
-        let unfinished =
-            |r: &super::folder::Recording| r.path.extension().is_some_and(|e| e == super::folder::UNFINISHED);
-        for left in self.folder.list().unwrap_or_default().iter().filter(|r| unfinished(r)) {
-            tracing::warn!(
-                file = %left.path.display(),
-                "a recording was not finished: trifacet recover FILE makes a whole one of it"
-            );
-        }
-    }
-
     fn obey(&mut self) {
         while let Ok((wish, reply)) = self.asked.try_recv() {
             let done = match wish {
                 Wish::Start => self.begin(None).map(|()| self.until = None),
                 Wish::Stop => {
-                    self.wanted = false;
+                    (self.wanted, self.until) = (false, None);
                     self.empty_ring();
                     self.end();
                     self.well();
@@ -311,19 +235,6 @@ impl Recorder {
         self.tell_gap();
     }
 
-    /// Says in the file what is missing before this.
-    fn tell_gap(&mut self) {
-        let Self { encoder, output: Some(output), untold, .. } = self else { return };
-        if *untold > 0 {
-            let reason = "not recorded: the disk was full, failed, or too slow";
-            let told = encoder.gap(*untold, reason, |message| output.put(message).map(|_| ()));
-            *untold = 0;
-            if let Err(e) = told {
-                self.fail(&e);
-            }
-        }
-    }
-
     /// Wants a recording, until then.
     fn begin(&mut self, until: Option<Mono>) -> Result<(), String> {
         if self.output.is_none() && self.fault.is_none() {
@@ -346,65 +257,6 @@ impl Recorder {
             self.suffer(reason.clone());
         }
         begun
-    }
-
-    /// Opens a file, after there is room for it.
-    fn open(&mut self) -> Result<(), String> {
-        let folder = self.folder.0.display();
-        let within =
-            |what: &str, e: &dyn std::fmt::Display| format!("{what} in recording.folder, {folder}: {e}");
-        self.folder.make().map_err(|e| within("cannot record", &e))?;
-        let [budget, next] =
-            [self.config.budget_gb * 1e9, self.config.rotate_mb * 1e6].map(|bytes| bytes as u64);
-        let deleted = self.folder.make_room(budget, next).map_err(|e| within("cannot look", &e))?;
-        for old in deleted {
-            self.counters.recording_deletions.one();
-            tracing::info!(file = %old.path.display(), bytes = old.bytes, "deleted, to keep recording.budget_gb");
-        }
-        let free = self.folder.free().map_err(|e| within("cannot record", &e))?;
-        self.state.free.store(free, Ordering::Relaxed);
-        if free < ROOM {
-            return Err(format!(
-                "no room: {free} bytes are free in recording.folder, {folder}; make room there"
-            ));
-        }
-        let begin_ns = self.ring.as_ref().and_then(Ring::begin_ns).unwrap_or_else(|| self.encoder.now_ns());
-        let output = Output::begin(&self.folder, begin_ns, SystemClock.now(), self.compression)
-            .map_err(|e| within("cannot make a file", &e))?;
-        tracing::info!(file = %output.path.display(), "recording");
-        self.counters.recording_files.one();
-        self.state.file(Some(output.path.clone()));
-        self.encoder.restart();
-        (self.output, self.fresh) = (Some(output), true);
-        Ok(())
-    }
-
-    /// Moves a stretch of the ring into the file; false if there is nothing to move.
-    fn fill(&mut self, now: Mono) -> bool {
-        let Self { output: Some(output), ring: Some(ring), counters, .. } = self else { return false };
-        let mut put = |message: super::codec::Encoded<'_>| {
-            counters.recording_messages.add(output.put(message)?.into());
-            Ok(())
-        };
-        let moved = match ring.drain(&mut put) {
-            // The one in the making is the last.
-            Ok(false) => match ring.close(now).and_then(|()| ring.drain(&mut put)) {
-                Ok(any) => {
-                    (self.ring, self.fresh) = (None, !any);
-                    Ok(true)
-                }
-                Err(e) => Err(e),
-            },
-            moved => moved,
-        };
-        moved.unwrap_or_else(|e| {
-            self.fail(&e);
-            false
-        })
-    }
-
-    fn empty_ring(&mut self) {
-        while self.output.is_some() && self.ring.is_some() && self.fill(SystemClock.now()) {}
     }
 
     /// What is to be done now and then.
@@ -456,81 +308,6 @@ impl Recorder {
             if self.fault.is_none() {
                 self.state.fault(None);
             }
-        }
-    }
-
-    fn count_bytes(&self) {
-        if let Some(output) = &self.output {
-            self.counters.recording_bytes.add(output.news());
-        }
-    }
-
-    /// Finishes the file.
-    fn end(&mut self) {
-        if let Some(Err(e)) = self.output.as_mut().map(Output::flush) {
-            return self.fail(&e);
-        }
-        let Some(output) = self.output.take() else { return };
-        tracing::info!(file = %output.path.display(), bytes = output.bytes(), "recorded");
-        self.counters.recording_bytes.add(output.news());
-        self.state.file(None);
-        if let Err(e) = output.finish(&self.disk) {
-            self.suffer(e.to_string());
-        }
-        if self.config.mode == RecordingMode::OnFault && !self.wanted {
-            self.ring = Some(Ring::new(self.config.before_s, self.compression));
-        }
-    }
-
-    /// Nothing is wanted, so nothing is wrong.
-    fn well(&mut self) {
-        self.fault = None;
-        self.untold = 0;
-        self.state.fault(None);
-        if self.config.mode == RecordingMode::OnFault && self.ring.is_none() {
-            self.ring = Some(Ring::new(self.config.before_s, self.compression));
-        }
-    }
-
-    fn fail(&mut self, error: &RecordError) {
-        self.broken(format!("cannot write in recording.folder, {}: {error}", self.folder.0.display()));
-    }
-
-    /// The file cannot go on.
-    fn broken(&mut self, reason: String) {
-        if let Some(output) = self.output.take() {
-            self.counters.recording_bytes.add(output.news());
-            self.state.file(None);
-            if let Some(path) = output.abandon() {
-                tracing::warn!(
-                    file = %path.display(),
-                    "the recording ends here: trifacet recover FILE makes a whole one of it"
-                );
-            }
-        }
-        if self.wanted {
-            self.ring = None;
-        }
-        self.suffer(reason);
-    }
-
-    /// Says what is wrong, once, and when it is tried again.
-    fn suffer(&mut self, reason: String) {
-        let retry = SystemClock.now() + SECOND_NS;
-        if let Some(fault) = &mut self.fault {
-            fault.retry = retry;
-            return;
-        }
-        self.counters.recording_faults.one();
-        tracing::error!("nothing is recorded, the stream goes on; tried again each second: {reason}");
-        self.state.fault(Some(reason.clone()));
-        self.fault = Some(Fault { reason, lost: 0, retry });
-    }
-
-    fn lose(&mut self, entries: u64) {
-        if let Some(fault) = &mut self.fault {
-            fault.lost += entries;
-            self.counters.recording_lost.add(entries);
         }
     }
 }

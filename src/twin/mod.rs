@@ -36,6 +36,7 @@ use crate::{
     acquisition::{Identity, MAX_CHANNELS, Role, Scan, scan::SIGNALS},
     clock::Mono,
     config::{Config, Fault, FaultKind},
+    optics::Pose,
 };
 use electronics::{Electronics, Noise, READBACK};
 use faults::{Active, Faults};
@@ -176,6 +177,11 @@ impl Twin {
     /// Lets something go wrong from the next scan on, for so many seconds or for good.
     pub fn inject(&mut self, kind: FaultKind, for_s: Option<f64>) -> Result<(), TwinError> {
         self.faults.inject(Fault { at_s: self.next_s(), for_s, kind })
+    }
+
+    /// The mirror stands at this pose from the next scan on, whatever was to move it.
+    pub fn place(&mut self, pose: Pose) {
+        self.trajectory = Trajectory::rest(pose);
     }
 
     /// Takes the next scan.

@@ -56,6 +56,17 @@ impl Trajectory {
         Ok(Self { movements: movements.collect::<Result<_, _>>()? })
     }
 
+    /// At this pose, always.
+    pub fn rest(pose: Pose) -> Self {
+        let stay = |(axis, amount)| Movement {
+            axis,
+            from_s: 0.0,
+            until_s: f64::INFINITY,
+            course: Course::Step(amount),
+        };
+        Self { movements: pose.to_array().into_iter().enumerate().map(stay).collect() }
+    }
+
     /// The pose at `t` seconds.
     pub fn pose(&self, t_s: f64) -> Pose {
         let mut pose = [0.0; 6];

@@ -209,7 +209,10 @@ fn a_stage_that_cannot_be_used_is_not_moved_until_it_can() {
     set(|state| state.travel = [-90.0, 90.0]);
     down(&mut daemon, "the servo of axis 1 is off: switch it on, or let trifacet do it");
     assert!(controller.state().moves.is_empty(), "{:?}", controller.state().heard);
-    set(|state| state.servo = true);
+    set(|state| (state.servo, state.position) = (true, [0.0, 5000.0]));
+    down(&mut daemon, "axis 2 says that it stands at 5000 um, and that it travels from -90 to 90 um");
+    assert!(controller.state().moves.is_empty(), "{:?}", controller.state().heard);
+    set(|state| state.position = [0.0; 2]);
     up(&mut daemon);
     controller.moved(2);
     // Limits that are widened beyond the travel are as wrong as those of the start.

@@ -26,11 +26,11 @@ fn since_ns(ready: &Value, name: &str) -> i64 {
     since.as_nanosecond() as i64
 }
 
-/// By the daemon's time stamps it was so within a second of the order. A sample that was due before the order
-/// and late may have it already.
+/// By the daemon's time stamps it was so within a second of the order; or before it, for samples that were due
+/// by then and are made up for have it already.
 fn within_a_second(ready: &Value, name: &str, ordered_ns: i64) {
     let late_ns = since_ns(ready, name) - ordered_ns;
-    assert!((-100_000_000..1_000_000_000).contains(&late_ns), "{late_ns} ns: {ready}");
+    assert!(late_ns.abs() < 1_000_000_000, "{late_ns} ns: {ready}");
 }
 
 /// A fault of a while, seen to come and to go.
@@ -91,7 +91,10 @@ struct Holder {
 impl Holder {
     fn start() -> Self {
         let config = NamedTempFile::new().unwrap();
-        let text = format!("{ON}publishing.tcp = \"off\"\npublishing.udp = []\nlog.format = \"json\"\n");
+        // Held for as long as the test takes.
+        let text = format!(
+            "{ON}publishing.tcp = \"off\"\npublishing.udp = []\nlog.format = \"json\"\nrealtime.stall_ms = 0\n"
+        );
         std::fs::write(config.path(), text).unwrap();
         let mut child = Command::new("python3")
             .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/monitor/hold.py"))
@@ -130,11 +133,10 @@ fn a_fast_side_that_stands_still_is_not_alive() {
     until(at, "ready", |ready| ready["ready"] == true);
     let held_ns = now_ns();
     daemon.next();
-    let dead = until(at, "dead", |ready| check(ready, "samples")["ok"] == false);
-    for name in ["samples", "optics", "lock"] {
-        let reason = check(&dead, name)["reason"].as_str().unwrap();
-        assert!(reason.contains("the fast side has made no frame"), "{dead}");
-    }
+    // That tasks stand still may be known a moment sooner.
+    let silent =
+        |check: &Value| check["reason"].as_str().is_some_and(|why| why.contains("has made no frame"));
+    let dead = until(at, "dead", |ready| ready["checks"].as_array().unwrap().iter().all(silent));
     within_a_second(&dead, "samples", held_ns);
     let page = get(at, "/healthz");
     assert_eq!(page.code, 503, "{page:?}");

@@ -6,6 +6,7 @@ mod health;
 mod metrics;
 mod page;
 mod server;
+mod stall;
 
 #[path = "../daemon/fixture/mod.rs"]
 #[allow(dead_code, unused_imports, reason = "shared with the daemon's tests, which need more of it")]

@@ -149,8 +149,18 @@ impl Browser {
 
     /// The whole page as a picture.
     pub(crate) fn picture(&mut self, to: &Path) {
-        let shot = json!({ "format": "png", "captureBeyondViewport": true });
-        let data = self.call("Page.captureScreenshot", &shot)["data"].as_str().unwrap().to_owned();
+        self.shot(to, &json!({ "format": "png", "captureBeyondViewport": true }));
+    }
+
+    /// What is above this height, smaller by a quarter.
+    pub(crate) fn thumbnail(&mut self, to: &Path, height: u32) {
+        let width = self.eval("innerWidth");
+        let clip = json!({ "x": 0, "y": 0, "width": width, "height": height, "scale": 0.75 });
+        self.shot(to, &json!({ "format": "png", "captureBeyondViewport": true, "clip": clip }));
+    }
+
+    fn shot(&mut self, to: &Path, shot: &Value) {
+        let data = self.call("Page.captureScreenshot", shot)["data"].as_str().unwrap().to_owned();
         std::fs::write(to, decoded(&data)).unwrap();
     }
 

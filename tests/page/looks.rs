@@ -1,4 +1,8 @@
-//! How the page looks, and that everybody can use it.
+//! How the page looks, and that everybody can use it. The picture in the README is made by
+//!
+//! ```text
+//! cargo test --test page portrait -- --ignored
+//! ```
 
 use std::{collections::BTreeSet, path::Path, time::Duration};
 
@@ -66,6 +70,18 @@ fn two_themes_and_two_sizes_fit_and_can_be_read() {
             assert!(worst[0].as_f64().unwrap() >= 4.5, "{name} {scheme}: {worst}");
         }
     }
+    assert_eq!(page.complaints(), Vec::<String>::new());
+}
+
+#[test]
+#[ignore = "a command: it makes a picture for the documents"]
+fn portrait() {
+    let (_daemon, _stream, at) = daemon("");
+    let mut page = page(at);
+    page.size([1280, 1300]); // all charts are seen
+    std::thread::sleep(Duration::from_secs(65)); // and full
+    page.until(FINE);
+    page.thumbnail(&Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/live-page.png"), 940);
     assert_eq!(page.complaints(), Vec::<String>::new());
 }
 

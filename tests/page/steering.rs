@@ -90,6 +90,9 @@ fn a_person_with_the_token_steers_from_the_page() {
         page.eval(&say(TOKEN, command));
         page.until(&format!("document.querySelector('#answer').textContent === '● {command}: done'"));
         page.until(&format!("document.querySelector('#beam-facts').innerText.includes('{state}')"));
+        let shadow =
+            "document.querySelector('#verdict').innerText.includes('off (the loop is in the shadow)')";
+        page.until(&format!("{shadow} === {}", command == "loop shadow"));
     }
     page.eval(&say(TOKEN, "loop on"));
     stream.skip_to_now();

@@ -4,7 +4,7 @@ use serde_json::Value;
 use trifacet::estimation::Status;
 
 use crate::{
-    FINE,
+    DESK, FINE,
     browser::Browser,
     daemon,
     fixture::{Daemon, Stream},
@@ -102,6 +102,54 @@ fn a_blocked_beam_turns_the_page_to_its_reason_within_a_second_and_back() {
     let told = first(&|text| text.contains("locked") && text.contains("valid,"), locked_ms - 200.0);
     assert!(told - locked_ms < 1000.0, "told {} ms later", told - locked_ms);
     assert_eq!(page.complaints(), Vec::<String>::new());
+}
+
+#[test]
+fn without_a_board_there_are_no_samples_rather_than_no_light_and_nothing_is_measured() {
+    let (_daemon, _stream, at) =
+        daemon("acquisition.source = 'serial'\nacquisition.serial.port = '/nowhere/board'\n");
+    let mut page = Browser::open(&format!("http://{at}/"), DESK);
+    page.until(
+        "document.querySelector('#verdict')?.innerText.includes('No valid pose: no samples come since')",
+    );
+    page.until("document.querySelectorAll('#latency dd').length >= 5");
+    let told = page.eval(
+        "[...document.querySelectorAll('.psd .none, #balance .none, #latency dd, #beam-facts dd')].map((e) => e.textContent)",
+    );
+    let told: Vec<_> = told.as_array().unwrap().iter().map(|text| text.as_str().unwrap()).collect();
+    assert_eq!(told.iter().filter(|text| **text == "no samples").count(), 4, "{told:?}");
+    assert_eq!(told.iter().filter(|text| **text == "–").count(), 8, "{told:?}");
+    assert_eq!(page.eval("document.querySelector('.spectra').hidden"), true);
+    assert_eq!(page.complaints(), Vec::<String>::new());
+}
+
+#[test]
+fn a_spectrum_that_gets_nothing_new_is_old() {
+    let (_daemon, _stream, at) =
+        daemon("twin.fault = [{ kind = \"beam-blocked\", at_s = 8.0, for_s = 8.0 }]\n");
+    let mut page = page(at);
+    page.until("document.querySelector('#spectrum-facts').textContent.startsWith('Welch')");
+    page.until("document.querySelector('#spectrum-facts').textContent.startsWith('Old, of ')");
+    assert_eq!(page.eval("getComputedStyle(document.querySelector('.spectra')).opacity"), "0.35");
+    page.until("document.querySelector('#spectrum-facts').textContent.startsWith('Welch')");
+    assert_eq!(page.eval("getComputedStyle(document.querySelector('.spectra')).opacity"), "1");
+}
+
+#[test]
+fn a_task_that_stalls_is_named_before_the_daemon_ends() {
+    let folder = tempfile::tempdir().unwrap();
+    let socket = folder.path().join("control");
+    let (_daemon, _stream, at) =
+        daemon(&format!("realtime.stall_ms = 4000\ncontrol.socket = '{}'\n", socket.display()));
+    let mut page = page(at);
+    page.until("document.querySelectorAll('.strips .main-svg').length >= 6");
+    page.eval(NOTES);
+    let ctl = ["ctl", "--socket", socket.to_str().unwrap(), "drill", "stall", "centering"];
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_trifacet")).args(ctl).output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let verdict = |text: &str| format!("notes.some(([, text]) => text.startsWith('{text}'))");
+    page.until(&verdict("No poses: task centering stands still"));
+    page.until(&verdict("No connection"));
 }
 
 #[test]

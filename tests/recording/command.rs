@@ -1,6 +1,10 @@
 //! `trifacet ctl record`, rotation, budget, and what is refused.
 
-use std::process::Command;
+use std::{
+    io::{Read as _, Write as _},
+    net::TcpStream,
+    process::Command,
+};
 
 use crate::fixture::{Content, Daemon, recordings, same};
 
@@ -98,4 +102,43 @@ fn bad_values_are_refused_by_name() {
             "{text}: {error}"
         );
     }
+}
+
+const TOKEN: &str = "correct-horse-battery";
+
+/// What the monitor answers.
+fn http(at: &str, method: &str, path: &str, headers: &str, body: &str) -> String {
+    let mut stream = TcpStream::connect(at).unwrap();
+    let length = body.len();
+    let head = format!("{method} {path} HTTP/1.1\r\nHost: {at}\r\n{headers}Content-Length: {length}");
+    write!(stream, "{head}\r\nConnection: close\r\n\r\n{body}").unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    answer
+}
+
+#[test]
+fn the_page_may_record_with_the_token_and_no_file_holds_it() {
+    let mut daemon = Daemon::start(&format!(
+        "acquisition.rate_hz = 500\nmonitor.listen = \"127.0.0.1:0\"\nmonitor.control = true\n\
+         monitor.token = \"{TOKEN}\"\nrecording.compression = \"none\""
+    ));
+    let at = daemon.says("monitor is open")["url"].as_str().unwrap().replace("http://", "").replace('/', "");
+    let order = |token: &str, what: &str| {
+        let headers = format!("Content-Type: application/json\r\nAuthorization: Bearer {token}\r\n");
+        http(&at, "POST", "/control", &headers, &format!("{{\"command\": \"record {what}\"}}"))
+    };
+    let gauge = || http(&at, "GET", "/metrics", "", "").contains("\ntrifacet_recording 1");
+    assert!(order("another-secret-token", "start").contains(" 401 "));
+    assert!(order(TOKEN, "trigger").contains(" 400 "), "not what the page has a button for");
+    assert!(!gauge());
+    assert!(order(TOKEN, "start").contains(" 200 "));
+    assert!(gauge());
+    daemon.runs_for(0.7);
+    assert!(order(TOKEN, "stop").contains(" 200 "));
+    assert!(!gauge());
+    daemon.stop();
+    let file = std::fs::read(&recordings(&daemon.folder())[0]).unwrap();
+    let holds = |text: &str| file.windows(text.len()).any(|window| window == text.as_bytes());
+    assert!(holds("rate_hz = 500") && !holds(TOKEN));
 }

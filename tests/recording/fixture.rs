@@ -39,16 +39,16 @@ impl Daemon {
         let udp = UdpSocket::bind("127.0.0.1:0").unwrap();
         rustix::net::sockopt::set_socket_recv_buffer_size(&udp, 1 << 20).unwrap();
         let text = format!(
-            "publishing = {{ tcp = \"off\", udp = [\"{}\"] }}\nmonitor.listen = \"off\"\nlog.format = \"json\"\n\
+            "publishing = {{ tcp = \"off\", udp = [\"{}\"] }}\nlog.format = \"json\"\n\
              control.socket = \"{}/socket\"\n{config}\n",
             udp.local_addr().unwrap(),
             home.path().display()
         );
-        let text = if config.contains("recording.folder") {
-            text
-        } else {
-            format!("recording.folder = \"recordings\"\n{text}")
-        };
+        let defaults = [("recording.folder", "recordings"), ("monitor.listen", "off")];
+        let text = defaults
+            .iter()
+            .filter(|(key, _)| !config.contains(key))
+            .fold(text, |text, (key, value)| format!("{key} = \"{value}\"\n{text}"));
         let file = home.path().join("lab.toml");
         std::fs::write(&file, text).unwrap();
         let program = [through, &[env!("CARGO_BIN_EXE_trifacet")]].concat();

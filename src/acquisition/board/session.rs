@@ -136,9 +136,10 @@ impl Session {
     }
 
     /// Takes a command; it replaces one that is not yet under way. Without a running board it is
-    /// dropped: it would be an old one by the time the board is back.
+    /// dropped: it would be an old one by the time the board is back. A board that has only fallen silent
+    /// may well hear, and the last command of a loop that ends is worth saying.
     pub fn steer(&mut self, command: OutputCommand) {
-        if matches!(self.state, State::Running(_)) {
+        if self.scanning() {
             self.command = Some(command);
         }
     }
@@ -217,6 +218,7 @@ impl Session {
     }
 
     fn identify(&mut self, now: Mono) {
+        self.command = None;
         self.out.clear();
         self.out.push(0); // ends whatever half a frame the board may have seen
         Request::Identify.encode(&mut self.out);
@@ -229,7 +231,7 @@ impl Session {
             (Answer::Scan(scan), State::Running(_) | State::Resting { stalled: Some(_), .. }) => {
                 self.scanned(&scan, now);
             }
-            (Answer::Ack { id, result }, State::Running(_)) => {
+            (Answer::Ack { id, result }, State::Running(_) | State::Resting { stalled: Some(_), .. }) => {
                 self.events.push_back(Event::Ack(result.ack(id)));
             }
             (Answer::Identity(board), State::Identifying { .. }) => self.identified(board, now),

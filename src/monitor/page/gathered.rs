@@ -7,6 +7,7 @@ use serde::Serialize;
 use super::bins::{Bin, History, Past};
 use super::spectrum::{Spectrum, Welch};
 use super::spells::{Spell, Spells};
+use crate::estimation::Status;
 use crate::monitor::Counters;
 use crate::monitor::health::Readiness;
 use crate::publishing::PoseFrame;
@@ -121,7 +122,10 @@ impl Lately {
         self.frames += 1;
         self.invalid += u32::from(frame.pose[0].is_nan());
         self.lost += u64::from(frame.lost);
-        self.delays_ns.push(frame.send_delay_ns);
+        // Without samples a frame is of now.
+        if !frame.status.has(Status::SOURCE_DOWN) {
+            self.delays_ns.push(frame.send_delay_ns);
+        }
     }
 
     fn delay_us(&mut self) -> Option<[f64; 3]> {

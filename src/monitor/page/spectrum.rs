@@ -29,6 +29,8 @@ pub struct Welch {
     /// Mean power density by line, unit^2/Hz.
     density: [Vec<f64>; 6],
     segments: u32,
+    /// Time of the last pose that is in it, UTC.
+    until_ns: i64,
     /// Of the frame before.
     sequence: u64,
 }
@@ -38,6 +40,8 @@ pub struct Welch {
 pub struct Spectrum {
     /// Segments so far: with few, it is rough.
     pub segments: u32,
+    /// Time of the last pose that is in it, milliseconds of UTC since 1970.
+    pub until_ms: f64,
     /// Distance of lines before any were put together, Hz.
     pub resolution_hz: f64,
     /// Frequencies, Hz.
@@ -58,6 +62,7 @@ impl Welch {
             segment: Vec::with_capacity(n),
             density: std::array::from_fn(|_| vec![0.0; n / 2]),
             segments: 0,
+            until_ns: 0,
             sequence: 0,
         }
     }
@@ -80,6 +85,7 @@ impl Welch {
         self.segment.push(frame.pose);
         if self.segment.len() == self.window.len() {
             self.add();
+            self.until_ns = frame.time_ns;
             self.segment.drain(..self.window.len() / 2);
         }
     }
@@ -114,7 +120,13 @@ impl Welch {
             return None;
         }
         let resolution_hz = self.rate_hz / self.window.len() as f64;
-        let mut shown = Spectrum { segments: self.segments, resolution_hz, hz: vec![], asd: <_>::default() };
+        let mut shown = Spectrum {
+            segments: self.segments,
+            until_ms: self.until_ns as f64 * 1e-6,
+            resolution_hz,
+            hz: vec![],
+            asd: <_>::default(),
+        };
         let mut line = 1;
         while line < self.density[0].len() {
             // Powers add up; where lines are dense, their mean power is shown.
@@ -150,7 +162,8 @@ mod tests {
         let frame = PoseFrame { lost: 0, ..PoseFrame::from_report(&report(), stamp()) };
         for i in 0..(seconds * rate_hz) as usize {
             let pose = std::array::from_fn(|axis| x(axis, i as f64 / rate_hz));
-            welch.frame(&PoseFrame { pose, sequence: i as u64, ..frame });
+            let time_ns = (i as f64 / rate_hz * 1e9) as i64;
+            welch.frame(&PoseFrame { pose, time_ns, sequence: i as u64, ..frame });
         }
         welch
     }
@@ -204,5 +217,8 @@ mod tests {
             if samples.is_multiple_of(1000) { f64::NAN } else { 1e-6 }
         });
         assert!(welch.spectrum().is_none(), "no second without a hole");
+        let welch = fed(1000.0, 20.0, |_, t| if t > 4.0 { f64::NAN } else { 1e-6 });
+        let until_ms = welch.spectrum().unwrap().until_ms;
+        assert!((3400.0..=4000.0).contains(&until_ms), "old, and it says so: {until_ms}");
     }
 }

@@ -8,6 +8,9 @@ use super::unit;
 use crate::config::SteeringConfig;
 use crate::steering::Xy;
 
+/// So much of its travel a stage may stand beyond it: a controller regulates, and rounds.
+const BEYOND: f64 = 0.01;
+
 /// A controller that can be used.
 pub struct Session<'a> {
     settings: &'a Settings,
@@ -128,8 +131,21 @@ impl<'a> Session<'a> {
     }
 
     /// Where the stage stands, metres.
+    ///
+    /// # Errors
+    /// Also a place where it cannot be: then the units are others, or another stage answers.
     pub async fn position(&mut self) -> Result<Xy, Fault> {
-        Ok(self.settings.position(self.numbers(Question::Position).await?))
+        let position = self.settings.position(self.numbers(Question::Position).await?);
+        for ((axis, at), [low, high]) in self.settings.axes.iter().zip(position).zip(self.travel) {
+            let slack = BEYOND * (high - low);
+            if !(low - slack..=high + slack).contains(&at) {
+                let [at, low, high] = [at, low, high].map(rounded_um);
+                return Err(Fault::Unfit(format!(
+                    "axis {axis} says that it stands at {at} um, and that it travels from {low} to {high} um"
+                )));
+            }
+        }
+        Ok(position)
     }
 
     /// Whether the stage can go there at all.

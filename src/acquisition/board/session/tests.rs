@@ -136,8 +136,11 @@ fn a_stall_is_told_and_scans_may_come_back_by_themselves() {
     assert_eq!(bench.session.event(), None);
     bench.wait(MS);
     assert_eq!(bench.session.event(), Some(Event::Down(Down::Stalled { silence_ms: 20 })));
-    bench.session.steer(OutputCommand { id: 1, codes: [1, 1], lease_ms: 200, on_expiry: Expiry::Hold });
-    assert_eq!(bench.requests(), []);
+    let command = OutputCommand { id: 1, codes: [1, 1], lease_ms: 200, on_expiry: Expiry::Hold };
+    bench.session.steer(command);
+    assert_eq!(bench.requests(), [Request::Steer(command)], "it may hear, and its lease counts from then");
+    bench.answer(&Answer::Ack { id: 1, result: SteerResult::Accepted });
+    assert_eq!(bench.session.event(), Some(Event::Ack(Ack { id: 1, accepted: true })));
     assert_eq!(bench.index(22), (22, 21));
     assert_eq!(bench.index(23), (23, 0));
     bench.wait(20 * MS);
@@ -150,7 +153,9 @@ fn a_board_that_lost_its_power_is_started_again_and_the_index_goes_on() {
     (0..100).for_each(|k| drop(bench.scan(k)));
     bench.wait(20 * MS);
     assert!(matches!(bench.session.event(), Some(Event::Down(Down::Stalled { .. }))));
+    bench.session.steer(OutputCommand { id: 1, codes: [1, 1], lease_ms: 200, on_expiry: Expiry::Hold });
     bench.wait(NS_PER_S);
+    assert_eq!(bench.requests(), [Request::Identify], "an old command is dropped");
     bench.wait(500 * MS);
     let timeout = Down::Timeout { step: "identify", timeout_ms: 500 };
     assert_eq!(bench.session.event(), Some(Event::Down(timeout)));

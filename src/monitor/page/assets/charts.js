@@ -1,10 +1,12 @@
 // Strip charts and spectra. Only what can be seen is drawn, and never so often that the page has no time
 // for anything else.
 
-import { AXES, duration, node, unit } from "./words.js";
+import { AXES, duration, node, say, time, unit } from "./words.js";
 
 const LINES = [["--line-1", "solid"], ["--line-2", "dash"], ["--line-3", "dot"]];
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+/** A spectrum that has got nothing new for longer than a window and this is old. */
+const OLD_MS = 2500;
 const OPTIONS = { displayModeBar: false, responsive: true, scrollZoom: false };
 
 function look(more) {
@@ -119,7 +121,8 @@ export class Strips extends Charts {
       height: 176, margin: { l: 56, r: 26, t: 22, b: 22 }, hovermode: "x",
       title: { text: `${AXES[axis].name}, ${name}`, x: 0, xref: "paper", xanchor: "left", y: 0.97, font: { size: 12, color: css("--text") } },
       xaxis: { type: "date", range: [this.now_ms - this.span_ms, this.now_ms], nticks: 6, fixedrange: true, tickformat: this.span_ms > 600e3 ? "%H:%M" : "%H:%M:%S" },
-      yaxis: { fixedrange: true, nticks: 5, tickformat: "~g", hoverformat: ".4f", separatethousands: true },
+      yaxis: { fixedrange: true, nticks: 5, tickformat: "~g", hoverformat: ".4f", separatethousands: true, showticklabels: xm.length > 0 },
+      annotations: xm.length > 0 ? [] : [{ text: "no poses", xref: "paper", yref: "paper", x: 0.5, y: 0.5, showarrow: false }],
     });
     window.Plotly.react(element, data, layout, OPTIONS);
   }
@@ -140,15 +143,22 @@ function merge(bin, row) {
 export class Spectra extends Charts {
   constructor(parent, words) {
     super();
-    this.words = words;
+    Object.assign(this, { parent, words });
+    parent.hidden = true; // no empty space where there is no spectrum
     this.elements = [0, 3].map((first) => this.add(parent.appendChild(node("div", { class: "chart", "data-axis": first }))));
   }
 
-  update(spectrum, rate_hz) {
+  update(spectrum, rate_hz, now_ms) {
+    const { segments, resolution_hz, until_ms } = spectrum;
+    const window_ms = 1000 / resolution_hz;
+    const of = duration(window_ms);
+    const old = now_ms - until_ms > window_ms + OLD_MS;
+    this.parent.hidden = false;
+    this.parent.classList.toggle("old", old);
+    const what = `Welch, Hann windows of ${of} overlapping by half, ${Math.min(segments, 16)} of 16 averaged, lines ${resolution_hz.toPrecision(3)} Hz apart, from all ${rate_hz} poses a second.`;
+    say(this.words, old ? `Old, of ${time(until_ms, now_ms)}: since then no ${of} of poses without a gap.` : what);
+    if (old && this.spectrum) return;
     Object.assign(this, { spectrum, dirty: true });
-    const { segments, resolution_hz } = spectrum;
-    const of = duration(1000 / resolution_hz);
-    this.words.textContent = `Welch, Hann windows of ${of} overlapping by half, ${Math.min(segments, 16)} of 16 averaged, lines ${resolution_hz.toPrecision(3)} Hz apart, from all ${rate_hz} poses a second.`;
   }
 
   draw(element) {

@@ -30,6 +30,7 @@ export class Detectors {
         area: draw(svg, "rect", { class: "area" }),
         margin: draw(svg, "rect", { class: "margin" }),
         cross: draw(svg, "path", { class: "cross" }),
+        beam: draw(svg, "circle", { class: "light" }),
         trail: draw(svg, "polyline", { class: "trail" }),
         spot: draw(svg, "circle", { class: "spot" }),
         none: draw(svg, "text", { class: "none", "text-anchor": "middle" }),
@@ -60,8 +61,8 @@ export class Detectors {
       const lit = u !== null && v !== null;
       if (lit) view.past.push([u * 1e3, -v * 1e3]);
       while (view.past.length > TRAIL || (!lit && view.past.length > 0)) view.past.shift();
-      this.place(view, lit ? view.past.at(-1) : null);
       const power = frame[`power_${view.name}_w`];
+      this.place(view, lit ? view.past.at(-1) : null, power === null ? "no samples" : "no light");
       const share = power !== null && total > 0 ? `${fixed((100 * power) / total, 2)} %` : "–";
       const watts = power === null ? "–" : `${fixed(power * 1e3, 4)} mW`;
       const at = lit ? `u ${fixed(u * 1e3, 4)} mm\nv ${fixed(v * 1e3, 4)} mm` : "u –\nv –";
@@ -69,14 +70,16 @@ export class Detectors {
     }
   }
 
-  place({ svg, parts, past }, spot) {
+  place({ svg, parts, past }, spot, none) {
     const span = this.size * (this.magnified ? 0.1 : 1.06);
     const [x, y] = this.magnified && spot ? mean(past) : [0, 0];
     set(svg, { viewBox: `${x - span / 2} ${y - span / 2} ${span} ${span}` });
     parts.trail.setAttribute("points", close(past));
-    set(parts.spot, { cx: spot?.[0] ?? 0, cy: spot?.[1] ?? 0, r: Math.max(this.diameter / 2, span / 40), visibility: spot ? "visible" : "hidden" });
+    const at = { cx: spot?.[0] ?? 0, cy: spot?.[1] ?? 0, visibility: spot ? "visible" : "hidden" };
+    set(parts.beam, { ...at, r: this.diameter / 2 });
+    set(parts.spot, { ...at, r: span / 40 });
     set(parts.none, { x, y: y - span * 0.08, "font-size": span / 11 });
-    say(parts.none, spot ? "" : "no light");
+    say(parts.none, spot ? "" : none);
   }
 }
 
@@ -100,7 +103,7 @@ export class Balance {
     this.trail = draw(svg, "polyline", { class: "trail" });
     this.spot = draw(svg, "circle", { class: "spot" });
     this.names = PSDS.map((name) => Object.assign(draw(svg, "text", { class: "corner", "text-anchor": "middle", "dominant-baseline": "central" }), { textContent: name.toUpperCase() }));
-    this.none = Object.assign(draw(svg, "text", { class: "none", "text-anchor": "middle" }), { textContent: "no light" });
+    this.none = draw(svg, "text", { class: "none", "text-anchor": "middle" });
   }
 
   /** Each share may be so far from a third: a hexagon. */
@@ -125,6 +128,7 @@ export class Balance {
       const [x, y] = CORNERS[i].map((c) => c * zoom * (this.magnified ? 0.9 : 1.12));
       set(text, { x, y, "font-size": 0.17 * zoom });
     });
+    say(this.none, powers.includes(null) ? "no samples" : "no light");
     set(this.none, { x: 0, y: -0.14 * zoom, "font-size": 0.19 * zoom, visibility: lit ? "hidden" : "visible" });
   }
 }

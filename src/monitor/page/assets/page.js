@@ -124,7 +124,7 @@ function show(update) {
   beam(frame, update, now_ms);
   say($("clock"), `${time(now_ms)}${frame.status.includes("CLOCK_UNSYNCED") ? ", not synchronised" : ""}`);
   losses(update);
-  if (update.spectrum) spectra.update(update.spectrum, hello.descriptor.rate_hz);
+  if (update.spectrum) spectra.update(update.spectrum, hello.descriptor.rate_hz, now_ms);
 }
 
 function pose(frame) {
@@ -146,7 +146,11 @@ function verdict({ ready, dead }, now_ms) {
   if (wrong.length === 0) return grade("good", "Pose valid, beam locked");
   const [{ name, since, reason }] = wrong;
   const from = since ? ` since ${time(Date.parse(since), now_ms)}` : "";
-  if (name === "lock") return grade("warn", `Pose valid, beam not locked: ${reason}${from}`);
+  if (name === "lock") {
+    const { mode } = hello.config.centering;
+    const loop = mode === "shadow" ? " (the loop is in the shadow)" : "";
+    return grade("warn", `Pose valid, beam not locked: ${reason}${loop}${from}`);
+  }
   grade("bad", `No valid pose: ${reasons(reason)}${from}`);
 }
 
@@ -179,7 +183,10 @@ function beam(frame, update, now_ms) {
   const { beam_dx_m: dx, beam_dy_m: dy } = frame;
   const away = dx === null ? null : Math.hypot(dx, dy);
   const since = `since ${time(update.lock_since_ms, now_ms)}`;
+  const measured = frame.status.includes("STEERING_MEASURED") ? "read back" : "as commanded";
+  const steering = frame.steering_x_m === null ? "not known" : measured;
   facts($("beam-facts"), [
+    ["loop", hello.config.centering.mode],
     ["lock", `${SHAPES[LOCK_GRADES[frame.lock]]} ${frame.lock}`],
     ["", since],
     ["offset x", um(dx, 3)],
@@ -187,7 +194,7 @@ function beam(frame, update, now_ms) {
     ["distance", um(away, 3)],
     ["steering x", um(frame.steering_x_m)],
     ["steering y", um(frame.steering_y_m)],
-    ["", frame.status.includes("STEERING_MEASURED") ? "read back" : "as commanded"],
+    ["", steering],
   ]);
 }
 
@@ -261,7 +268,15 @@ async function order(command) {
   }
 }
 
-setInterval(() => {
-  strips.tick(span_s <= 60 ? 250 : 1000);
-  spectra.tick(1000);
-}, 50);
+// Nothing turns while nobody looks.
+let turning;
+function turn() {
+  clearInterval(turning);
+  if (document.hidden) return;
+  turning = setInterval(() => {
+    strips.tick(span_s <= 60 ? 250 : 1000);
+    spectra.tick(1000);
+  }, 50);
+}
+document.addEventListener("visibilitychange", turn);
+turn();

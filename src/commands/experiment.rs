@@ -1,0 +1,185 @@
+//! `trifacet experiment`: the paper's experiment, on the twin or with a running daemon and a person at the stage.
+
+mod choices;
+mod guide;
+mod steps;
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use indicatif::{ProgressBar, ProgressStyle};
+use trifacet::client::Endpoint;
+use trifacet::config::{Axis, Config, SourceKind};
+use trifacet::exit::{self, Failure};
+use trifacet::experiment::protocol::{self, Protocol};
+use trifacet::experiment::reading::{self, Part, Reading};
+use trifacet::experiment::report::Report;
+use trifacet::experiment::rest::LEAST;
+use trifacet::experiment::table::{self, Table};
+use trifacet::experiment::twin::{Bench, beyond};
+
+use super::{ConfigArg, written};
+
+/// Options of `experiment`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct ExperimentArgs {
+    #[command(flatten)]
+    config: ConfigArg,
+    /// Folder for report.html, table2.csv and readings.csv
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Seed of the twin, instead of that of the configuration: the same seed gives the same files
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(..=1 << 53))]
+    seed: Option<u64>,
+    /// Take readings from a running daemon, point by point, with a person at the stage
+    #[arg(long, value_name = "HOST:PORT", value_parser = choices::endpoint, conflicts_with_all = ["config", "seed", "paper_only"])]
+    connect: Option<Endpoint>,
+    /// Go on with the readings in --out
+    #[arg(long, requires = "connect")]
+    resume: bool,
+    /// Make the report anew from stored readings
+    #[arg(long, value_name = "READINGS.csv", conflicts_with_all = [
+        "config", "seed", "connect", "reference", "axes", "points", "interval", "readings", "average", "rest", "paper_only",
+    ])]
+    from: Option<PathBuf>,
+    /// Readings of an interferometer at each point, columns axis,unit,point,reference: with --connect the reference, on
+    /// the twin where the mirror stands
+    #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["points", "interval"])]
+    reference: Option<PathBuf>,
+    /// Axes to move, such as tx,yaw; all by default
+    #[arg(long, value_name = "AXES", value_delimiter = ',', value_parser = choices::axis)]
+    axes: Vec<Axis>,
+    /// Points of each axis, about the middle
+    #[arg(long, value_name = "N", default_value_t = protocol::POINTS, value_parser = clap::value_parser!(u32).range(3..=10_000))]
+    points: u32,
+    /// Interval of an axis in um or urad, such as tx=0.5,roll=10; by default that of the paper
+    #[arg(long, value_name = "AXIS=X", value_delimiter = ',', value_parser = choices::interval)]
+    interval: Vec<(Axis, f64)>,
+    /// Readings at each point
+    #[arg(long, value_name = "N", default_value_t = protocol::READINGS, value_parser = clap::value_parser!(u32).range(2..=100_000))]
+    readings: u32,
+    /// Averaged into each reading: samples on the twin, poses with --connect
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=10_000))]
+    average: Option<u16>,
+    /// Seconds of the record at rest, for the Allan deviation; 0 for none
+    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = choices::seconds)]
+    rest: f64,
+    /// On the twin: without the second run beyond the paper
+    #[arg(long)]
+    paper_only: bool,
+}
+
+/// Measures, or takes what was measured, and writes the report.
+pub(crate) fn experiment(args: &ExperimentArgs) -> anyhow::Result<()> {
+    if let Some(file) = &args.from {
+        return from(file, &args.out);
+    }
+    let protocol = choices::protocol(args)?;
+    if let Some(endpoint) = &args.connect {
+        let readings = guide::guided(args, endpoint, &protocol)?;
+        return told(&readings, endpoint.to_string(), &args.out);
+    }
+    let config = twin(args)?;
+    fresh(&args.out)?;
+    let readings = on_twin(&config, &protocol, args)?;
+    keep(&readings, &args.out)?;
+    told(&readings, format!("digital twin, seed {}", config.twin.seed), &args.out)
+}
+
+/// The report of stored readings; where they lie, or beside a copy of them.
+fn from(file: &Path, out: &Path) -> anyhow::Result<()> {
+    let readings = reading::read(file)?;
+    let own = out.join(READINGS);
+    let same = own.exists() && fs::canonicalize(&own).ok() == fs::canonicalize(file).ok();
+    if !same {
+        fresh(out)?;
+        keep(&readings, out)?;
+    }
+    told(&readings, format!("readings of {}", file.display()), out)
+}
+
+/// The configuration of the twin, with what was asked for.
+fn twin(args: &ExperimentArgs) -> anyhow::Result<Config> {
+    let mut config = args.config.load()?;
+    if config.acquisition.source == SourceKind::Serial {
+        let message = "the configuration is that of a board (acquisition.source): run the daemon with it, and take \
+            its readings with --connect HOST:PORT";
+        return Err(Failure::new(exit::CONFIG, message).into());
+    }
+    config.twin.seed = args.seed.unwrap_or(config.twin.seed);
+    config.estimation.average = args.average.unwrap_or(config.estimation.average);
+    let poses = args.rest * config.acquisition.rate_hz / f64::from(config.estimation.average);
+    if args.rest > 0.0 && poses < LEAST as f64 {
+        let message =
+            format!("--rest {} makes {poses:.0} poses: at least {LEAST} are needed, or --rest 0", args.rest);
+        return Err(Failure::new(exit::USAGE, message).into());
+    }
+    Ok(config)
+}
+
+fn on_twin(config: &Config, protocol: &Protocol, args: &ExperimentArgs) -> anyhow::Result<Vec<Reading>> {
+    let parts = if args.paper_only { 1 } else { 2 };
+    let bar = bar(parts * protocol.total());
+    let mut taken = || bar.inc(1);
+    let mut bench = Bench::new(config)?;
+    let mut readings = bench.measure(protocol, Part::Table2, &mut taken)?;
+    if !args.paper_only {
+        readings.extend(Bench::new(&beyond(config))?.measure(protocol, Part::Beyond, &mut taken)?);
+    }
+    bar.set_message("at rest");
+    readings.extend(bench.rest(args.rest)?);
+    bar.finish_and_clear();
+    Ok(readings)
+}
+
+/// Progress on standard error, if that is a terminal.
+fn bar(length: u64) -> ProgressBar {
+    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} readings {msg}");
+    ProgressBar::new(length).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+}
+
+const READINGS: &str = "readings.csv";
+
+/// Before anything is measured: a folder for it in which nothing will be overwritten.
+fn fresh(out: &Path) -> anyhow::Result<()> {
+    fs::create_dir_all(out).with_context(|| format!("cannot make the folder {}", out.display()))?;
+    let mut inside = fs::read_dir(out).with_context(|| format!("cannot look into {}", out.display()))?;
+    if inside.next().is_some() {
+        let message = format!(
+            "{} has something in it, which is not overwritten: name a new folder with --out",
+            out.display()
+        );
+        return Err(Failure::new(exit::IO, message).into());
+    }
+    Ok(())
+}
+
+/// Keeps all readings: under their name there are always whole ones.
+fn keep(readings: &[Reading], out: &Path) -> anyhow::Result<()> {
+    let (file, new) = (out.join(READINGS), out.join(".readings.new"));
+    let kept = File::create(&new).and_then(|to| {
+        reading::write(readings, &to)?;
+        to.sync_all()?;
+        fs::rename(&new, &file)
+    });
+    kept.with_context(|| format!("cannot write {}", file.display()))
+}
+
+/// Writes table and report, and prints the table.
+fn told(readings: &[Reading], source: String, out: &Path) -> anyhow::Result<()> {
+    let report = Report::new(readings, source)?;
+    let put = |name: &str, text: &str| {
+        let file = out.join(name);
+        fs::write(&file, text).with_context(|| format!("cannot write {}", file.display()))
+    };
+    put("table2.csv", &table::csv(&report.table2))?;
+    put("report.html", &report.html().context("cannot unpack the chart library")?)?;
+    let mut stdout = io::stdout().lock();
+    written(write!(stdout, "{}", Table(&report.table2)))?;
+    if !report.beyond.is_empty() {
+        written(write!(stdout, "\nbeyond the paper:\n{}", Table(&report.beyond)))?;
+    }
+    written(writeln!(stdout, "\n{}", out.join("report.html").display()))
+}

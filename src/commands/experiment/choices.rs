@@ -1,0 +1,71 @@
+//! What the command line says of the protocol.
+
+use trifacet::client::Endpoint;
+use trifacet::config::Axis;
+use trifacet::exit::{self, Failure};
+use trifacet::experiment::protocol::{Course, Protocol, printed};
+use trifacet::experiment::{amount, reference};
+
+use super::ExperimentArgs;
+
+/// The longest interval, metres or radians.
+const MOST: f64 = 1e-3;
+
+/// The protocol that is asked for.
+pub(super) fn protocol(args: &ExperimentArgs) -> Result<Protocol, Failure> {
+    let wanted = |axis: &Axis| args.axes.is_empty() || args.axes.contains(axis);
+    let courses: Vec<Course> = match &args.reference {
+        Some(file) => {
+            let courses = reference::read(file)?;
+            if let Some(axis) = args.axes.iter().find(|axis| courses.iter().all(|c| c.axis != **axis)) {
+                let message = format!("{}: there are no readings of {} in it", file.display(), axis.name());
+                return Err(Failure::new(exit::DATA, message));
+            }
+            courses.into_iter().filter(|c| wanted(&c.axis)).collect()
+        }
+        None => Axis::ALL.into_iter().filter(wanted).map(|axis| course(args, axis)).collect(),
+    };
+    if let (Some(short), Some(file)) = (courses.iter().find(|c| c.points.len() < 3), &args.reference) {
+        let (name, n) = (short.axis.name(), short.points.len());
+        let message = format!("{}: {name} has {n} points: at least 3 are needed", file.display());
+        return Err(Failure::new(exit::DATA, message));
+    }
+    Ok(Protocol { courses, readings: args.readings })
+}
+
+fn course(args: &ExperimentArgs, axis: Axis) -> Course {
+    let own = args.interval.iter().rev().find(|(a, _)| *a == axis).map(|(_, interval)| *interval);
+    Course::even(axis, own.unwrap_or(printed(axis).interval * 1e-6), args.points)
+}
+
+/// An axis by its name.
+pub(super) fn axis(text: &str) -> Result<Axis, String> {
+    let found = Axis::ALL.into_iter().find(|axis| axis.name() == text);
+    found.ok_or_else(|| "allowed are tx, ty, tz, roll, pitch, yaw".into())
+}
+
+/// `AXIS=X`, X in um or urad, or with a unit.
+pub(super) fn interval(text: &str) -> Result<(Axis, f64), String> {
+    let (name, amount) = text.split_once('=').ok_or("must be AXIS=X, such as tx=1.44")?;
+    let axis = axis(name)?;
+    let interval = amount::parse(axis, amount)?;
+    if interval > 0.0 && interval <= MOST {
+        return Ok((axis, interval));
+    }
+    Err(format!("must be above 0 and at most 1000 {}", axis.micro_unit()))
+}
+
+/// The daemon's TCP server.
+pub(super) fn endpoint(text: &str) -> Result<Endpoint, String> {
+    let full = if text.contains("://") { text.to_owned() } else { format!("tcp://{text}") };
+    match full.parse() {
+        Ok(endpoint @ Endpoint::Tcp(_)) => Ok(endpoint),
+        _ => Err("must be HOST:PORT, the TCP server of a daemon, such as 127.0.0.1:7361".into()),
+    }
+}
+
+/// A length of the record at rest.
+pub(super) fn seconds(text: &str) -> Result<f64, String> {
+    let seconds = text.parse().ok().filter(|s| (0.0..=86_400.0).contains(s));
+    seconds.ok_or_else(|| "must be a number of seconds from 0 to 86400".into())
+}

@@ -1,0 +1,222 @@
+//! A person at the stage, a daemon at the sensor: point by point.
+
+use std::io::{self, BufRead, Write};
+
+use tokio::sync::mpsc;
+use trifacet::client::Endpoint;
+use trifacet::exit::{self, Failure};
+use trifacet::experiment::live::{Feed, Trouble};
+use trifacet::experiment::look::Look;
+use trifacet::experiment::protocol::Protocol;
+use trifacet::experiment::reading::{self, Part, Reading};
+use trifacet::experiment::{amount, three};
+
+use super::steps::{Step, fits, steps};
+use super::{ExperimentArgs, READINGS, bar, fresh, keep};
+use crate::commands::watch::{opening_failed, unavailable};
+
+/// What a person at the prompt wants.
+enum Said {
+    /// Take the readings; this is the reference.
+    Reference(f64),
+    /// Once more the point before.
+    Back,
+    /// Enough for now.
+    Stop,
+}
+
+struct Guide<'a> {
+    args: &'a ExperimentArgs,
+    feed: Feed,
+    lines: mpsc::UnboundedReceiver<String>,
+    readings: Vec<Reading>,
+}
+
+/// Goes through the protocol with a person, and records the rest. Every finished point is in the file at once.
+pub(super) fn guided(
+    args: &ExperimentArgs,
+    endpoint: &Endpoint,
+    protocol: &Protocol,
+) -> anyhow::Result<Vec<Reading>> {
+    let steps = steps(protocol);
+    let file = args.out.join(READINGS);
+    let readings = if args.resume && file.exists() { reading::read(&file)? } else { Vec::new() };
+    if readings.is_empty() {
+        fresh(&args.out)?;
+    }
+    fits(&readings, &steps)?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    runtime.block_on(async {
+        let feed = Feed::connect(endpoint).await.map_err(|e| opening_failed(endpoint, &e))?;
+        let mut guide = Guide { args, feed, lines: typed(), readings };
+        eprintln!("connected to {endpoint}; at each point: b takes the point before once more, q stops, and --resume goes on");
+        let done = guide.all(&steps).await;
+        done.map_err(|e| guide.kept(&e))?;
+        Ok(guide.readings)
+    })
+}
+
+/// Lines of standard input. A thread of its own waits for them, and is left behind at the end.
+fn typed() -> mpsc::UnboundedReceiver<String> {
+    let (sender, lines) = mpsc::unbounded_channel();
+    std::thread::spawn(move || {
+        io::stdin().lock().lines().map_while(Result::ok).try_for_each(|line| sender.send(line))
+    });
+    lines
+}
+
+impl Guide<'_> {
+    async fn all(&mut self, steps: &[Step]) -> anyhow::Result<()> {
+        let mut next = steps.iter().take_while(|s| self.readings.iter().any(|r| s.took(r))).count();
+        while let Some(step) = steps.get(next) {
+            match self.ask(step).await? {
+                Said::Reference(reference) => {
+                    if self.take(step, reference).await? {
+                        next += 1;
+                    }
+                }
+                Said::Back if next == 0 => eprintln!("this is the first point"),
+                Said::Back => {
+                    next -= 1;
+                    self.readings.retain(|r| !steps[next].took(r));
+                    keep(&self.readings, &self.args.out)?;
+                }
+                Said::Stop => return Err(Failure::new(exit::INTERRUPTED, "stopped").into()),
+            }
+        }
+        self.rest().await
+    }
+
+    /// Asks until there is an answer that can be used.
+    async fn ask(&mut self, step: &Step) -> anyhow::Result<Said> {
+        let Step { axis, point, of, target } = *step;
+        let (name, unit) = (axis.name(), axis.micro_unit());
+        let given = self.args.reference.is_some();
+        let want =
+            if given { "then Enter".into() } else { format!("type the interferometer's reading in {unit}") };
+        loop {
+            eprint!("{name} point {point} of {of}: move the stage to {:+.2} {unit}, {want}: ", target * 1e6);
+            let _ = io::stderr().flush(); // whoever does not see it does not answer
+            let line = self.line().await?;
+            match line.trim() {
+                "b" => return Ok(Said::Back),
+                "q" => return Ok(Said::Stop),
+                "" if given => return Ok(Said::Reference(target)),
+                _ if given => eprintln!("the reference of this point stands in the file: just Enter, b or q"),
+                text => match amount::parse(axis, text) {
+                    Ok(reference) => return Ok(Said::Reference(reference)),
+                    Err(why) => eprintln!("{why}"),
+                },
+            }
+        }
+    }
+
+    async fn line(&mut self) -> anyhow::Result<String> {
+        let line = self.feed.until(self.lines.recv()).await;
+        line.map_err(|why| lost(&why))?
+            .ok_or_else(|| Failure::new(exit::DATA, "the input has ended before the last point").into())
+    }
+
+    /// Takes the readings of a point; says why, if there are none.
+    async fn take(&mut self, step: &Step, reference: f64) -> anyhow::Result<bool> {
+        let progress = bar(self.args.readings.into());
+        let looks = self.feed.readings(self.args.readings, self.average(), || progress.inc(1)).await;
+        progress.finish_and_clear();
+        let looks = match looks {
+            Ok(looks) => looks,
+            Err(why @ Trouble::NoPose(_)) => {
+                eprintln!("{why}\nonce more, when that is mended; `trifacet doctor` may know more");
+                return Ok(false);
+            }
+            Err(why) => return Err(lost(&why)),
+        };
+        if self.other_config(step, &looks) {
+            let what = "geometry, calibration or frames of the sensor have changed (a tare?) since the points before";
+            eprintln!(
+                "{what}: this point is not taken; undo the change, or take {} anew with b",
+                step.axis.name()
+            );
+            return Ok(false);
+        }
+        say(step, reference, &looks);
+        let moved = Some((step.axis, reference));
+        let taken = (1..).zip(looks).map(|(number, look)| Reading {
+            part: Part::Table2,
+            moved,
+            point: step.point,
+            number,
+            look,
+        });
+        self.readings.extend(taken);
+        keep(&self.readings, &self.args.out)?;
+        Ok(true)
+    }
+
+    /// These looks do not belong to what was read of the same axis before.
+    fn other_config(&self, step: &Step, looks: &[Look]) -> bool {
+        let before = self.readings.iter().filter(|r| r.moved.is_some_and(|(axis, _)| axis == step.axis));
+        let mut configs = before.map(|r| r.look.config).chain(looks.iter().map(|look| look.config));
+        let first = configs.next();
+        configs.any(|config| Some(config) != first)
+    }
+
+    fn average(&self) -> u32 {
+        self.args.average.unwrap_or(1).into()
+    }
+
+    async fn rest(&mut self) -> anyhow::Result<()> {
+        let seconds = self.args.rest;
+        if seconds == 0.0 || self.readings.iter().any(|r| r.part == Part::Rest) {
+            return Ok(());
+        }
+        loop {
+            eprint!("leave the mirror alone for {seconds} s, the record at rest; Enter starts it: ");
+            let _ = io::stderr().flush();
+            self.line().await?;
+            eprintln!("recording");
+            match self.feed.rest(seconds, || {}).await {
+                Ok(looks) if looks.is_empty() => {
+                    eprintln!(
+                        "{seconds} s of this stream are too few poses for a record at rest: none is taken"
+                    );
+                    return Ok(());
+                }
+                Ok(looks) => {
+                    let at_rest =
+                        |(number, look)| Reading { part: Part::Rest, moved: None, point: 0, number, look };
+                    self.readings.extend((1..).zip(looks).map(at_rest));
+                    return keep(&self.readings, &self.args.out);
+                }
+                Err(why @ Trouble::NoPose(_)) => eprintln!("{why}"),
+                Err(why) => return Err(lost(&why)),
+            }
+        }
+    }
+
+    /// Why it ended, and what there is.
+    fn kept(&self, why: &anyhow::Error) -> anyhow::Error {
+        let code = why.downcast_ref::<Failure>().map_or(exit::IO, |failure| failure.code);
+        let n = self.readings.len();
+        let out = self.args.out.display();
+        let go_on =
+            format!("{n} readings are kept in {out}/{READINGS}; go on with the same options and --resume");
+        Failure::new(code, format!("{why:#}\n{go_on}")).into()
+    }
+}
+
+/// What was read at a point, in a line.
+fn say(step: &Step, reference: f64, looks: &[Look]) {
+    let (i, n) = (step.axis as usize, looks.len() as f64);
+    let mean = looks.iter().map(|look| look.pose[i]).sum::<f64>() / n;
+    let std = (looks.iter().map(|look| (look.pose[i] - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
+    let unit = step.axis.micro_unit();
+    let [mean, reference] = [mean, reference].map(|x| x * 1e6);
+    eprintln!(
+        "  {n} readings: {mean:+.3} {unit}, deviation {} {unit}, reference {reference:+.3} {unit}",
+        three(std * 1e6)
+    );
+}
+
+fn lost(why: &Trouble) -> anyhow::Error {
+    unavailable(why.to_string())
+}

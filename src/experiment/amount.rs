@@ -1,0 +1,74 @@
+//! Lengths and angles as people write them.
+
+use crate::config::Axis;
+
+const LENGTHS: &[(&str, f64)] = &[("um", 1e-6), ("µm", 1e-6), ("nm", 1e-9), ("mm", 1e-3), ("m", 1.0)];
+const ANGLES: &[(&str, f64)] = &[
+    ("urad", 1e-6),
+    ("µrad", 1e-6),
+    ("nrad", 1e-9),
+    ("mrad", 1e-3),
+    ("rad", 1.0),
+    ("arcsec", std::f64::consts::PI / 648_000.0),
+];
+
+fn units(axis: Axis) -> &'static [(&'static str, f64)] {
+    if axis.is_turn() { ANGLES } else { LENGTHS }
+}
+
+/// Metres or radians in a unit, if this axis can be told in it.
+pub fn unit(axis: Axis, name: &str) -> Option<f64> {
+    units(axis).iter().find(|(unit, _)| *unit == name).map(|(_, si)| *si)
+}
+
+/// The units of an axis, for messages.
+pub fn allowed(axis: Axis) -> String {
+    let names: Vec<_> = units(axis).iter().map(|(name, _)| *name).filter(|name| name.is_ascii()).collect();
+    names.join(", ")
+}
+
+/// Metres or radians of "-14.40", which is um or urad, or of "-0.0144 mm".
+///
+/// # Errors
+/// What is wrong, and what is allowed.
+pub fn parse(axis: Axis, text: &str) -> Result<f64, String> {
+    let text = text.trim();
+    let end = text.rfind(|c: char| c.is_ascii_digit() || c == '.').map_or(0, |last| last + 1);
+    let (number, name) = (text[..end].trim(), text[end..].trim());
+    let value = number.parse::<f64>().ok().filter(|x| x.is_finite()).ok_or_else(|| {
+        format!(
+            "\"{text}\" is no number in {0}, such as -14.40; other units are said behind it: {1}",
+            axis.micro_unit(),
+            allowed(axis)
+        )
+    })?;
+    let name = if name.is_empty() { axis.micro_unit() } else { name };
+    let si = unit(axis, name)
+        .ok_or_else(|| format!("\"{name}\" is no unit of {}: allowed are {}", axis.name(), allowed(axis)))?;
+    Ok(value * si)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_have_the_axis_unit_or_their_own() {
+        let near = |a: Result<f64, String>, b: f64| assert!((a.unwrap() - b).abs() < 1e-18);
+        near(parse(Axis::Tx, " -14.40\n"), -14.4e-6);
+        near(parse(Axis::Tx, "0.5 mm"), 0.5e-3);
+        near(parse(Axis::Tz, "12µm"), 12e-6);
+        near(parse(Axis::Roll, "1e2"), 100e-6);
+        near(parse(Axis::Yaw, "1arcsec"), std::f64::consts::PI / 648_000.0);
+        for (axis, bad, told) in [
+            (Axis::Tx, "", "no number in um"),
+            (Axis::Tx, "1,44", "no number"),
+            (Axis::Tx, "inf", "no number"),
+            (Axis::Tx, "3 urad", "allowed are um, nm, mm, m"),
+            (Axis::Roll, "3 um", "no unit of roll"),
+        ] {
+            let error = parse(axis, bad).unwrap_err();
+            assert!(error.contains(told), "{error}");
+        }
+    }
+}

@@ -1,0 +1,99 @@
+//! What the sensor says, and means of it.
+
+use crate::estimation::Status;
+
+/// What the sensor says at one moment, or in the mean over some.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Look {
+    /// Nanoseconds: UTC since 1970, with the twin since its start.
+    pub time_ns: i64,
+    /// tx, ty, tz (m), roll, pitch, yaw (rad).
+    pub pose: [f64; 6],
+    /// One standard deviation of each, as stated with the pose.
+    pub deviations: [f32; 6],
+    /// Samples in it.
+    pub averaged: u32,
+    /// Fingerprint of geometry, calibration and frames: with another one, poses mean something else.
+    pub config: u32,
+    /// Status bits.
+    pub status: Status,
+}
+
+/// More readings than this of a record at rest are made into means.
+const MOST_AT_REST: u64 = 10_000;
+
+/// How many poses make a reading of a record at rest of so many poses.
+pub fn at_rest(poses: u64) -> u32 {
+    poses.div_ceil(MOST_AT_REST).max(1) as u32
+}
+
+/// A mean that is being made of looks.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Mean {
+    n: f64,
+    first_ns: i64,
+    since_ns: f64,
+    pose: [f64; 6],
+    variance: [f64; 6],
+    averaged: u32,
+    status: Status,
+}
+
+impl Mean {
+    /// Takes one more; gives the mean of `of` looks when it has them, and begins anew.
+    pub fn push(&mut self, look: &Look, of: u32) -> Option<Look> {
+        if self.n == 0.0 {
+            self.first_ns = look.time_ns;
+        }
+        self.n += 1.0;
+        self.since_ns += (look.time_ns - self.first_ns) as f64;
+        for i in 0..6 {
+            self.pose[i] += look.pose[i];
+            self.variance[i] += f64::from(look.deviations[i]).powi(2);
+        }
+        self.averaged += look.averaged;
+        self.status |= look.status;
+        if self.n < f64::from(of) {
+            return None;
+        }
+        let Mean { n, .. } = *self;
+        let mean = Look {
+            time_ns: self.first_ns + (self.since_ns / n) as i64,
+            pose: self.pose.map(|sum| sum / n),
+            // The noise of the looks is independent.
+            deviations: self.variance.map(|sum| (sum.sqrt() / n) as f32),
+            averaged: self.averaged,
+            config: look.config,
+            status: self.status,
+        };
+        *self = Self::default();
+        Some(mean)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn look(time_ns: i64, x: f64) -> Look {
+        Look {
+            time_ns,
+            pose: [x; 6],
+            deviations: [2e-6; 6],
+            averaged: 3,
+            config: 9,
+            status: Status::POSE_VALID,
+        }
+    }
+
+    #[test]
+    fn a_mean_is_quieter_by_the_root_of_its_looks() {
+        let mut mean = Mean::default();
+        for _ in 0..2 {
+            assert_eq!((0..3).find_map(|k| mean.push(&look(10 * k, k as f64), 4)), None);
+            let made = mean.push(&look(30, 3.0), 4).unwrap();
+            assert_eq!((made.time_ns, made.pose, made.averaged), (15, [1.5; 6], 12));
+            assert!((made.deviations[0] - 1e-6).abs() < 1e-12);
+        }
+    }
+}

@@ -1,0 +1,44 @@
+//! The paper's experiment: each axis moved in small intervals, fifty readings at each point, held against a
+//! reference.
+//!
+//! - [`protocol`]: what is measured where. [`amount`], [`reference`](mod@reference): the interferometer.
+//! - [`look`], [`reading`]: what was read, and its file. [`statistics`], [`rest`], [`allan`](mod@allan), [`fit`]: what it says.
+//! - [`twin`], [`live`]: where readings come from.
+//! - [`table`], [`report`]: how it is told.
+
+pub mod allan;
+pub mod amount;
+pub mod fit;
+pub mod live;
+pub mod look;
+pub mod protocol;
+pub mod reading;
+pub mod reference;
+pub mod report;
+pub mod rest;
+pub mod sheet;
+pub mod statistics;
+pub mod table;
+pub mod twin;
+
+/// A number with three digits that count, for people.
+pub fn three(x: f64) -> String {
+    if !x.is_finite() {
+        return "-".into();
+    }
+    // Rounded first: 0.9999 has one digit before the point.
+    let rounded: f64 = format!("{x:.2e}").parse().unwrap_or(x);
+    let whole = if rounded == 0.0 { 1 } else { rounded.abs().log10().floor() as i32 + 1 };
+    format!("{x:.*}", (3 - whole).clamp(0, 9) as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::three;
+
+    #[test]
+    fn three_digits_count() {
+        let all = [0.0, 0.9999, -0.030_49, 9.996, 28.84, 309.6, 12_345.6, f64::NAN].map(three);
+        assert_eq!(all, ["0.00", "1.00", "-0.0305", "10.0", "28.8", "310", "12346", "-"]);
+    }
+}

@@ -1,0 +1,107 @@
+//! What is measured where: the paper's Table 2, and what a user makes of it.
+
+use crate::config::Axis;
+
+/// A row of the paper's Table 2, in micrometres or microradians.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Printed {
+    /// Which axis is moved.
+    pub axis: Axis,
+    /// From the first point to the last.
+    pub range: f64,
+    /// From point to point.
+    pub interval: f64,
+    /// The median over the points of the deviations of fifty readings.
+    pub std: f64,
+    /// The relative uncertainty, percent. The paper does not define it.
+    pub relative: f64,
+    /// Number of the figure.
+    pub figure: u8,
+}
+
+/// Readings at each point in the paper.
+pub const READINGS: u32 = 50;
+/// Points of each axis in the paper: every range is twenty intervals.
+pub const POINTS: u32 = 21;
+
+/// The paper's Table 2.
+pub const TABLE_2: [Printed; 6] = [
+    Printed { axis: Axis::Tx, range: 28.8, interval: 1.44, std: 0.98, relative: 11.0, figure: 5 },
+    Printed { axis: Axis::Ty, range: 28.3, interval: 1.42, std: 0.95, relative: 16.0, figure: 6 },
+    Printed { axis: Axis::Tz, range: 18.6, interval: 0.93, std: 0.63, relative: 12.0, figure: 7 },
+    Printed { axis: Axis::Roll, range: 309.0, interval: 15.5, std: 1.83, relative: 2.5, figure: 8 },
+    Printed { axis: Axis::Pitch, range: 310.0, interval: 15.5, std: 1.80, relative: 6.1, figure: 9 },
+    Printed { axis: Axis::Yaw, range: 326.0, interval: 16.3, std: 2.43, relative: 4.3, figure: 10 },
+];
+
+/// What the paper says of an axis.
+pub fn printed(axis: Axis) -> &'static Printed {
+    &TABLE_2[axis as usize]
+}
+
+/// The points at which one axis is measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Course {
+    /// The axis that is moved; all others stay.
+    pub axis: Axis,
+    /// Where it goes, metres or radians from the middle.
+    pub points: Vec<f64>,
+}
+
+impl Course {
+    /// So many points at equal intervals (metres or radians), the middle of them at zero.
+    pub fn even(axis: Axis, interval: f64, points: u32) -> Self {
+        let middle = f64::from(points - 1) / 2.0;
+        // No farther than to the picometre: the digits behind it mean nothing.
+        let pico = |x: f64| (x * 1e12).round() / 1e12;
+        let points = (0..points).map(|k| pico(interval * (f64::from(k) - middle))).collect();
+        Self { axis, points }
+    }
+
+    /// As in the paper.
+    pub fn paper(axis: Axis) -> Self {
+        Self::even(axis, printed(axis).interval * 1e-6, POINTS)
+    }
+}
+
+/// What is measured, and how often.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Protocol {
+    /// Axis after axis.
+    pub courses: Vec<Course>,
+    /// Readings at each point.
+    pub readings: u32,
+}
+
+impl Protocol {
+    /// Readings in all.
+    pub fn total(&self) -> u64 {
+        self.courses.iter().map(|course| course.points.len() as u64 * u64::from(self.readings)).sum()
+    }
+}
+
+impl Default for Protocol {
+    /// The paper's.
+    fn default() -> Self {
+        Self { courses: Axis::ALL.map(Course::paper).to_vec(), readings: READINGS }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_papers_ranges_are_its_intervals_and_lie_about_the_middle() {
+        for course in Protocol::default().courses {
+            let (first, last) = (course.points[0], course.points[20]);
+            let printed = printed(course.axis);
+            assert_eq!(printed.axis, course.axis);
+            assert_eq!(course.points.len(), 21);
+            assert!((last + first).abs() < 1e-18);
+            // The paper rounds both.
+            assert!(((last - first) * 1e6 / printed.range - 1.0).abs() < 0.005, "{course:?}");
+        }
+        assert_eq!(Protocol::default().total(), 6300);
+    }
+}

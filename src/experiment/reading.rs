@@ -1,0 +1,182 @@
+//! Readings of the sensor beside the reference, and how they are kept.
+
+use std::io::Write;
+use std::path::Path;
+
+use super::look::Look;
+use super::sheet::{Row, Sheet};
+use crate::config::Axis;
+use crate::estimation::Status;
+use crate::exit::{self, Failure};
+
+/// Which part of the experiment a reading belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// The points of the paper's Table 2.
+    Table2,
+    /// The same with what the design reaches beyond the paper.
+    Beyond,
+    /// The mirror at rest, one reading after the other.
+    Rest,
+}
+
+impl Part {
+    const ALL: [Part; 3] = [Part::Table2, Part::Beyond, Part::Rest];
+
+    fn name(self) -> &'static str {
+        match self {
+            Part::Table2 => "table2",
+            Part::Beyond => "beyond",
+            Part::Rest => "rest",
+        }
+    }
+}
+
+/// A reading with its place in the experiment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reading {
+    /// Which part of the experiment.
+    pub part: Part,
+    /// The axis that is moved, and where the reference says it is, metres or radians; not at rest.
+    pub moved: Option<(Axis, f64)>,
+    /// Counts the points of an axis from 1; 0 at rest.
+    pub point: u32,
+    /// Counts the readings of a point from 1.
+    pub number: u32,
+    /// What the sensor says.
+    pub look: Look,
+}
+
+const COLUMNS: [&str; 21] = [
+    "part",
+    "axis",
+    "point",
+    "reading",
+    "time_ns",
+    "reference_si",
+    "tx_m",
+    "ty_m",
+    "tz_m",
+    "roll_rad",
+    "pitch_rad",
+    "yaw_rad",
+    "sd_tx_m",
+    "sd_ty_m",
+    "sd_tz_m",
+    "sd_roll_rad",
+    "sd_pitch_rad",
+    "sd_yaw_rad",
+    "averaged",
+    "config",
+    "status",
+];
+
+/// Writes readings as CSV, in SI units.
+///
+/// # Errors
+/// The writer fails.
+pub fn write(readings: &[Reading], to: impl Write) -> std::io::Result<()> {
+    let mut out = std::io::BufWriter::new(to);
+    writeln!(out, "{}", COLUMNS.join(","))?;
+    for Reading { part, moved, point, number, look } in readings {
+        let (axis, reference) =
+            moved.map_or(("", String::new()), |(axis, x)| (axis.name(), format!("{x:e}")));
+        write!(out, "{},{axis},{point},{number},{},{reference}", part.name(), look.time_ns)?;
+        for x in look.pose {
+            write!(out, ",{x:e}")?;
+        }
+        for x in look.deviations {
+            write!(out, ",{x:e}")?;
+        }
+        let status: Vec<_> = look.status.names().collect();
+        writeln!(out, ",{},{},{}", look.averaged, look.config, status.join(" "))?;
+    }
+    out.flush()
+}
+
+/// Reads what [`write`] wrote.
+///
+/// # Errors
+/// What is wrong, with file and line.
+pub fn read(file: &Path) -> Result<Vec<Reading>, Failure> {
+    let mut sheet = Sheet::open(file, &COLUMNS)?;
+    let mut readings = Vec::new();
+    while let Some(row) = sheet.next_row()? {
+        readings.push(reading(&row)?);
+    }
+    if readings.is_empty() {
+        return Err(Failure::new(exit::DATA, format!("{}: there are no readings in it", file.display())));
+    }
+    Ok(readings)
+}
+
+fn reading(row: &Row) -> Result<Reading, Failure> {
+    let part =
+        row.parse("part", "table2, beyond or rest", |text| Part::ALL.into_iter().find(|p| p.name() == text))?;
+    let moved = match part {
+        Part::Rest => None,
+        _ => Some((axis(row)?, row.number("reference_si")?)),
+    };
+    let six = |first: usize| -> Result<[f64; 6], Failure> {
+        let mut six = [0.0; 6];
+        for (x, column) in six.iter_mut().zip(&COLUMNS[first..]) {
+            *x = row.number(column)?;
+        }
+        Ok(six)
+    };
+    let bit = |name: &str| Status::NAMES.iter().find(|(_, n)| *n == name).map(|(bit, _)| *bit);
+    let bits =
+        |text: &str| text.split_whitespace().try_fold(Status::default(), |all, name| Some(all | bit(name)?));
+    Ok(Reading {
+        part,
+        moved,
+        point: row.count("point")?,
+        number: row.count("reading")?,
+        look: Look {
+            time_ns: row.count("time_ns")?,
+            pose: six(6)?,
+            deviations: six(12)?.map(|x| x as f32),
+            averaged: row.count("averaged")?,
+            config: row.count("config")?,
+            status: row.parse("status", "names of status bits with blanks between", bits)?,
+        },
+    })
+}
+
+/// The axis of a row.
+pub(super) fn axis(row: &Row) -> Result<Axis, Failure> {
+    row.parse("axis", "tx, ty, tz, roll, pitch or yaw", |text| {
+        Axis::ALL.into_iter().find(|a| a.name() == text)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn look(time_ns: i64, x: f64) -> Look {
+        Look {
+            time_ns,
+            pose: [x; 6],
+            deviations: [2e-6; 6],
+            averaged: 3,
+            config: 9,
+            status: Status::POSE_VALID,
+        }
+    }
+
+    #[test]
+    fn what_is_written_is_read_again() {
+        let moved = Some((Axis::Pitch, -1.0 / 3.0e6));
+        let status = Status::POSE_VALID | Status::SIMULATED;
+        let one = Look { status, pose: [1.0 / 3.0, -2.0 / 3.0e7, 0.0, 1e-9, 5.0, 6.0], ..look(-5, 0.0) };
+        let readings = [
+            Reading { part: Part::Table2, moved, point: 2, number: 50, look: one },
+            Reading { part: Part::Beyond, moved, point: 3, number: 1, look: look(7, 1e-6) },
+            Reading { part: Part::Rest, moved: None, point: 0, number: 9, look: look(8, 2e-6) },
+        ];
+        let file = tempfile::NamedTempFile::new().unwrap();
+        write(&readings, file.as_file()).unwrap();
+        assert_eq!(read(file.path()).unwrap(), readings);
+    }
+}

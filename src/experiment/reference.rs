@@ -1,0 +1,88 @@
+//! Readings of the interferometer in a CSV file: where the mirror was at each point.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::amount;
+use super::protocol::Course;
+use super::reading::axis;
+use super::sheet::Sheet;
+use crate::config::Axis;
+use crate::exit::{self, Failure};
+
+/// The columns of such a file: `unit` is that of `reference`, `point` counts from 1.
+pub const COLUMNS: [&str; 4] = ["axis", "unit", "point", "reference"];
+
+/// The points of each axis in the file, in the order of a pose, metres or radians.
+///
+/// # Errors
+/// What is wrong, with file and line.
+pub fn read(file: &Path) -> Result<Vec<Course>, Failure> {
+    let mut sheet = Sheet::open(file, &COLUMNS)?;
+    let mut found: BTreeMap<(usize, u32), f64> = BTreeMap::new();
+    while let Some(row) = sheet.next_row()? {
+        let axis = axis(&row)?;
+        let allowed = format!("one of {} for {}", amount::allowed(axis), axis.name());
+        let si = row.parse("unit", &allowed, |name| amount::unit(axis, name))?;
+        let point: u32 = row.parse("point", "1, 2, 3, ...", |text| text.parse().ok().filter(|n| *n > 0))?;
+        let reference = row.number("reference")? * si;
+        if found.insert((axis as usize, point), reference).is_some() {
+            return Err(row.wrong(&format!("point {point} of {} is there twice", axis.name())));
+        }
+    }
+    let courses = Axis::ALL.into_iter().map(|axis| course(axis, &found));
+    let courses: Result<Vec<_>, String> =
+        courses.filter(|c| !matches!(c, Ok(c) if c.points.is_empty())).collect();
+    let courses =
+        courses.and_then(|c| if c.is_empty() { Err("there are no readings in it".into()) } else { Ok(c) });
+    courses.map_err(|what| Failure::new(exit::DATA, format!("{}: {what}", file.display())))
+}
+
+fn course(axis: Axis, found: &BTreeMap<(usize, u32), f64>) -> Result<Course, String> {
+    let own = found.range((axis as usize, 0)..=(axis as usize, u32::MAX));
+    let mut points = Vec::new();
+    for ((_, point), reference) in own {
+        let due = points.len() as u32 + 1;
+        if *point != due {
+            return Err(format!("point {due} of {} is missing, point {point} is there", axis.name()));
+        }
+        points.push(*reference);
+    }
+    Ok(Course { axis, points })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(rows: &str) -> Result<Vec<Course>, Failure> {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), format!("point,axis,reference,unit\n{rows}")).unwrap();
+        read(file.path())
+    }
+
+    #[test]
+    fn points_come_in_any_order_and_in_their_units() {
+        let courses = of("2,yaw,1,arcsec\n1,yaw,0,urad\n1,tx,-1.5,um\n").unwrap();
+        assert_eq!(courses[0], Course { axis: Axis::Tx, points: vec![-1.5e-6] });
+        assert_eq!(courses[1].axis, Axis::Yaw);
+        assert!((courses[1].points[1] - 4.848_136_8e-6).abs() < 1e-13);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        for (rows, told) in [
+            ("", "no readings"),
+            ("1,tx,0,urad\n", ":2: unit is \"urad\": allowed is one of um, nm, mm, m for tx"),
+            ("1,x,0,um\n", "allowed is tx, ty, tz, roll, pitch or yaw"),
+            ("0,tx,0,um\n", "point is \"0\""),
+            ("1,tx,zero,um\n", "reference is \"zero\": allowed is a finite number"),
+            ("1,tx,0,um\n1,tx,1,um\n", ":3: point 1 of tx is there twice"),
+            ("1,tx,0,um\n3,tx,1,um\n", "point 2 of tx is missing, point 3 is there"),
+            ("1,tx,0\n", "line: 2"),
+        ] {
+            let error = of(rows).unwrap_err().message;
+            assert!(error.contains(told), "{error}");
+        }
+    }
+}

@@ -1,0 +1,142 @@
+//! The report: one HTML file that needs nothing else.
+
+mod cells;
+mod html;
+
+use std::io::Read;
+
+use flate2::read::GzDecoder;
+use serde_json::{Value, json};
+
+use super::reading::{Part, Reading};
+use super::rest::Rest;
+use super::statistics::{Measured, measured};
+use crate::estimation::Status;
+use crate::exit::{self, Failure};
+
+const PAGE: &str = include_str!("assets/report.html");
+const STYLE: &str = include_str!("assets/report.css");
+const SCRIPT: &str = include_str!("assets/report.js");
+/// The chart library, as the live page has it.
+const PLOTLY: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/plotly.js.gz"));
+
+/// All that the readings say.
+#[derive(Clone, Debug)]
+pub struct Report {
+    /// Where they come from, for people.
+    pub source: String,
+    /// The paper's Table 2, repeated.
+    pub table2: Vec<Measured>,
+    /// The same beyond the paper; empty where that was not measured.
+    pub beyond: Vec<Measured>,
+    /// The record at rest, if there is one.
+    pub rest: Option<Rest>,
+    /// The light was computed by a twin.
+    pub simulated: bool,
+    /// Every status bit of any reading.
+    status: Status,
+    /// First and last reading, nanoseconds.
+    time_ns: [i64; 2],
+    /// Samples in a reading, of each part.
+    averaged: [u32; 2],
+}
+
+impl Report {
+    /// Works out readings.
+    ///
+    /// # Errors
+    /// There are too few of them, or they do not belong together.
+    pub fn new(readings: &[Reading], source: String) -> Result<Self, Failure> {
+        let table2 = measured(readings, Part::Table2)?;
+        if table2.is_empty() {
+            return Err(Failure::new(exit::DATA, "there are no readings of the part table2"));
+        }
+        let averaged = |part| readings.iter().find(|r| r.part == part).map_or(0, |r| r.look.averaged);
+        let status = readings.iter().fold(Status::default(), |all, r| all | r.look.status);
+        let times = || readings.iter().map(|r| r.look.time_ns);
+        Ok(Self {
+            source,
+            table2,
+            beyond: measured(readings, Part::Beyond)?,
+            rest: Rest::of(readings)?,
+            simulated: status.has(Status::SIMULATED),
+            status,
+            time_ns: [times().min().unwrap_or(0), times().max().unwrap_or(0)],
+            averaged: [averaged(Part::Table2), averaged(Part::Beyond)],
+        })
+    }
+
+    /// The report as HTML.
+    ///
+    /// # Errors
+    /// The chart library cannot be unpacked: a defect.
+    pub fn html(&self) -> std::io::Result<String> {
+        let mut plotly = String::new();
+        GzDecoder::new(PLOTLY).read_to_string(&mut plotly)?;
+        // The library comes last: nothing is looked for in it.
+        Ok(html::page(self, PAGE)
+            .replace("{{style}}", STYLE)
+            .replace("{{script}}", SCRIPT)
+            .replace("{{data}}", &self.data().to_string())
+            .replacen("{{plotly}}", &plotly, 1))
+    }
+
+    /// What the figures show, in um, urad and seconds.
+    fn data(&self) -> Value {
+        json!({
+            "axes": self.table2.iter().map(figure).collect::<Vec<_>>(),
+            "bound": bound(&self.table2),
+            "rest": self.rest.as_ref().map(at_rest),
+        })
+    }
+}
+
+fn micro(values: impl Iterator<Item = f64>) -> Vec<f64> {
+    values.map(|x| x * 1e6).collect()
+}
+
+fn unit(turn: bool) -> &'static str {
+    if turn { "µrad" } else { "µm" }
+}
+
+fn figure(m: &Measured) -> Value {
+    let i = m.axis as usize;
+    json!({
+        "unit": unit(m.axis.is_turn()),
+        "paper_std": m.printed().std,
+        "reference": micro(m.points.iter().map(|p| p.reference)),
+        "measured": micro(m.points.iter().map(|p| p.means[i] - m.offset)),
+        "error": micro(m.points.iter().map(|p| m.error(p))),
+        "std": micro(m.points.iter().map(|p| p.std)),
+        "low": micro(m.points.iter().map(|p| p.min - p.reference - m.offset)),
+        "high": micro(m.points.iter().map(|p| p.max - p.reference - m.offset)),
+    })
+}
+
+fn bound(all: &[Measured]) -> Value {
+    let ratio = |m: &Measured| m.pooled / m.predicted;
+    json!({
+        "names": all.iter().map(|m| m.axis.name()).collect::<Vec<_>>(),
+        "ratio": all.iter().map(ratio).collect::<Vec<_>>(),
+        "half": all.iter().map(|m| ratio(m) * html::WITHIN_95 * m.pooled_part).collect::<Vec<_>>(),
+        "paper": all.iter().map(|m| m.printed().std / (m.predicted * 1e6)).collect::<Vec<_>>(),
+    })
+}
+
+fn at_rest(rest: &Rest) -> Value {
+    let axis = |(axis, still): (crate::config::Axis, &super::rest::Still)| {
+        json!({
+            "name": axis.name(),
+            "unit": unit(axis.is_turn()),
+            "allan": micro(still.allan.iter().map(|a| a.deviation)),
+            "part": still.allan.iter().map(|a| a.part).collect::<Vec<_>>(),
+            "stated": still.stated * 1e6,
+            "course": micro(still.course.iter().copied()),
+        })
+    };
+    json!({
+        "tau": rest.axes[0].allan.iter().map(|a| a.n as f64 * rest.period_s).collect::<Vec<_>>(),
+        "times": rest.times_s,
+        "axes": crate::config::Axis::ALL.into_iter().zip(&rest.axes).map(axis).collect::<Vec<_>>(),
+    })
+}

@@ -1,0 +1,78 @@
+//! The thread around the recorder.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use tokio::sync::mpsc;
+
+use super::Recorder;
+use crate::config::{RecordingConfig, RecordingMode};
+use crate::monitor::Counters;
+use crate::recording::Tap;
+use crate::recording::disk::Disk;
+use crate::recording::handle::{Handle, State};
+
+/// How long the recorder may take to end: then it is left behind.
+const PATIENCE: Duration = Duration::from_secs(4);
+
+/// The thread of the recorder.
+#[derive(Debug)]
+pub struct Thread {
+    handle: JoinHandle<()>,
+    ended: Receiver<()>,
+    stop: Arc<AtomicBool>,
+}
+
+/// Starts the recorder.
+///
+/// # Errors
+/// No thread can be had.
+pub fn start(config: &RecordingConfig, counters: &Arc<Counters>) -> std::io::Result<(Tap, Handle, Thread)> {
+    let (tap, outflow) = Tap::new(Arc::clone(counters));
+    // Open before the first sample.
+    outflow.open.store(config.mode != RecordingMode::Off, Ordering::Relaxed);
+    let (wishes, asked) = mpsc::channel(4);
+    let state = Arc::new(State::new(config.mode));
+    let disk = Disk::start()?;
+    let recorder =
+        Recorder::new(config.clone(), outflow, asked, disk, Arc::clone(&state), Arc::clone(counters));
+    let stop = Arc::clone(&recorder.stop);
+    let (end, ended) = channel();
+    let alarm = Alarm(Arc::clone(&state));
+    let thread = std::thread::Builder::new().name("recorder".into()).spawn(move || {
+        let _alarm = alarm;
+        recorder.run();
+        // Who does not wait any more does not need it.
+        let _ = end.send(());
+    })?;
+    Ok((tap, Handle { state, wishes }, Thread { handle: thread, ended, stop }))
+}
+
+impl Thread {
+    /// Ends it, and waits until everything is on the disk, if that does not take too long. To be called
+    /// when the fast side has said its last.
+    pub fn join(self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if self.ended.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
+            tracing::error!("the disk does not take the end of the recording: it stays unfinished");
+        } else if self.handle.join().is_err() {
+            tracing::error!("the recorder panicked");
+        }
+    }
+}
+
+/// Says so if the recorder panics: the frames will tell.
+struct Alarm(Arc<State>);
+
+impl Drop for Alarm {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.0.file(None);
+            self.0.fault(Some("the recorder has crashed: restart the daemon".into()));
+            tracing::error!("the recorder has crashed: nothing is recorded any more; restart the daemon");
+        }
+    }
+}

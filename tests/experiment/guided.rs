@@ -1,0 +1,249 @@
+//! A person at the stage, played by this test, and the real daemon on its twin.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::Path;
+use std::process::{Child, ChildStdin, Output, Stdio};
+use std::sync::mpsc;
+
+use crate::fixture::{Daemon, PATIENCE, Stream};
+use crate::{command, deviation, number, points, rows, said, table2};
+
+/// Starts it, with someone who types.
+fn typing(out: &Path, arguments: &[&str]) -> Child {
+    command(out, arguments)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap()
+}
+
+/// All that is typed is known beforehand.
+fn typed(out: &Path, arguments: &[&str], text: &str) -> Output {
+    let mut child = typing(out, arguments);
+    child.stdin.take().unwrap().write_all(text.as_bytes()).unwrap();
+    child.wait_with_output().unwrap()
+}
+
+/// The command, what it says as it goes, and a hand at the keyboard.
+struct Person {
+    child: Child,
+    keys: ChildStdin,
+    heard: mpsc::Receiver<String>,
+    all: String,
+}
+
+impl Person {
+    fn at(out: &Path, arguments: &[&str]) -> Self {
+        let mut child = typing(out, arguments);
+        let (sender, heard) = mpsc::channel();
+        let mut errors = BufReader::new(child.stderr.take().unwrap());
+        std::thread::spawn(move || {
+            // Questions end with ": " and no line.
+            let mut text = String::new();
+            let mut byte = [0];
+            while errors.read(&mut byte).unwrap() > 0 {
+                text.push(byte[0] as char);
+                if text.ends_with('\n') || text.ends_with(": ") {
+                    sender.send(std::mem::take(&mut text)).unwrap_or_default();
+                }
+            }
+        });
+        Self { keys: child.stdin.take().unwrap(), child, heard, all: String::new() }
+    }
+
+    /// Waits until it has said this.
+    fn hears(&mut self, what: &str) {
+        let mut since = String::new();
+        while !since.contains(what) {
+            let Ok(text) = self.heard.recv_timeout(PATIENCE) else { panic!("never {what}: {}", self.all) };
+            self.all += &text;
+            since += &text;
+        }
+    }
+
+    fn types(&mut self, line: &str) {
+        writeln!(self.keys, "{line}").unwrap();
+    }
+
+    /// The code it ends with, and all that it said.
+    fn end(mut self) -> (Option<i32>, String) {
+        drop(self.keys);
+        let mut out = String::new();
+        BufReader::new(self.child.stdout.take().unwrap())
+            .lines()
+            .map_while(Result::ok)
+            .for_each(|line| out += &line);
+        let status = self.child.wait().unwrap();
+        self.all.extend(self.heard.iter());
+        (status.code(), self.all + &out)
+    }
+}
+
+/// A daemon that stays locked also on a machine that is busy: its loop is slow, and the twin's mirror has time.
+fn daemon(config: &str) -> (Daemon, Stream, String) {
+    let mut daemon = Daemon::start(&format!("{PATIENT}{config}"));
+    let address = daemon.address();
+    (daemon, Stream::tcp(address), address.to_string())
+}
+
+const PATIENT: &str = "centering.loop_delay_ms = 100.0\nrealtime.stall_ms = 0\n";
+const REST: &str = "twin.motion = []\n";
+
+#[test]
+fn a_person_moves_the_stage_and_types_what_the_interferometer_says() {
+    let step = |um: u32, from: u32, until: &str| {
+        format!("{{ axis = \"tx\", kind = \"step\", amount_um = {um}, from_s = {from}{until} }}")
+    };
+    let motion = [step(20, 5, ", until_s = 10.0"), step(40, 10, "")].join(", ");
+    let (_daemon, mut stream, at) = daemon(&format!("twin.motion = [{motion}]\n"));
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let arguments = ["--connect", &at, "--axes", "tx", "--points", "3", "--interval", "tx=20", "--rest", "1"];
+    let mut person = Person::at(&out, &arguments);
+    // The stage of the twin moves by itself; this person types when it is there. The interferometer has its own zero.
+    for (point, level) in [(1, 0.0), (2, 20e-6), (3, 40e-6)] {
+        person.hears(&format!("tx point {point} of 3: move the stage to "));
+        stream.skip_to_now();
+        stream.until("the mirror is there", |frame| frame.locked() && (frame.pose[0] - level).abs() < 5e-6);
+        person.types(&format!("{}", (level + 7e-6) * 1e6));
+        person.hears("50 readings: ");
+    }
+    person.hears("leave the mirror alone for 1 s");
+    person.types("");
+    let (code, said) = person.end();
+    assert_eq!(code, Some(0), "{said}");
+    let [measured, paper, predicted] = table2(&out)["tx"];
+    assert_eq!(paper, 0.98);
+    assert!((measured / predicted - 1.0).abs() < 0.4, "{measured} {predicted}"); // of three deviations of 10 %
+    for (point, level) in points(&out, "table2", "tx").iter().zip([0.0, 20.0, 40.0]) {
+        let mean = point.iter().sum::<f64>() / 50.0;
+        assert!((mean - level).abs() < 1.0 && deviation(point) < 2.0, "{mean} {level}");
+    }
+    let all = rows(&out.join("readings.csv"));
+    let references: std::collections::BTreeSet<_> = all
+        .iter()
+        .filter(|r| r["part"] == "table2")
+        .map(|r| (1e6 * number(r, "reference_si")).round() as i64)
+        .collect();
+    assert_eq!(references.into_iter().collect::<Vec<_>>(), [7, 27, 47]);
+    assert!(all.iter().filter(|r| r["part"] == "rest").count() > 900);
+    assert!(all.iter().all(|r| r["status"].contains("SIMULATED") && number(r, "time_ns") > 1e18));
+    let report = std::fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(report.contains("computed by the digital twin") && report.contains("Status: UNCALIBRATED"));
+    assert!(report.contains("150 readings, 20") && report.contains(" UTC. Status"));
+}
+
+#[test]
+fn references_come_from_a_file_and_bad_answers_are_asked_again() {
+    let (_daemon, _stream, at) = daemon(REST);
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("lab.csv");
+    std::fs::write(&file, "axis,unit,point,reference\nyaw,urad,1,-10\nyaw,urad,2,0\nyaw,urad,3,10.5\n")
+        .unwrap();
+    let out = folder.path().join("out");
+    let arguments = [
+        "--connect",
+        &at,
+        "--reference",
+        file.to_str().unwrap(),
+        "--readings",
+        "20",
+        "--average",
+        "4",
+        "--rest",
+        "0",
+    ];
+    let output = typed(&out, &arguments, "b\n\n5\n\n\n");
+    let told = said(&output);
+    assert!(output.status.success(), "{told}");
+    assert!(told.contains("this is the first point"), "{told}");
+    assert!(told.contains("the reference of this point stands in the file"), "{told}");
+    assert!(told.contains("yaw point 3 of 3: move the stage to +10.50 urad, then Enter: "), "{told}");
+    let all = rows(&out.join("readings.csv"));
+    assert_eq!(all.len(), 60);
+    assert!((number(&all[59], "reference_si") - 10.5e-6).abs() < 1e-15);
+    assert_eq!((number(&all[0], "averaged"), number(&all[0], "point")), (4.0, 1.0));
+    // Poses at rest, 4 of them in each reading.
+    assert!((number(&all[0], "sd_yaw_rad") / 1.247e-6 - 1.0).abs() < 0.1);
+}
+
+#[test]
+fn nothing_is_lost_with_the_daemon_and_a_point_can_be_taken_again() {
+    let (mut first, _stream, at) = daemon(REST);
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let options = ["--axes", "tz,pitch", "--points", "3", "--readings", "10", "--rest", "0"];
+    let mut person = Person::at(&out, &[&["--connect", &at], &options[..]].concat());
+    person.hears("tz point 1 of 3: move the stage to -0.93 um, type the interferometer's reading in um: ");
+    for bad in ["", "1,5", "three", "1 urad"] {
+        person.types(bad);
+        person.hears("type the interferometer's reading in um: ");
+    }
+    for line in ["0", "1", "b", "0.0011 mm", "2", "0"] {
+        person.types(line);
+        person.hears("type the interferometer's reading in ");
+    }
+    assert!(person.all.contains("pitch point 2 of 3"), "{}", person.all);
+    first.signal(rustix::process::Signal::KILL);
+    person.hears("go on with the same options and --resume");
+    let (code, told) = person.end();
+    assert_eq!(code, Some(69), "{told}");
+    for word in
+        ["\"1,5\" is no number in um", "\"urad\" is no unit of tz", "40 readings are kept in", "--resume"]
+    {
+        assert!(told.contains(word), "{word}: {told}");
+    }
+    first.end();
+    let (_second, _stream, at) = daemon(REST);
+    let other = typed(&out, &["--connect", &at, "--resume", "--axes", "yaw"], "");
+    assert_eq!(other.status.code(), Some(64));
+    assert!(said(&other).contains("point 1 of tz, which is none of this protocol"), "{}", said(&other));
+    let output = typed(&out, &[&["--connect", &at, "--resume"], &options[..]].concat(), "10\n20\n");
+    assert!(output.status.success(), "{}", said(&output));
+    let all = rows(&out.join("readings.csv"));
+    assert_eq!(all.len(), 60);
+    let second = all.iter().find(|r| r["axis"] == "tz" && r["point"] == "2").unwrap();
+    assert!((number(second, "reference_si") - 1.1e-6).abs() < 1e-15);
+}
+
+#[test]
+fn poses_that_do_not_count_are_told_and_the_point_is_asked_again() {
+    for (config, told) in [
+        ("centering.mode = \"off\"\n", "the pose is valid, the loop is off"),
+        ("twin.fault = [{ kind = \"psd-dark\", psd = 2, at_s = 0.0 }]\n", "PSD_C_LOW"),
+    ] {
+        let (_daemon, _stream, at) = daemon(&format!("{REST}{config}"));
+        let folder = tempfile::tempdir().unwrap();
+        let output = typed(&folder.path().join("out"), &["--connect", &at], "0\n");
+        let said = said(&output);
+        assert_eq!(output.status.code(), Some(65), "{said}");
+        for word in [
+            "no pose to count on for 5 s",
+            told,
+            "once more, when that is mended",
+            "the input has ended before the last point",
+            "0 readings are kept",
+        ] {
+            assert!(said.contains(word), "{word}: {said}");
+        }
+    }
+}
+
+#[test]
+fn a_tare_between_points_of_an_axis_is_noticed() {
+    let folder = tempfile::tempdir().unwrap();
+    let (daemon, _stream, at) = daemon(REST);
+    let out = folder.path().join("out");
+    let mut person =
+        Person::at(&out, &["--connect", &at, "--axes", "roll", "--points", "3", "--readings", "5"]);
+    person.types("0");
+    person.hears("roll point 2 of 3");
+    daemon.reload(&format!("{PATIENT}{REST}frames.tare.rotation_deg = [0.1, 0.0, 0.0]\n"));
+    person.types("15");
+    person.hears("geometry, calibration or frames of the sensor have changed");
+    person.types("q");
+    let (code, told) = person.end();
+    assert_eq!(code, Some(130), "{told}");
+    assert!(told.contains("5 readings are kept in"), "{told}");
+}

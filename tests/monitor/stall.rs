@@ -1,0 +1,85 @@
+//! A task that makes no turns: nothing stays green, and everybody hears which it is.
+
+use std::{net::SocketAddr, path::Path, process::Command};
+
+use serde_json::Value;
+use trifacet::{centering::LockState, estimation::Status};
+
+use crate::{
+    fixture::{Daemon, Stream, now_ns},
+    page::{get, monitor, until},
+};
+
+/// A daemon that leaves time to look before it ends.
+fn daemon(folder: &Path) -> (Daemon, Stream, SocketAddr) {
+    let socket = folder.join("control");
+    let mut daemon = Daemon::start(&format!(
+        "monitor.listen = \"127.0.0.1:0\"\nrealtime.stall_ms = 4000\ncontrol.socket = '{}'\n",
+        socket.display()
+    ));
+    let stream = daemon.client();
+    let at = monitor(&mut daemon);
+    until(at, "ready", |ready| ready["ready"] == true);
+    (daemon, stream, at)
+}
+
+fn drill(folder: &Path, what: &str, task: &str) {
+    let arguments = ["drill", what, task];
+    let socket = folder.join("control");
+    let ctl = Command::new(env!("CARGO_BIN_EXE_trifacet"))
+        .args(["ctl", "--socket"])
+        .arg(socket)
+        .args(arguments)
+        .output();
+    let output = ctl.unwrap();
+    assert!(output.status.success(), "{output:?}");
+}
+
+fn reasons(ready: &Value) -> Vec<&str> {
+    ready["checks"].as_array().unwrap().iter().filter_map(|check| check["reason"].as_str()).collect()
+}
+
+/// Every check, health and metrics name the task before the daemon ends, and the log says why it did.
+fn is_named_before_the_end(what: &str) {
+    for task in ["acquisition", "centering", "estimation"] {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut daemon, _stream, at) = daemon(folder.path());
+        drill(folder.path(), what, task);
+        let name = format!("task {task} stands still");
+        let named = |ready: &Value| reasons(ready).iter().filter(|why| why.starts_with(&name)).count();
+        until(at, &name, |ready| named(ready) == 3);
+        let health = get(at, "/healthz");
+        assert!(health.code == 503 && health.body.starts_with(&name), "{health:?}");
+        let metrics = get(at, "/metrics").body;
+        for line in ["trifacet_lock_state{state=\"locked\"} 0", "trifacet_ready{check=\"lock\"} 0"] {
+            assert!(metrics.contains(line), "nothing stays green: {metrics}");
+        }
+        assert_eq!(daemon.end().code(), Some(70), "{what} {task}");
+        assert!(daemon.said(&format!("task {task} stalls: no turn for 4000 ms")), "{:#?}", daemon.log);
+    }
+}
+
+#[test]
+fn a_task_that_waits_for_ever_is_named_before_the_end() {
+    is_named_before_the_end("stall");
+}
+
+#[test]
+fn a_task_that_never_comes_back_is_named_before_the_end() {
+    is_named_before_the_end("block");
+}
+
+#[test]
+fn frames_claim_no_lock_of_a_loop_that_stands_still() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_daemon, mut stream, at) = daemon(folder.path());
+    let before_ns = now_ns();
+    drill(folder.path(), "stall", "centering");
+    let first = stream.until("not locked", |frame| frame.time_ns > before_ns && !frame.locked());
+    assert!(first.time_ns - before_ns < 1_000_000_000, "by the daemon's time stamps: {first:?}");
+    until(at, "not ready", |ready| ready["ready"] == false);
+    for frame in std::iter::once(first).chain(stream.take(500)) {
+        assert!(frame.lock == LockState::Held && frame.has(Status::NOT_LOCKED), "{frame:?}");
+        assert!(frame.valid(), "estimation goes on: {frame:?}");
+    }
+}
