@@ -39,7 +39,7 @@ const BAD: &[(&str, &[&str])] = &[
     ("[centering]\nsetpoint_um = [0, 0, 0]\n", &["lab.toml:2:15: centering.setpoint_um has 3 values: allowed are 2"]),
     ("[head]\nbeam_direction = [0, 0, -1, 7]\n", &["lab.toml:2:18: head.beam_direction has 4 values: allowed are 3"]),
     ("[channels.b]\ngain = [1, 'x', 1]\n", &["lab.toml:2:12: channels.b.gain[1] = 'x'", "-100 to 100"]),
-    ("[acquisition]\nsource = 'usb'\n", &["lab.toml:2:10: acquisition.source = 'usb'", "`twin` or `serial`"]),
+    ("[acquisition]\nsource = 'usb'\n", &["lab.toml:2:10: acquisition.source = 'usb'", "one of `twin`, `serial`, `replay`"]),
     ("[estimation]\nmodel = 'Gaussian'\n", &["lab.toml:2:9: estimation.model", "`ray` or `gaussian`"]),
     ("[publishing]\ntcp = 'localhost'\n", &["lab.toml:2:7: publishing.tcp = 'localhost'", "127.0.0.1:7361", "\"off\""]),
     ("[publishing]\nudp = ['127.0.0.1:1', 'b']\n", &["lab.toml:2:23: publishing.udp[1] = 'b'", "127.0.0.1:7361"]),
