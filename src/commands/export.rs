@@ -1,6 +1,7 @@
 //! `trifacet export`: a recording as a table, for those who compute with it.
 
 mod csv;
+#[cfg(feature = "parquet")]
 mod parquet;
 mod samples;
 
@@ -36,7 +37,7 @@ pub(crate) struct ExportArgs {
 enum Format {
     /// Text, every digit
     Csv,
-    /// Columns for pandas and others
+    /// Columns for pandas and others; in builds with the feature "parquet"
     Parquet,
 }
 
@@ -97,7 +98,14 @@ fn write(reader: &mut Reader, file: File, format: Format, output: &Path) -> anyh
     let to = BufWriter::new(file);
     let mut table: Box<dyn Table> = match format {
         Format::Csv => Box::new(csv::Csv::new(to)),
-        Format::Parquet => Box::new(cannot_write(parquet::Parquet::new(to), output)?),
+        #[cfg(feature = "parquet")]
+        Format::Parquet => Box::new(parquet::Parquet::new(to)),
+        #[cfg(not(feature = "parquet"))]
+        Format::Parquet => {
+            let why =
+                "--format parquet: this build has no Parquet; build it with --features parquet, or use csv";
+            return Err(Failure::new(exit::USAGE, why).into());
+        }
     };
     let mut rows = 0;
     while let Some(read) = reader.read()? {

@@ -11,12 +11,26 @@ fn pandas() -> Command {
     Command::new(python)
 }
 
+/// The forms that this build has.
+const FORMATS: &[&str] = if cfg!(feature = "parquet") { &["csv", "parquet"] } else { &["csv"] };
+
 #[test]
+#[cfg(not(feature = "parquet"))]
+fn a_build_without_parquet_says_so() {
+    let lab = Lab::new();
+    let file = lab.record("a.mcap", "", 100);
+    let done = on(&["export", "--format", "parquet"], &file);
+    assert!(done.code == 64 && done.err.contains("--features parquet"), "{}", done.err);
+    assert!(!lab.path("a.parquet").exists());
+}
+
+#[test]
+#[cfg(feature = "parquet")]
 fn pandas_reads_the_same_numbers_from_both_forms_bit_by_bit() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", EVENTFUL, 5000);
     for what in ["frames", "samples"] {
-        for format in ["csv", "parquet"] {
+        for format in FORMATS {
             let done = on(&["export", "--what", what, "--format", format], &file);
             assert_eq!(done.code, 0, "{}", done.err);
             assert!(done.err.contains("rows in"), "{}", done.err);
@@ -28,6 +42,7 @@ fn pandas_reads_the_same_numbers_from_both_forms_bit_by_bit() {
 }
 
 #[test]
+#[cfg(feature = "parquet")]
 fn more_rows_than_fit_into_a_group_are_all_there() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "acquisition.rate_hz = 20000", 70_000);
