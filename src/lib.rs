@@ -13,7 +13,8 @@
 //! ```
 //!
 //! `optics` is the sensor model that everything rests on; `daemon` is the wiring, `control` changes it
-//! while it runs, `tuning` measures its loop, `experiment` repeats what the paper measured with it.
+//! while it runs, `tuning` measures its loop, `recording` keeps what went in and came out, `replay` computes it again,
+//! `experiment` repeats what the paper measured.
 //! Lengths are metres, angles radians, times nanoseconds of the monotonic clock, everywhere inside;
 //! other units exist only in the configuration (where every key carries its unit) and on screens.
 

@@ -24,7 +24,7 @@ fn no_decoder_falls_within_seconds() {
         .expect("fuzz/run");
     let said = [run.stdout, run.stderr].map(|text| String::from_utf8_lossy(&text).into_owned());
     assert!(run.status.success(), "{}{}", said[0], said[1]);
-    for target in ["board", "commands", "gcs", "stream"] {
+    for target in ["board", "commands", "gcs", "recording", "stream"] {
         assert!(said[0].contains(&format!("fuzzing {target} ")), "{}", said[0]);
     }
 }
