@@ -1,18 +1,8 @@
 //! Tables of a recording.
 
-use std::path::PathBuf;
 use std::process::Command;
 
-use crate::fixture::{EVENTFUL, Lab, on, run, trifacet};
-use crate::venv;
-
-fn pandas() -> Command {
-    let python: PathBuf = venv::python("replay-venv", "pandas, pyarrow", &["pandas", "pyarrow"]);
-    Command::new(python)
-}
-
-/// The forms that this build has.
-const FORMATS: &[&str] = if cfg!(feature = "parquet") { &["csv", "parquet"] } else { &["csv"] };
+use crate::fixture::{Lab, on, run, trifacet};
 
 #[test]
 #[cfg(not(feature = "parquet"))]
@@ -22,35 +12,6 @@ fn a_build_without_parquet_says_so() {
     let done = on(&["export", "--format", "parquet"], &file);
     assert!(done.code == 64 && done.err.contains("--features parquet"), "{}", done.err);
     assert!(!lab.path("a.parquet").exists());
-}
-
-#[test]
-#[cfg(feature = "parquet")]
-fn pandas_reads_the_same_numbers_from_both_forms_bit_by_bit() {
-    let lab = Lab::new();
-    let file = lab.record("a.mcap", EVENTFUL, 5000);
-    for what in ["frames", "samples"] {
-        for format in FORMATS {
-            let done = on(&["export", "--what", what, "--format", format], &file);
-            assert_eq!(done.code, 0, "{}", done.err);
-            assert!(done.err.contains("rows in"), "{}", done.err);
-        }
-    }
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/replay/tables.py");
-    let output = pandas().arg(script).arg(lab.path("a")).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-}
-
-#[test]
-#[cfg(feature = "parquet")]
-fn more_rows_than_fit_into_a_group_are_all_there() {
-    let lab = Lab::new();
-    let file = lab.record("a.mcap", "acquisition.rate_hz = 20000", 70_000);
-    assert_eq!(on(&["export", "--format", "parquet"], &file).code, 0);
-    let check = "import sys, pandas; d = pandas.read_parquet(sys.argv[1]); \
-                 assert list(d.sample_index) == list(range(70000)), d";
-    let output = pandas().args(["-c", check]).arg(lab.path("a.parquet")).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
 #[test]

@@ -7,5 +7,8 @@ mod damage;
 mod export;
 mod fixture;
 mod identity;
+#[cfg(feature = "parquet")]
+mod pandas;
+#[cfg(feature = "parquet")]
 #[path = "../shared/venv.rs"]
 mod venv;
