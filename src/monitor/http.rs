@@ -77,7 +77,7 @@ fn router(view: &Arc<View>) -> Router {
 async fn healthz(State(view): State<Arc<View>>) -> Response {
     let answer = match view.dead() {
         None => (StatusCode::OK, "ok\n".to_owned()),
-        Some(why) => (StatusCode::SERVICE_UNAVAILABLE, why + "\n"),
+        Some(still) => (StatusCode::SERVICE_UNAVAILABLE, still.why + "\n"),
     };
     (FRESH, answer).into_response()
 }

@@ -7,7 +7,7 @@ use trifacet::{centering::LockState, estimation::Status};
 
 use crate::{
     fixture::{Daemon, Stream, now_ns},
-    page::{get, monitor, until},
+    page::{get, monitor, nothing_stays_green, until},
 };
 
 /// A daemon that leaves time to look before it ends.
@@ -50,10 +50,7 @@ fn is_named_before_the_end(what: &str) {
         until(at, &name, |ready| named(ready) == 3);
         let health = get(at, "/healthz");
         assert!(health.code == 503 && health.body.starts_with(&name), "{health:?}");
-        let metrics = get(at, "/metrics").body;
-        for line in ["trifacet_lock_state{state=\"locked\"} 0", "trifacet_ready{check=\"lock\"} 0"] {
-            assert!(metrics.contains(line), "nothing stays green: {metrics}");
-        }
+        nothing_stays_green(at);
         assert_eq!(daemon.end().code(), Some(70), "{what} {task}");
         assert!(daemon.said(&format!("task {task} stalls: no turn for 4000 ms")), "{:#?}", daemon.log);
     }
@@ -78,6 +75,8 @@ fn frames_claim_no_lock_of_a_loop_that_stands_still() {
     let first = stream.until("not locked", |frame| frame.time_ns > before_ns && !frame.locked());
     assert!(first.time_ns - before_ns < 1_000_000_000, "by the daemon's time stamps: {first:?}");
     until(at, "not ready", |ready| ready["ready"] == false);
+    let line = "trifacet_lock_state{state=\"held\"} 1";
+    assert!(get(at, "/metrics").body.contains(line), "what the frames say is known");
     for frame in std::iter::once(first).chain(stream.take(500)) {
         assert!(frame.lock == LockState::Held && frame.has(Status::NOT_LOCKED), "{frame:?}");
         assert!(frame.valid(), "estimation goes on: {frame:?}");
