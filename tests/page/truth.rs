@@ -118,7 +118,7 @@ fn without_a_board_there_are_no_samples_rather_than_no_light_and_nothing_is_meas
     );
     let told: Vec<_> = told.as_array().unwrap().iter().map(|text| text.as_str().unwrap()).collect();
     assert_eq!(told.iter().filter(|text| **text == "no samples").count(), 4, "{told:?}");
-    assert_eq!(told.iter().filter(|text| **text == "–").count(), 8, "{told:?}");
+    assert_eq!(told.iter().filter(|text| **text == "–").count(), 9, "{told:?}");
     assert_eq!(page.eval("document.querySelector('.spectra').hidden"), true);
     assert_eq!(page.complaints(), Vec::<String>::new());
 }

@@ -250,7 +250,7 @@ function losses(update) {
     ["99th percentile", us(high)],
     ["maximum", us(worst)],
     ["frames without a pose", share],
-    ["samples lost, last second", count(sum("lost"))],
+    ["samples lost, last second", delays.length > 0 ? count(sum("lost")) : "–"],
     ...lost.map(([name, n]) => [name.replaceAll("_", " "), count(n), hello.counters[name]]),
   ]);
   facts($("counters"), Object.entries(counters ?? {}).map(([name, n]) => [name.replaceAll("_", " "), count(n), hello.counters[name]]));
