@@ -3,7 +3,7 @@
 mod screen;
 
 use std::io::{self, IsTerminal, Write as _};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::Result;
@@ -57,6 +57,8 @@ struct Known {
     missing: u64,
     /// The answer of the control socket, if it is that of the same daemon.
     control: Option<Value>,
+    /// Why there is none, though there is a socket.
+    unanswered: Option<String>,
 }
 
 /// Shows it once, or until the output is closed. Fails with [`trifacet::exit::UNAVAILABLE`] if nothing is there.
@@ -137,10 +139,17 @@ impl Known {
         (self.frame, self.between, self.frames) = (None, Status::default(), 0);
     }
 
-    async fn ask(&mut self, socket: &std::path::Path) {
-        let socket = socket.to_owned();
-        let asked = tokio::task::spawn_blocking(move || control::client::ask(&socket, &Command::Status));
-        let answer = timeout(ASIDE, asked).await.ok().and_then(Result::ok).and_then(Result::ok);
+    async fn ask(&mut self, socket: &Path) {
+        let path = socket.to_owned();
+        let asked = tokio::task::spawn_blocking(move || control::client::ask(&path, &Command::Status));
+        let answer = match timeout(ASIDE, asked).await {
+            Ok(Ok(answer)) => answer.map_err(|e| e.message),
+            Ok(Err(e)) => Err(e.to_string()),
+            Err(_) => Err(format!("{} does not answer", socket.display())),
+        };
+        // Without a socket the daemon is elsewhere, or has none: no news.
+        self.unanswered = answer.as_ref().err().filter(|_| socket.exists()).cloned();
+        let answer = answer.ok();
         let session = self.frame.map(|frame| format!("{:08x}", frame.session));
         self.control = answer.filter(|answer| answer["session"].as_str() == session.as_deref());
     }

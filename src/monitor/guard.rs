@@ -6,7 +6,7 @@
 
 use std::net::IpAddr;
 
-use axum::http::{HeaderMap, HeaderName, Uri, header, uri::Authority};
+use axum::http::{HeaderMap, HeaderName, StatusCode, Uri, header, uri::Authority};
 
 /// The names of this machine.
 #[derive(Clone, Debug)]
@@ -18,12 +18,27 @@ impl Hosts {
         Self(allowed.to_vec())
     }
 
-    /// Why a request that came to this address is refused, if it is.
-    pub fn refusal(&self, headers: &HeaderMap, own: IpAddr) -> Option<String> {
+    /// Why a request that came to this address is refused, if it is. Said twice, a name would be one here and
+    /// another there.
+    pub fn refusal(&self, to: &Uri, headers: &HeaderMap, own: IpAddr) -> Option<(StatusCode, String)> {
+        let twice = |name: &HeaderName| headers.get_all(name).iter().nth(1).is_some();
+        for (name, word) in [(header::HOST, "Host"), (header::ORIGIN, "Origin")] {
+            if twice(&name) {
+                return Some((StatusCode::BAD_REQUEST, format!("the request has more than one {word}\n")));
+            }
+        }
+        self.foreign(to, headers, own).map(|why| (StatusCode::FORBIDDEN, why))
+    }
+
+    fn foreign(&self, to: &Uri, headers: &HeaderMap, own: IpAddr) -> Option<String> {
         let host = text(headers, header::HOST).and_then(|host| host.parse::<Authority>().ok());
         let Some(host) = host else { return Some("the request has no valid Host\n".into()) };
         if !self.are(host.host(), own) {
             return Some(self.words("Host", host.host()));
+        }
+        // "GET http://host/": the name in it counts more than the one in Host.
+        if let Some(host) = to.host().filter(|host| !self.are(host, own)) {
+            return Some(self.words("the request line's", host));
         }
         if !headers.contains_key(header::ORIGIN) {
             return None;
@@ -70,7 +85,28 @@ mod tests {
         if let Some(origin) = origin {
             headers.insert(header::ORIGIN, origin.parse().unwrap());
         }
-        Hosts::new(&["lab-pc".into()]).refusal(&headers, [192, 168, 1, 5].into()).is_some()
+        refusal(&Uri::from_static("/"), &headers).is_some()
+    }
+
+    fn refusal(to: &Uri, headers: &HeaderMap) -> Option<(StatusCode, String)> {
+        Hosts::new(&["lab-pc".into()]).refusal(to, headers, [192, 168, 1, 5].into())
+    }
+
+    #[test]
+    fn a_request_names_one_machine_wherever_it_names_it() {
+        let mut headers = HeaderMap::from_iter([(header::HOST, "lab-pc".parse().unwrap())]);
+        for good in ["/metrics", "http://lab-pc/metrics", "http://192.168.1.5:7360/"] {
+            assert_eq!(refusal(&good.parse().unwrap(), &headers), None, "{good}");
+        }
+        let (code, why) = refusal(&"http://evil.example/metrics".parse().unwrap(), &headers).unwrap();
+        assert!(code == StatusCode::FORBIDDEN && why.contains("evil.example"), "{why}");
+        for name in [header::HOST, header::ORIGIN] {
+            headers.insert(&name, "lab-pc".parse().unwrap());
+            headers.append(&name, "evil.example".parse().unwrap());
+            let (code, why) = refusal(&Uri::from_static("/"), &headers).unwrap();
+            assert_eq!(code, StatusCode::BAD_REQUEST, "{why}");
+            headers.insert(&name, "lab-pc".parse().unwrap());
+        }
     }
 
     #[test]
@@ -85,10 +121,10 @@ mod tests {
         }
         let v6 = |host: &str| {
             let headers = HeaderMap::from_iter([(header::HOST, host.parse().unwrap())]);
-            Hosts::new(&[]).refusal(&headers, std::net::Ipv6Addr::LOCALHOST.into())
+            Hosts::new(&[]).refusal(&Uri::from_static("/"), &headers, std::net::Ipv6Addr::LOCALHOST.into())
         };
         assert!(v6("[::1]:7360").is_none() && v6("[::2]:7360").is_some());
-        assert!(Hosts::new(&[]).refusal(&HeaderMap::new(), [127, 0, 0, 1].into()).is_some());
+        assert!(refusal(&Uri::from_static("/"), &HeaderMap::new()).is_some());
     }
 
     #[test]

@@ -53,6 +53,18 @@ impl Subject {
     }
 }
 
+/// A part of the daemon that stands still.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Standstill {
+    /// Which, in words.
+    pub why: String,
+    /// When it was noticed, or, without frames, time of the last one; nanoseconds of UTC since 1970. None
+    /// before the first frame.
+    pub since_ns: Option<i64>,
+    /// No frames come. Else others go on, and what the frames say is true.
+    pub silent: bool,
+}
+
 /// Since when each subject holds, or does not.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Checks([Option<Check>; 3]);
@@ -75,17 +87,19 @@ impl Checks {
         }
     }
 
-    /// What this means while `newest` is the newest frame; `dead` says why no newer one can be expected,
-    /// if so.
-    pub fn readiness(&self, newest: Option<&PoseFrame>, dead: Option<&str>) -> Readiness {
+    /// What this means while `newest` is the newest frame; nothing is ready while a part of the
+    /// daemon is `dead`.
+    pub fn readiness(&self, newest: Option<&PoseFrame>, dead: Option<&Standstill>) -> Readiness {
         let checks = Subject::ALL.iter().zip(self.0).map(|(subject, check)| {
             let (Some(frame), Some(check)) = (newest, check) else {
-                let reason = Some(dead.unwrap_or("no frame has been made yet").to_owned());
-                return Finding { name: subject.name(), ok: false, since: None, reason };
+                let reason = dead.map_or("no frame has been made yet", |still| &still.why);
+                return Finding { name: subject.name(), ok: false, since: None, reason: Some(reason.into()) };
             };
             let (ok, since_ns, reason) = match dead {
-                // The last that is known is that it was so then.
-                Some(why) => (false, if check.ok { frame.time_ns } else { check.since_ns }, Some(why.into())),
+                Some(still) => {
+                    let since_ns = still.since_ns.unwrap_or(frame.time_ns);
+                    (false, if check.ok { since_ns } else { check.since_ns }, Some(still.why.clone()))
+                }
                 None => (check.ok, check.since_ns, (!check.ok).then(|| subject.reason(frame))),
             };
             Finding { name: subject.name(), ok, since: utc(since_ns), reason }
@@ -168,10 +182,11 @@ mod tests {
         let [good, held, _] = frames();
         let mut checks = Checks::default();
         assert_eq!(told(&checks.readiness(None, None)), [(false, "", "no frame has been made yet"); 3]);
-        assert_eq!(told(&checks.readiness(None, Some("dead"))), [(false, "", "dead"); 3]);
+        let dead = Standstill { why: "dead".into(), since_ns: Some(4_000_000_000), silent: true };
+        assert_eq!(told(&checks.readiness(None, Some(&dead))), [(false, "", "dead"); 3]);
         checks.frame(&good);
-        let at = "1970-01-01T00:00:01Z";
-        assert_eq!(told(&checks.readiness(Some(&good), Some("dead"))), [(false, at, "dead"); 3]);
+        let at = "1970-01-01T00:00:04Z";
+        assert_eq!(told(&checks.readiness(Some(&good), Some(&dead))), [(false, at, "dead"); 3]);
         checks.frame(&held);
         let down = PoseFrame { status: Status::SOURCE_DOWN, time_ns: 5_000_000_000, ..held };
         checks.frame(&down);

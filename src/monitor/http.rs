@@ -8,7 +8,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::extract::State;
+use axum::extract::{ConnectInfo, State};
 use axum::http::{HeaderName, Request, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
@@ -77,7 +77,7 @@ fn router(view: &Arc<View>) -> Router {
 async fn healthz(State(view): State<Arc<View>>) -> Response {
     let answer = match view.dead() {
         None => (StatusCode::OK, "ok\n".to_owned()),
-        Some(why) => (StatusCode::SERVICE_UNAVAILABLE, why + "\n"),
+        Some(still) => (StatusCode::SERVICE_UNAVAILABLE, still.why + "\n"),
     };
     (FRESH, answer).into_response()
 }
@@ -106,7 +106,7 @@ impl Server {
     async fn accept_all(&mut self, listener: &TcpListener) {
         loop {
             match listener.accept().await {
-                Ok((stream, _)) => self.admit(stream),
+                Ok((stream, peer)) => self.admit(stream, peer),
                 Err(e) => {
                     // Out of file descriptors, as a rule: nothing to do but wait for some.
                     tracing::warn!("monitor: cannot accept a connection: {e}");
@@ -116,10 +116,11 @@ impl Server {
         }
     }
 
-    fn admit(&mut self, stream: TcpStream) {
+    fn admit(&mut self, stream: TcpStream, peer: SocketAddr) {
         while self.open.try_join_next().is_some() {}
         if self.open.len() < CONNECTIONS {
-            self.open.spawn(talk(stream, Arc::clone(&self.view), self.hosts.clone(), self.router.clone()));
+            let (view, hosts, router) = (Arc::clone(&self.view), self.hosts.clone(), self.router.clone());
+            self.open.spawn(talk(stream, peer, view, hosts, router));
         } else {
             self.view.sources.counters.monitor_refused.one();
             tracing::warn!("monitor: refused a connection, {CONNECTIONS} are open already");
@@ -128,23 +129,26 @@ impl Server {
 }
 
 /// One connection, to its end. That it breaks is the business of the other side.
-async fn talk(stream: TcpStream, view: Arc<View>, hosts: Hosts, router: Router) {
+async fn talk(stream: TcpStream, peer: SocketAddr, view: Arc<View>, hosts: Hosts, router: Router) {
     let Ok(own) = stream.local_addr() else { return };
     if rustix::net::sockopt::set_tcp_user_timeout(&stream, STALL_MS).is_err() {
         return;
     }
     let router = TowerToHyperService::new(router);
-    let service = service_fn(|request: Request<Incoming>| {
-        let refusal = hosts.refusal(request.headers(), own.ip());
+    let service = service_fn(|mut request: Request<Incoming>| {
+        let refusal = hosts.refusal(request.uri(), request.headers(), own.ip()).map(|(code, why)| {
+            view.sources.counters.monitor_forbidden.one();
+            match request.uri().path() {
+                "/control" => page::control::refusal(code, why.trim_end()),
+                _ => (code, why).into_response(),
+            }
+        });
+        request.extensions_mut().insert(ConnectInfo(peer));
         let answer = refusal.is_none().then(|| router.call(request));
-        let counters = &view.sources.counters;
         async move {
             match answer {
                 Some(answer) => answer.await,
-                None => Ok::<Response, Infallible>({
-                    counters.monitor_forbidden.one();
-                    (StatusCode::FORBIDDEN, refusal.unwrap_or_default()).into_response()
-                }),
+                None => Ok::<Response, Infallible>(refusal.unwrap_or_default()),
             }
         }
     });

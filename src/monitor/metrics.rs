@@ -112,8 +112,10 @@ impl Page<'_> {
         let readiness = view.readiness();
         let checks = readiness.checks.iter().map(|check| (check.name, flag(check.ok)));
         self.each("ready", "1 if the check of /readyz holds", "check", checks)?;
-        let lock = view.newest().borrow().filter(|_| view.dead().is_none()).map(|newest| newest.frame.lock);
-        let states = LockState::ALL.map(|state| (state.name(), flag(lock == Some(state))));
+        let silent = view.dead().is_some_and(|still| still.silent);
+        let lock = view.newest().borrow().filter(|_| !silent).map(|newest| newest.frame.lock);
+        let of = |lock| LockState::ALL.map(|state| (state.name(), flag(lock == state)));
+        let states = lock.into_iter().flat_map(of);
         self.each("lock_state", "1 for the state of the loop", "state", states)
     }
 

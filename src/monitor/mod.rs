@@ -123,8 +123,10 @@ counters! {
     page_skips,
     /// HTTP connections that were cut off, and viewers that were not let in: too many.
     monitor_refused,
-    /// HTTP requests that were refused: not addressed to this host, or from a page of another.
+    /// HTTP requests that were refused: not addressed to this host alone, or from a page of another.
     monitor_forbidden,
+    /// Orders by HTTP that were refused: a wrong token, or `monitor.control` is off.
+    monitor_denied,
 }
 
 /// A number that only grows.

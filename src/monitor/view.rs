@@ -9,7 +9,7 @@ use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 
 use super::Counters;
-use super::health::{Checks, Readiness};
+use super::health::{Checks, Readiness, Standstill};
 use super::page::{bins::History, control::Controls, gathered::Gathered};
 use super::tally::Tally;
 use super::turns::{Task, Turns};
@@ -23,6 +23,8 @@ use crate::recording::handle::State;
 const LOOK: Duration = Duration::from_millis(20);
 /// A side that does nothing for longer stands still; seconds.
 const STANDSTILL_S: f64 = 1.0;
+/// While a task stands still, frames that others make are no older; seconds.
+const YOUNG_S: f64 = 0.25;
 /// Most frames that are taken at a time.
 const BATCH: usize = 16 * 1024;
 /// Looks from one update of the page to the next: ten updates a second.
@@ -72,6 +74,8 @@ pub(super) struct Books {
     looked: Mono,
     /// The newest frame, or the start, was seen then.
     heard: Mono,
+    /// Time of the first frame with a task that stands still, nanoseconds of UTC since 1970.
+    stalled_ns: Option<i64>,
     pub(super) checks: Checks,
     pub(super) tally: Tally,
     page: Gathered,
@@ -91,7 +95,7 @@ impl View {
     pub fn new(sources: Sources) -> Self {
         let now = SystemClock.now();
         let (checks, tally, page) = (Checks::default(), Tally::new(now), Gathered::default());
-        let books = Books { looked: now, heard: now, checks, tally, page };
+        let books = Books { looked: now, heard: now, stalled_ns: None, checks, tally, page };
         Self {
             sources,
             ending: CancellationToken::new(),
@@ -124,27 +128,31 @@ impl View {
     }
 
     /// Which parts of the daemon stand still, if some do.
-    pub fn dead(&self) -> Option<String> {
+    pub fn dead(&self) -> Option<Standstill> {
+        let newest_ns = self.newest.borrow().map(|newest| newest.frame.time_ns);
         let period_s = 1.0 / self.sources.descriptor.borrow().rate_hz;
         let books = self.books();
         let held_up_s = SystemClock.now().seconds_since(books.looked);
         let silent_s = books.looked.seconds_since(books.heard);
         if held_up_s > STANDSTILL_S {
-            return Some(format!("the main side was held up for {held_up_s:.1} s"));
+            let why = format!("the main side was held up for {held_up_s:.1} s");
+            return Some(Standstill { why, since_ns: newest_ns, silent: true });
         }
         let silent = (silent_s > STANDSTILL_S.max(3.0 * period_s))
             .then(|| format!("the fast side has made no frame for {silent_s:.1} s"));
         let names: Vec<_> = self.sources.turns.stalled().into_iter().map(Task::name).collect();
         let stalled = (!names.is_empty()).then(|| format!("task {} stands still", names.join(", ")));
         let parts: Vec<_> = stalled.into_iter().chain(silent).collect();
-        (!parts.is_empty()).then(|| parts.join(", "))
+        let silent = newest_ns.is_none() || silent_s > YOUNG_S.max(3.0 * period_s);
+        let since_ns = books.stalled_ns.filter(|_| !silent).or(newest_ns);
+        (!parts.is_empty()).then(|| Standstill { why: parts.join(", "), since_ns, silent })
     }
 
     /// Whether poses can be used.
     pub fn readiness(&self) -> Readiness {
         let dead = self.dead();
         let newest = self.newest.borrow().map(|newest| newest.frame);
-        self.books().checks.readiness(newest.as_ref(), dead.as_deref())
+        self.books().checks.readiness(newest.as_ref(), dead.as_ref())
     }
 
     /// Nothing can panic while they are open, so they are never torn.
@@ -188,6 +196,7 @@ impl View {
     fn enter(&self, batch: &[PoseFrame]) {
         let half_m = self.sources.config.borrow().head.psd_size_mm * 0.5e-3;
         let rate_hz = self.sources.descriptor.borrow().rate_hz;
+        let stalled = !self.sources.turns.stalled().is_empty();
         let mut books = self.books();
         books.looked = SystemClock.now();
         books.page.frames(batch, rate_hz, self.updates.receiver_count() > 0);
@@ -198,6 +207,7 @@ impl View {
         if !batch.is_empty() {
             books.heard = books.looked;
         }
+        books.stalled_ns = books.stalled_ns.or(batch.last().map(|frame| frame.time_ns)).filter(|_| stalled);
         let now = books.looked;
         books.tally.tick(now);
     }

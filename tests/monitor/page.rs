@@ -66,6 +66,16 @@ pub(crate) fn until(at: SocketAddr, what: &str, is: impl Fn(&Value) -> bool) -> 
     panic!("never {what}: {ready}");
 }
 
+/// What the metrics say while a part of the daemon stands still.
+pub(crate) fn nothing_stays_green(at: SocketAddr) {
+    let metrics = get(at, "/metrics").body;
+    assert!(metrics.contains("trifacet_ready{check=\"lock\"} 0"), "{metrics}");
+    assert!(!metrics.contains("trifacet_lock_state{state=\"locked\"} 1"), "{metrics}");
+    let states: Vec<_> = metrics.lines().filter(|line| line.starts_with("trifacet_lock_state{")).collect();
+    let one = states.iter().filter(|line| line.ends_with(" 1")).count() == 1;
+    assert!(states.is_empty() || one, "the loop is in one state, or in none that is known: {states:?}");
+}
+
 /// Where the monitor of a daemon is. To be asked once, after its TCP address.
 pub(crate) fn monitor(daemon: &mut Daemon) -> SocketAddr {
     opened(&daemon.message("monitor is open")).unwrap()

@@ -43,8 +43,12 @@ fn requests_for_other_hosts_and_from_other_sites_are_refused_and_counted() {
             assert!(page.body.contains(if bad == elsewhere { "Origin" } else { "Host" }), "{page:?}");
         }
     }
+    let twice = format!("Host: {at}\r\nHost: evil.example\r\n");
+    assert_eq!(ask(at, "/metrics", &twice).code, 400);
+    assert_eq!(get(at, "http://evil.example/metrics").code, 403);
+    assert_eq!(get(at, &format!("http://{at}/metrics")).code, 200);
     let metrics = Metrics::of(at);
-    assert!((metrics.value("trifacet_monitor_forbidden_total", "") - 12.0).abs() < 0.5);
+    assert!((metrics.value("trifacet_monitor_forbidden_total", "") - 14.0).abs() < 0.5);
     let page = get(at, "/metrics");
     assert!(!page.headers.contains("access-control-"), "{page:?}");
     assert_eq!(get(at, "/nothing").code, 404);

@@ -7,17 +7,17 @@ use trifacet::{centering::LockState, estimation::Status};
 
 use crate::{
     fixture::{Daemon, Stream, now_ns},
-    page::{get, monitor, until},
+    page::{get, monitor, nothing_stays_green, until},
 };
 
-/// A daemon that leaves time to look before it ends.
-fn daemon(folder: &Path) -> (Daemon, Stream, SocketAddr) {
+/// A daemon that leaves time to look before it ends, where its stream is, and its pages.
+fn daemon(folder: &Path) -> (Daemon, SocketAddr, SocketAddr) {
     let socket = folder.join("control");
     let mut daemon = Daemon::start(&format!(
         "monitor.listen = \"127.0.0.1:0\"\nrealtime.stall_ms = 4000\ncontrol.socket = '{}'\n",
         socket.display()
     ));
-    let stream = daemon.client();
+    let stream = daemon.address();
     let at = monitor(&mut daemon);
     until(at, "ready", |ready| ready["ready"] == true);
     (daemon, stream, at)
@@ -43,17 +43,14 @@ fn reasons(ready: &Value) -> Vec<&str> {
 fn is_named_before_the_end(what: &str) {
     for task in ["acquisition", "centering", "estimation"] {
         let folder = tempfile::tempdir().unwrap();
-        let (mut daemon, _stream, at) = daemon(folder.path());
+        let (mut daemon, _, at) = daemon(folder.path());
         drill(folder.path(), what, task);
         let name = format!("task {task} stands still");
         let named = |ready: &Value| reasons(ready).iter().filter(|why| why.starts_with(&name)).count();
         until(at, &name, |ready| named(ready) == 3);
         let health = get(at, "/healthz");
         assert!(health.code == 503 && health.body.starts_with(&name), "{health:?}");
-        let metrics = get(at, "/metrics").body;
-        for line in ["trifacet_lock_state{state=\"locked\"} 0", "trifacet_ready{check=\"lock\"} 0"] {
-            assert!(metrics.contains(line), "nothing stays green: {metrics}");
-        }
+        nothing_stays_green(at);
         assert_eq!(daemon.end().code(), Some(70), "{what} {task}");
         assert!(daemon.said(&format!("task {task} stalls: no turn for 4000 ms")), "{:#?}", daemon.log);
     }
@@ -69,15 +66,32 @@ fn a_task_that_never_comes_back_is_named_before_the_end() {
     is_named_before_the_end("block");
 }
 
+/// `trifacet status` misses what only the control socket knows, and says why.
+fn status_tells_of_it(address: SocketAddr, socket: &Path) {
+    let address = format!("tcp://{address}");
+    let status = Command::new(env!("CARGO_BIN_EXE_trifacet"))
+        .args(["status", &address, "--socket"])
+        .arg(socket)
+        .output()
+        .unwrap();
+    let page = String::from_utf8(status.stdout).unwrap();
+    assert!(page.contains("lock      held\n"), "{page}");
+    assert!(page.contains(&format!("control   {} does not answer\n", socket.display())), "{page}");
+}
+
 #[test]
 fn frames_claim_no_lock_of_a_loop_that_stands_still() {
     let folder = tempfile::tempdir().unwrap();
-    let (_daemon, mut stream, at) = daemon(folder.path());
+    let (_daemon, address, at) = daemon(folder.path());
+    let mut stream = Stream::tcp(address);
     let before_ns = now_ns();
     drill(folder.path(), "stall", "centering");
     let first = stream.until("not locked", |frame| frame.time_ns > before_ns && !frame.locked());
     assert!(first.time_ns - before_ns < 1_000_000_000, "by the daemon's time stamps: {first:?}");
     until(at, "not ready", |ready| ready["ready"] == false);
+    status_tells_of_it(address, &folder.path().join("control"));
+    let line = "trifacet_lock_state{state=\"held\"} 1";
+    assert!(get(at, "/metrics").body.contains(line), "what the frames say is known");
     for frame in std::iter::once(first).chain(stream.take(500)) {
         assert!(frame.lock == LockState::Held && frame.has(Status::NOT_LOCKED), "{frame:?}");
         assert!(frame.valid(), "estimation goes on: {frame:?}");

@@ -12,6 +12,7 @@ use crate::{daemon, fixture::PATIENCE, page};
 
 const TOKEN: &str = "an-honest-secret-of-the-lab";
 
+/// Whatever comes back is JSON, as the page reads it.
 fn post(at: SocketAddr, headers: &str, body: &str) -> (u16, Value) {
     let mut stream = TcpStream::connect(at).unwrap();
     stream.set_read_timeout(Some(PATIENCE)).unwrap();
@@ -25,7 +26,7 @@ fn post(at: SocketAddr, headers: &str, body: &str) -> (u16, Value) {
     stream.read_to_string(&mut answer).unwrap();
     let (head, body) = answer.split_once("\r\n\r\n").unwrap();
     let code = head.split(' ').nth(1).unwrap().parse().unwrap();
-    (code, serde_json::from_str(body).unwrap_or_default())
+    (code, serde_json::from_str(body).unwrap_or_else(|e| panic!("{e}: {answer}")))
 }
 
 fn headers(token: &str) -> String {
@@ -45,6 +46,9 @@ fn nobody_steers_without_leave_and_the_token() {
     let form = format!("Content-Type: text/plain\r\nAuthorization: Bearer {TOKEN}\r\n");
     let bare = "Content-Type: application/json\r\n".to_owned();
     let basic = format!("{bare}Authorization: Basic {TOKEN}\r\n");
+    let elsewhere = evil.replace("127.0.0.1:1", "evil.example");
+    let secure = evil.replace("http://127.0.0.1:1", &format!("https://{at}"));
+    let long = " ".repeat(3_000_000);
     for (headers, body, code) in [
         (&headers(&TOKEN.to_uppercase()), order, 401),
         (&headers(&TOKEN[1..]), order, 401),
@@ -52,20 +56,29 @@ fn nobody_steers_without_leave_and_the_token() {
         (&bare, order, 401),
         (&basic, order, 401),
         (&evil, order, 403),
+        (&elsewhere, order, 403),
+        (&secure, order, 403),
         (&form, order, 415),
+        (&headers(TOKEN), &long, 413),
         (&headers(TOKEN), "{\"command\": \"tare save\"}", 400),
         (&headers(TOKEN), "{\"command\": \"gains 1 1\"}", 400),
         (&headers(TOKEN), "{\"command\": \"reload\"}", 400),
         (&headers(TOKEN), "{\"command\": \"\"}", 400),
-        (&headers(TOKEN), "{\"order\": \"park\"}", 422),
+        (&headers(TOKEN), "{\"order\": \"park\"}", 400),
         (&headers(TOKEN), "park", 400),
     ] {
         assert_eq!(post(at, headers, body).0, code, "{headers}{body}");
     }
     assert!(stream.take(200).iter().all(|frame| frame.lock != LockState::Off));
+    stream.skip_to_now();
+    let counters = stream.heartbeat().counters;
+    assert_eq!((counters["monitor_denied"], counters["monitor_forbidden"]), (5, 3), "{counters:?}");
     assert_eq!(post(at, &headers(TOKEN), order).0, 200);
     stream.until("off", |frame| frame.lock == LockState::Off);
     daemon.ends_in_order(rustix::process::Signal::TERM);
+    assert!(daemon.said("an order with a wrong token"));
+    let peers: Vec<_> = daemon.log.iter().filter_map(|line| line["peer"].as_str()).collect();
+    assert!(peers.iter().filter(|peer| peer.starts_with("127.0.0.1:")).count() >= 1, "{peers:?}");
     assert!(daemon.said("loop off") && !daemon.said(TOKEN), "the log: {:#?}", daemon.log);
 }
 

@@ -118,7 +118,7 @@ fn without_a_board_there_are_no_samples_rather_than_no_light_and_nothing_is_meas
     );
     let told: Vec<_> = told.as_array().unwrap().iter().map(|text| text.as_str().unwrap()).collect();
     assert_eq!(told.iter().filter(|text| **text == "no samples").count(), 4, "{told:?}");
-    assert_eq!(told.iter().filter(|text| **text == "–").count(), 8, "{told:?}");
+    assert_eq!(told.iter().filter(|text| **text == "–").count(), 9, "{told:?}");
     assert_eq!(page.eval("document.querySelector('.spectra').hidden"), true);
     assert_eq!(page.complaints(), Vec::<String>::new());
 }
@@ -148,7 +148,11 @@ fn a_task_that_stalls_is_named_before_the_daemon_ends() {
     let output = std::process::Command::new(env!("CARGO_BIN_EXE_trifacet")).args(ctl).output().unwrap();
     assert!(output.status.success(), "{output:?}");
     let verdict = |text: &str| format!("notes.some(([, text]) => text.startsWith('{text}'))");
-    page.until(&verdict("No poses: task centering stands still"));
+    page.until(&verdict("Pose valid, beam not locked (held): task centering stands still since "));
+    page.until(
+        "document.querySelector('#faults li').innerText.includes('Fault: task centering stands still')",
+    );
+    assert_eq!(page.eval("document.body.classList.contains('stale')"), false, "poses come");
     page.until(&verdict("No connection"));
 }
 

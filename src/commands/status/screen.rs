@@ -32,6 +32,7 @@ pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
     let Some(frame) = &known.frame else {
         lines.push(row("pose", "no frame came since the last look"));
         lines.push(row("losses", &losses(known)));
+        lines.extend(known.unanswered.as_ref().map(|why| row("control", why)));
         return lines;
     };
     lines.push(row("pose", &validity(frame, known.between)));
@@ -47,6 +48,7 @@ pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
     let how = if frame.status.has(Status::STEERING_MEASURED) { "read back" } else { "as commanded" };
     lines.push(row("steering", &format!("x    {x} um          y     {y} um    {how}")));
     lines.push(row("losses", &losses(known)));
+    lines.extend(known.unanswered.as_ref().map(|why| row("control", why)));
     lines.push(row("status", &names(Status(frame.status.0 & !TOLD.0))));
     lines
 }
@@ -173,6 +175,7 @@ pub(super) fn mood(line: &str) -> Option<&'static str> {
         "lock" if is(LockState::Lost) || is(LockState::Railed) => "31",
         "lock" => "33",
         "losses" if text != "none" => "33",
+        "control" => "33",
         _ => return None,
     })
 }

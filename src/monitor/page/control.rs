@@ -1,13 +1,15 @@
 //! `POST /control`: the few commands that the page may give, with the token.
 
+use std::net::SocketAddr;
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::State;
+use axum::extract::rejection::JsonRejection;
+use axum::extract::{ConnectInfo, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
-use serde_json::{Value, json};
+use serde_json::json;
 use tokio::sync::Mutex;
 
 use super::own_page;
@@ -41,20 +43,35 @@ pub struct Order {
 }
 
 /// Does what it says, if all is in order. As JSON it needs a header that no form of another site can set.
-pub async fn obey(State(view): State<Arc<View>>, headers: HeaderMap, Json(order): Json<Order>) -> Response {
-    let refuse = |code: StatusCode, why: &str| {
-        view.sources.counters.monitor_forbidden.one();
-        (code, Json(json!({ "error": why }))).into_response()
-    };
+pub async fn obey(
+    State(view): State<Arc<View>>,
+    ConnectInfo(peer): ConnectInfo<SocketAddr>,
+    headers: HeaderMap,
+    order: Result<Json<Order>, JsonRejection>,
+) -> Response {
+    let counters = &view.sources.counters;
     let Some(controls) = &view.sources.control else {
-        return refuse(StatusCode::FORBIDDEN, "the page may only look: monitor.control is off");
+        counters.monitor_denied.one();
+        return refusal(StatusCode::FORBIDDEN, "the page may only look: monitor.control is off");
     };
     if !own_page(&headers) {
-        return refuse(StatusCode::FORBIDDEN, "the page of another server may not steer");
+        counters.monitor_forbidden.one();
+        return refusal(StatusCode::FORBIDDEN, "the page of another server may not steer");
     }
     if !bearer(&headers).is_some_and(|given| controls.token.is(given)) {
-        return refuse(StatusCode::UNAUTHORIZED, "wrong token: it is monitor.token of the configuration");
+        counters.monitor_denied.one();
+        // Who it was, and never what was given: that may be nearly right.
+        tracing::warn!(%peer, "monitor: an order with a wrong token");
+        return refusal(StatusCode::UNAUTHORIZED, "wrong token: it is monitor.token of the configuration");
     }
+    let order = match order {
+        Ok(Json(order)) => order,
+        // To tell JSON of another form from no JSON helps nobody.
+        Err(e) if e.status() == StatusCode::UNPROCESSABLE_ENTITY => {
+            return refusal(StatusCode::BAD_REQUEST, &e.body_text());
+        }
+        Err(e) => return refusal(e.status(), &e.body_text()),
+    };
     match order.command.parse() {
         Ok(command) if allowed(&command) => {
             let answer = controls.live.lock().await.obey(command).await;
@@ -63,9 +80,14 @@ pub async fn obey(State(view): State<Arc<View>>, headers: HeaderMap, Json(order)
         }
         _ => {
             let why = "allowed are: tare, tare clear, loop on, loop off, loop shadow, park, record start, record stop";
-            (StatusCode::BAD_REQUEST, Json(Value::from_iter([("error", why)]))).into_response()
+            refusal(StatusCode::BAD_REQUEST, why)
         }
     }
+}
+
+/// As the page reads it.
+pub fn refusal(code: StatusCode, why: &str) -> Response {
+    (code, Json(json!({ "error": why }))).into_response()
 }
 
 fn bearer(headers: &HeaderMap) -> Option<&str> {

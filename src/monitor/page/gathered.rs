@@ -9,7 +9,7 @@ use super::spectrum::{Spectrum, Welch};
 use super::spells::{Spell, Spells};
 use crate::estimation::Status;
 use crate::monitor::Counters;
-use crate::monitor::health::Readiness;
+use crate::monitor::health::{Readiness, Standstill};
 use crate::publishing::PoseFrame;
 use crate::publishing::columns::Columns;
 
@@ -43,8 +43,8 @@ pub struct Update {
     number: u64,
     /// The newest frame, named as in the stream.
     frame: Option<Columns>,
-    /// Why no newer one can be expected.
-    dead: Option<String>,
+    /// What stands still.
+    dead: Option<Standstill>,
     ready: Readiness,
     lock_since_ms: f64,
     spells: Vec<Spell>,
@@ -92,7 +92,7 @@ impl Gathered {
     pub fn update(
         &mut self,
         newest: Option<&PoseFrame>,
-        dead: Option<String>,
+        dead: Option<Standstill>,
         ready: Readiness,
         counters: &Counters,
     ) -> Update {

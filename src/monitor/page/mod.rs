@@ -73,11 +73,11 @@ async fn plotly(headers: HeaderMap) -> impl IntoResponse {
 }
 
 /// Whether a request comes from this page, or from no page at all. Another server on this machine has
-/// pages, too.
+/// pages, too; and this one has none by https.
 fn own_page(headers: &HeaderMap) -> bool {
     let text = |name: HeaderName| headers.get(name)?.to_str().ok();
     let Some(origin) = text(header::ORIGIN) else { return !headers.contains_key(header::ORIGIN) };
-    let site = origin.split_once("://").map(|(_, site)| site);
+    let site = origin.strip_prefix("http://");
     site.zip(text(header::HOST)).is_some_and(|(site, host)| site.eq_ignore_ascii_case(host))
 }
 
@@ -96,7 +96,14 @@ mod tests {
             own_page(&headers)
         };
         assert!(from(None) && from(Some("http://localhost:7360")) && from(Some("http://LOCALHOST:7360")));
-        for bad in ["http://localhost:8080", "http://localhost", "null", "", "http://127.0.0.1:7360"] {
+        for bad in [
+            "http://localhost:8080",
+            "http://localhost",
+            "null",
+            "",
+            "http://127.0.0.1:7360",
+            "https://localhost:7360",
+        ] {
             assert!(!from(Some(bad)), "{bad}");
         }
     }

@@ -13,7 +13,7 @@ export class Link {
   }
 
   open() {
-    const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
+    const socket = new WebSocket(`ws://${location.host}/live`);
     this.socket = socket;
     socket.onopen = () => this.look();
     socket.onmessage = (event) => {

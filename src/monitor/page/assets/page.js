@@ -112,7 +112,7 @@ const hex = (n) => n.toString(16).padStart(8, "0");
 function show(update) {
   const { frame } = update;
   const now_ms = frame ? frame.time_ns / 1e6 : Date.now();
-  document.body.classList.toggle("stale", frame === null || update.dead !== null);
+  document.body.classList.toggle("stale", frame === null || update.dead?.silent === true);
   verdict(update, now_ms);
   faults(update, now_ms);
   if (frame === null) return;
@@ -140,9 +140,12 @@ function pose(frame) {
 }
 
 /** One sentence above all: what a person wants to know first. */
-function verdict({ ready, dead }, now_ms) {
+function verdict({ frame, ready, dead }, now_ms) {
   const wrong = ready.checks.filter((check) => !check.ok);
-  if (dead) return grade("bad", `No poses: ${dead}`);
+  if (dead) {
+    const at = dead.since_ns === null ? "" : ` since ${time(dead.since_ns / 1e6, now_ms)}`;
+    return grade("bad", `${dead.silent ? "No poses" : still(frame)}: ${dead.why}${at}`);
+  }
   if (wrong.length === 0) return grade("good", "Pose valid, beam locked");
   const [{ name, since, reason }] = wrong;
   const from = since ? ` since ${time(Date.parse(since), now_ms)}` : "";
@@ -152,6 +155,12 @@ function verdict({ ready, dead }, now_ms) {
     return grade("warn", `Pose valid, beam not locked: ${reason}${loop}${from}`);
   }
   grade("bad", `No valid pose: ${reasons(reason)}${from}`);
+}
+
+/** What the frames say that come while a task stands still. */
+function still({ status, lock }) {
+  const pose = status.includes("POSE_VALID") ? "Pose valid" : "No valid pose";
+  return `${pose}, beam ${lock === "locked" ? "locked" : `not locked (${lock})`}`;
 }
 
 /** "PSD_A_LOW, PSD_B_LOW" in words; the three detectors together where all are meant. */
@@ -199,9 +208,10 @@ function beam(frame, update, now_ms) {
 }
 
 /** What is wrong now, then what was lately. */
-function faults({ spells }, now_ms) {
+function faults({ spells, dead }, now_ms) {
   const told = spells.map((spell) => ({ ...spell, ...hello.bits[spell.bit], ...meaning(hello.bits[spell.bit]) }));
   const shown = told.filter((spell) => !MARKS.includes(spell.name) && (spell.until_ms === null || now_ms - spell.until_ms < RECENT_MS));
+  if (dead?.since_ns) shown.push({ bit: -1, name: dead.silent ? "no frames" : "standstill", grade: "bad", text: dead.why, since_ms: dead.since_ns / 1e6, until_ms: null, times: 1 });
   const rank = (spell) => (spell.until_ms === null ? 0 : 4) + ["bad", "warn", "note"].indexOf(spell.grade);
   shown.sort((a, b) => rank(a) - rank(b) || a.bit - b.bit);
   const list = $("faults").querySelector("ul");
@@ -240,7 +250,7 @@ function losses(update) {
     ["99th percentile", us(high)],
     ["maximum", us(worst)],
     ["frames without a pose", share],
-    ["samples lost, last second", count(sum("lost"))],
+    ["samples lost, last second", delays.length > 0 ? count(sum("lost")) : "–"],
     ...lost.map(([name, n]) => [name.replaceAll("_", " "), count(n), hello.counters[name]]),
   ]);
   facts($("counters"), Object.entries(counters ?? {}).map(([name, n]) => [name.replaceAll("_", " "), count(n), hello.counters[name]]));
