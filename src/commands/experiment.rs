@@ -103,9 +103,9 @@ fn from(file: &Path, out: &Path) -> anyhow::Result<()> {
 /// The configuration of the twin, with what was asked for.
 fn twin(args: &ExperimentArgs) -> anyhow::Result<Config> {
     let mut config = args.config.load()?;
-    if config.acquisition.source == SourceKind::Serial {
-        let message = "the configuration is that of a board (acquisition.source): run the daemon with it, and take \
-            its readings with --connect HOST:PORT";
+    if config.acquisition.source != SourceKind::Twin {
+        let message = "the configuration has another source than the twin (acquisition.source): run the daemon with \
+            it, and take its readings with --connect HOST:PORT";
         return Err(Failure::new(exit::CONFIG, message).into());
     }
     config.twin.seed = args.seed.unwrap_or(config.twin.seed);
@@ -174,6 +174,9 @@ fn told(readings: &[Reading], source: String, out: &Path) -> anyhow::Result<()> 
         let file = out.join(name);
         fs::write(&file, text).with_context(|| format!("cannot write {}", file.display()))
     };
+    if let Some(why) = report.rest.as_ref().and_then(|rest| rest.uneven.as_ref()) {
+        eprintln!("no Allan deviation: {why}");
+    }
     put("table2.csv", &table::csv(&report.table2))?;
     put("report.html", &report.html().context("cannot unpack the chart library")?)?;
     let mut stdout = io::stdout().lock();

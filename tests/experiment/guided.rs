@@ -247,3 +247,30 @@ fn a_tare_between_points_of_an_axis_is_noticed() {
     assert_eq!(code, Some(130), "{told}");
     assert!(told.contains("5 readings are kept in"), "{told}");
 }
+
+#[test]
+fn a_tare_within_the_record_at_rest_begins_it_anew() {
+    let folder = tempfile::tempdir().unwrap();
+    let (daemon, _stream, at) = daemon(REST);
+    let file = folder.path().join("lab.csv");
+    std::fs::write(&file, "axis,unit,point,reference\ntx,um,1,0\ntx,um,2,1\ntx,um,3,2\n").unwrap();
+    let out = folder.path().join("out");
+    let arguments =
+        ["--connect", &at, "--reference", file.to_str().unwrap(), "--readings", "5", "--rest", "3"];
+    let mut person = Person::at(&out, &arguments);
+    for _ in 0..3 {
+        person.types("");
+    }
+    person.hears("Enter starts it");
+    person.types("");
+    person.hears("recording");
+    std::thread::sleep(std::time::Duration::from_millis(1500)); // half of the record
+    daemon.reload(&format!("{PATIENT}{REST}frames.tare.rotation_deg = [0.1, 0.0, 0.0]\n"));
+    person.hears("have changed (a tare?): the record begins anew");
+    let (code, told) = person.end();
+    assert_eq!(code, Some(0), "{told}");
+    let all = rows(&out.join("readings.csv"));
+    let configs: std::collections::BTreeSet<_> =
+        all.iter().filter(|r| r["part"] == "rest").map(|r| r["config"].clone()).collect();
+    assert_eq!(configs.len(), 1);
+}

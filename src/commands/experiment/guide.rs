@@ -15,6 +15,9 @@ use super::steps::{Step, fits, steps};
 use super::{ExperimentArgs, READINGS, bar, fresh, keep};
 use crate::commands::watch::{opening_failed, unavailable};
 
+/// So often a record at rest is begun.
+const ATTEMPTS: u32 = 3;
+
 /// What a person at the prompt wants.
 enum Said {
     /// Take the readings; this is the reference.
@@ -120,7 +123,11 @@ impl Guide<'_> {
     /// Takes the readings of a point; says why, if there are none.
     async fn take(&mut self, step: &Step, reference: f64) -> anyhow::Result<bool> {
         let progress = bar(self.args.readings.into());
-        let looks = self.feed.readings(self.args.readings, self.average(), || progress.inc(1)).await;
+        let counted = |_: &[Look]| {
+            progress.inc(1);
+            Ok(())
+        };
+        let looks = self.feed.readings(self.args.readings, self.average(), counted).await;
         progress.finish_and_clear();
         let looks = match looks {
             Ok(looks) => looks,
@@ -174,7 +181,7 @@ impl Guide<'_> {
             let _ = io::stderr().flush();
             self.line().await?;
             eprintln!("recording");
-            match self.feed.rest(seconds, || {}).await {
+            match self.record(seconds).await {
                 Ok(looks) if looks.is_empty() => {
                     eprintln!(
                         "{seconds} s of this stream are too few poses for a record at rest: none is taken"
@@ -187,10 +194,23 @@ impl Guide<'_> {
                     self.readings.extend((1..).zip(looks).map(at_rest));
                     return keep(&self.readings, &self.args.out);
                 }
-                Err(why @ Trouble::NoPose(_)) => eprintln!("{why}"),
+                Err(why @ (Trouble::NoPose(_) | Trouble::Parted(_))) => {
+                    eprintln!("{why}\nonce more, when that is mended; or q, and --resume with --rest 0");
+                }
                 Err(why) => return Err(lost(&why)),
             }
         }
+    }
+
+    /// The record at rest, begun anew a few times where it has a hole.
+    async fn record(&mut self, seconds: f64) -> Result<Vec<Look>, Trouble> {
+        for _ in 1..ATTEMPTS {
+            match self.feed.rest(seconds).await {
+                Err(Trouble::Parted(why)) => eprintln!("{why}: the record begins anew"),
+                other => return other,
+            }
+        }
+        self.feed.rest(seconds).await
     }
 
     /// Why it ended, and what there is.
