@@ -14,7 +14,7 @@ use trifacet::client::Endpoint;
 use trifacet::config::{Axis, Config, SourceKind};
 use trifacet::exit::{self, Failure};
 use trifacet::experiment::protocol::{self, Protocol};
-use trifacet::experiment::reading::{self, Part, Reading};
+use trifacet::experiment::reading::{self, Part, Reading, Record};
 use trifacet::experiment::report::Report;
 use trifacet::experiment::rest::LEAST;
 use trifacet::experiment::table::{self, Table};
@@ -78,26 +78,35 @@ pub(crate) fn experiment(args: &ExperimentArgs) -> anyhow::Result<()> {
     }
     let protocol = choices::protocol(args)?;
     if let Some(endpoint) = &args.connect {
-        let readings = guide::guided(args, endpoint, &protocol)?;
-        return told(&readings, endpoint.to_string(), &args.out);
+        return told(&guide::guided(args, endpoint, &protocol)?, &args.out);
     }
     let config = twin(args)?;
     fresh(&args.out)?;
+    let source = format!("digital twin, seed {}", config.twin.seed);
     let readings = on_twin(&config, &protocol, args)?;
-    keep(&readings, &args.out)?;
-    told(&readings, format!("digital twin, seed {}", config.twin.seed), &args.out)
+    let record = Record { source, options: options(&protocol, config.estimation.average), readings };
+    keep(&record, &args.out)?;
+    told(&record, &args.out)
+}
+
+/// What was asked for: readings with other options do not belong together.
+fn options(protocol: &Protocol, average: u16) -> String {
+    format!("{protocol}, {average} averaged into each reading")
 }
 
 /// The report of stored readings; where they lie, or beside a copy of them.
 fn from(file: &Path, out: &Path) -> anyhow::Result<()> {
-    let readings = reading::read(file)?;
+    let mut record = reading::read(file)?;
+    if record.source.is_empty() {
+        record.source = format!("readings of {}", file.display());
+    }
     let own = out.join(READINGS);
     let same = own.exists() && fs::canonicalize(&own).ok() == fs::canonicalize(file).ok();
     if !same {
         fresh(out)?;
-        keep(&readings, out)?;
+        keep(&record, out)?;
     }
-    told(&readings, format!("readings of {}", file.display()), out)
+    told(&record, out)
 }
 
 /// The configuration of the twin, with what was asked for.
@@ -157,10 +166,10 @@ fn fresh(out: &Path) -> anyhow::Result<()> {
 }
 
 /// Keeps all readings: under their name there are always whole ones.
-fn keep(readings: &[Reading], out: &Path) -> anyhow::Result<()> {
+fn keep(record: &Record, out: &Path) -> anyhow::Result<()> {
     let (file, new) = (out.join(READINGS), out.join(".readings.new"));
     let kept = File::create(&new).and_then(|to| {
-        reading::write(readings, &to)?;
+        reading::write(record, &to)?;
         to.sync_all()?;
         fs::rename(&new, &file)
     });
@@ -168,8 +177,8 @@ fn keep(readings: &[Reading], out: &Path) -> anyhow::Result<()> {
 }
 
 /// Writes table and report, and prints the table.
-fn told(readings: &[Reading], source: String, out: &Path) -> anyhow::Result<()> {
-    let report = Report::new(readings, source)?;
+fn told(record: &Record, out: &Path) -> anyhow::Result<()> {
+    let report = Report::new(&record.readings, record.source.clone())?;
     let put = |name: &str, text: &str| {
         let file = out.join(name);
         fs::write(&file, text).with_context(|| format!("cannot write {}", file.display()))

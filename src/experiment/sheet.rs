@@ -22,7 +22,7 @@ pub struct Row<'s> {
 }
 
 impl Sheet {
-    /// Opens a file that must have these columns, in any order; others are ignored.
+    /// Opens a file that must have these columns, in any order; others are ignored, and so are lines that begin with #.
     ///
     /// # Errors
     /// It cannot be read, or a column is missing.
@@ -30,7 +30,8 @@ impl Sheet {
         let name = file.display().to_string();
         let cannot = |e: &dyn std::fmt::Display| Failure::new(exit::IO, format!("cannot read {name}: {e}"));
         let opened = std::fs::File::open(file).map_err(|e| cannot(&e))?;
-        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(opened);
+        let mut reader =
+            csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(opened);
         let header = reader.headers().map_err(|e| cannot(&e))?;
         let columns: Vec<String> =
             header.iter().map(|c| c.trim_start_matches('\u{feff}').to_owned()).collect();

@@ -185,6 +185,7 @@ fn nothing_is_lost_with_the_daemon_and_a_point_can_be_taken_again() {
         person.hears("type the interferometer's reading in ");
     }
     assert!(person.all.contains("pitch point 2 of 3"), "{}", person.all);
+    let lost = at;
     first.signal(rustix::process::Signal::KILL);
     person.hears("go on with the same options and --resume");
     let (code, told) = person.end();
@@ -195,10 +196,31 @@ fn nothing_is_lost_with_the_daemon_and_a_point_can_be_taken_again() {
         assert!(told.contains(word), "{word}: {told}");
     }
     first.end();
-    let (_second, _stream, at) = daemon(REST);
+    let (second, _stream, at) = daemon(REST);
     let other = typed(&out, &["--connect", &at, "--resume", "--axes", "yaw"], "");
     assert_eq!(other.status.code(), Some(64));
-    assert!(said(&other).contains("point 1 of tz, which is none of this protocol"), "{}", said(&other));
+    assert!(
+        said(&other).contains(&format!("readings.csv says \"source: tcp://{lost}\"")),
+        "{}",
+        said(&other)
+    );
+    drop(second);
+    let (_third, _stream, at) = daemon(&format!(
+        "{REST}publishing.tcp = \"{lost}\"
+"
+    ));
+    let options_of = |options: &[&str]| typed(&out, &[&["--connect", &at, "--resume"], options].concat(), "");
+    for changed in [
+        &["--axes", "yaw"][..],
+        &["--axes", "tz,pitch", "--points", "3", "--readings", "20"],
+        &["--axes", "tz,pitch", "--points", "3", "--readings", "10", "--average", "2"],
+        &["--axes", "tz,pitch", "--points", "3", "--readings", "10", "--interval", "tz=2"],
+    ] {
+        let other = options_of(changed);
+        assert_eq!(other.status.code(), Some(64));
+        let told = said(&other);
+        assert!(told.contains("options: 10 readings at each point, tz 3 points from -0.930000"), "{told}");
+    }
     let output = typed(&out, &[&["--connect", &at, "--resume"], &options[..]].concat(), "10\n20\n");
     assert!(output.status.success(), "{}", said(&output));
     let all = rows(&out.join("readings.csv"));

@@ -8,11 +8,11 @@ use trifacet::exit::{self, Failure};
 use trifacet::experiment::live::{Feed, Trouble};
 use trifacet::experiment::look::Look;
 use trifacet::experiment::protocol::Protocol;
-use trifacet::experiment::reading::{self, Part, Reading};
+use trifacet::experiment::reading::{self, Part, Reading, Record};
 use trifacet::experiment::{amount, three};
 
-use super::steps::{Step, fits, steps};
-use super::{ExperimentArgs, READINGS, bar, fresh, keep};
+use super::steps::{Step, steps};
+use super::{ExperimentArgs, READINGS, bar, fresh, keep, options};
 use crate::commands::watch::{opening_failed, unavailable};
 
 /// So often a record at rest is begun.
@@ -32,7 +32,7 @@ struct Guide<'a> {
     args: &'a ExperimentArgs,
     feed: Feed,
     lines: mpsc::UnboundedReceiver<String>,
-    readings: Vec<Reading>,
+    record: Record,
 }
 
 /// Goes through the protocol with a person, and records the rest. Every finished point is in the file at once.
@@ -40,23 +40,43 @@ pub(super) fn guided(
     args: &ExperimentArgs,
     endpoint: &Endpoint,
     protocol: &Protocol,
-) -> anyhow::Result<Vec<Reading>> {
+) -> anyhow::Result<Record> {
     let steps = steps(protocol);
     let file = args.out.join(READINGS);
-    let readings = if args.resume && file.exists() { reading::read(&file)? } else { Vec::new() };
-    if readings.is_empty() {
+    let options = options(protocol, args.average.unwrap_or(1));
+    let mut record = Record { source: endpoint.to_string(), options, readings: Vec::new() };
+    if args.resume && file.exists() {
+        let before = reading::read(&file)?;
+        belongs(&before, &record)?;
+        record = before;
+    } else {
         fresh(&args.out)?;
     }
-    fits(&readings, &steps)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let feed = Feed::connect(endpoint).await.map_err(|e| opening_failed(endpoint, &e))?;
-        let mut guide = Guide { args, feed, lines: typed(), readings };
+        let mut guide = Guide { args, feed, lines: typed(), record };
         eprintln!("connected to {endpoint}; at each point: b takes the point before once more, q stops, and --resume goes on");
         let done = guide.all(&steps).await;
         done.map_err(|e| guide.kept(&e))?;
-        Ok(guide.readings)
+        Ok(guide.record)
     })
+}
+
+/// What was measured before was measured there, and so.
+fn belongs(before: &Record, now: &Record) -> Result<(), Failure> {
+    for (what, before, now) in
+        [("source", &before.source, &now.source), ("options", &before.options, &now.options)]
+    {
+        if before != now {
+            let message = format!(
+                "{READINGS} says \"{what}: {before}\", now it is \"{now}\": go on with the same options as before, \
+                or name a new folder with --out"
+            );
+            return Err(Failure::new(exit::USAGE, message));
+        }
+    }
+    Ok(())
 }
 
 /// Lines of standard input. A thread of its own waits for them, and is left behind at the end.
@@ -70,7 +90,7 @@ fn typed() -> mpsc::UnboundedReceiver<String> {
 
 impl Guide<'_> {
     async fn all(&mut self, steps: &[Step]) -> anyhow::Result<()> {
-        let mut next = steps.iter().take_while(|s| self.readings.iter().any(|r| s.took(r))).count();
+        let mut next = steps.iter().take_while(|s| self.record.readings.iter().any(|r| s.took(r))).count();
         while let Some(step) = steps.get(next) {
             match self.ask(step).await? {
                 Said::Reference(reference) => {
@@ -81,8 +101,8 @@ impl Guide<'_> {
                 Said::Back if next == 0 => eprintln!("this is the first point"),
                 Said::Back => {
                     next -= 1;
-                    self.readings.retain(|r| !steps[next].took(r));
-                    keep(&self.readings, &self.args.out)?;
+                    self.record.readings.retain(|r| !steps[next].took(r));
+                    keep(&self.record, &self.args.out)?;
                 }
                 Said::Stop => return Err(Failure::new(exit::INTERRUPTED, "stopped").into()),
             }
@@ -154,14 +174,15 @@ impl Guide<'_> {
             number,
             look,
         });
-        self.readings.extend(taken);
-        keep(&self.readings, &self.args.out)?;
+        self.record.readings.extend(taken);
+        keep(&self.record, &self.args.out)?;
         Ok(true)
     }
 
     /// These looks do not belong to what was read of the same axis before.
     fn other_config(&self, step: &Step, looks: &[Look]) -> bool {
-        let before = self.readings.iter().filter(|r| r.moved.is_some_and(|(axis, _)| axis == step.axis));
+        let before =
+            self.record.readings.iter().filter(|r| r.moved.is_some_and(|(axis, _)| axis == step.axis));
         let mut configs = before.map(|r| r.look.config).chain(looks.iter().map(|look| look.config));
         let first = configs.next();
         configs.any(|config| Some(config) != first)
@@ -173,7 +194,7 @@ impl Guide<'_> {
 
     async fn rest(&mut self) -> anyhow::Result<()> {
         let seconds = self.args.rest;
-        if seconds == 0.0 || self.readings.iter().any(|r| r.part == Part::Rest) {
+        if seconds == 0.0 || self.record.readings.iter().any(|r| r.part == Part::Rest) {
             return Ok(());
         }
         loop {
@@ -191,8 +212,8 @@ impl Guide<'_> {
                 Ok(looks) => {
                     let at_rest =
                         |(number, look)| Reading { part: Part::Rest, moved: None, point: 0, number, look };
-                    self.readings.extend((1..).zip(looks).map(at_rest));
-                    return keep(&self.readings, &self.args.out);
+                    self.record.readings.extend((1..).zip(looks).map(at_rest));
+                    return keep(&self.record, &self.args.out);
                 }
                 Err(why @ (Trouble::NoPose(_) | Trouble::Parted(_))) => {
                     eprintln!("{why}\nonce more, when that is mended; or q, and --resume with --rest 0");
@@ -216,7 +237,7 @@ impl Guide<'_> {
     /// Why it ended, and what there is.
     fn kept(&self, why: &anyhow::Error) -> anyhow::Error {
         let code = why.downcast_ref::<Failure>().map_or(exit::IO, |failure| failure.code);
-        let n = self.readings.len();
+        let n = self.record.readings.len();
         let out = self.args.out.display();
         let go_on =
             format!("{n} readings are kept in {out}/{READINGS}; go on with the same options and --resume");
