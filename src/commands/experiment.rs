@@ -1,10 +1,11 @@
 //! `trifacet experiment`: the paper's experiment, on the twin or with a running daemon and a person at the stage.
 
 mod choices;
+mod doubt;
 mod guide;
 mod steps;
 
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
@@ -73,6 +74,15 @@ pub(crate) struct ExperimentArgs {
 
 /// Measures, or takes what was measured, and writes the report.
 pub(crate) fn experiment(args: &ExperimentArgs) -> anyhow::Result<()> {
+    let new = !args.out.exists();
+    let done = claimed(&args.out).and_then(|_claim| made(args));
+    if new && done.is_err() {
+        let _ = fs::remove_dir(&args.out); // only if nothing is in it
+    }
+    done
+}
+
+fn made(args: &ExperimentArgs) -> anyhow::Result<()> {
     if let Some(file) = &args.from {
         return from(file, &args.out);
     }
@@ -120,12 +130,18 @@ fn twin(args: &ExperimentArgs) -> anyhow::Result<Config> {
     config.twin.seed = args.seed.unwrap_or(config.twin.seed);
     config.estimation.average = args.average.unwrap_or(config.estimation.average);
     let poses = args.rest * config.acquisition.rate_hz / f64::from(config.estimation.average);
-    if args.rest > 0.0 && poses < LEAST as f64 {
-        let message =
-            format!("--rest {} makes {poses:.0} poses: at least {LEAST} are needed, or --rest 0", args.rest);
-        return Err(Failure::new(exit::USAGE, message).into());
-    }
+    long_enough(args.rest, poses)?;
     Ok(config)
+}
+
+/// So many seconds at rest, or none, make poses enough.
+fn long_enough(seconds: f64, poses: f64) -> Result<(), Failure> {
+    if seconds == 0.0 || poses >= LEAST as f64 {
+        return Ok(());
+    }
+    let message =
+        format!("--rest {seconds} makes {poses:.0} poses: at least {LEAST} are needed, or --rest 0");
+    Err(Failure::new(exit::USAGE, message))
 }
 
 fn on_twin(config: &Config, protocol: &Protocol, args: &ExperimentArgs) -> anyhow::Result<Vec<Reading>> {
@@ -151,9 +167,23 @@ fn bar(length: u64) -> ProgressBar {
 
 const READINGS: &str = "readings.csv";
 
-/// Before anything is measured: a folder for it in which nothing will be overwritten.
-fn fresh(out: &Path) -> anyhow::Result<()> {
+/// The folder, for this session alone as long as what is given back lives.
+fn claimed(out: &Path) -> anyhow::Result<File> {
     fs::create_dir_all(out).with_context(|| format!("cannot make the folder {}", out.display()))?;
+    let folder = File::open(out).with_context(|| format!("cannot look into {}", out.display()))?;
+    match folder.try_lock() {
+        Err(TryLockError::WouldBlock) => {
+            let message =
+                format!("another session works in {}: name another folder with --out", out.display());
+            Err(Failure::new(exit::IN_USE, message).into())
+        }
+        // A file system without locks: as well as it goes.
+        Ok(()) | Err(TryLockError::Error(_)) => Ok(folder),
+    }
+}
+
+/// Before anything is measured: nothing will be overwritten.
+fn fresh(out: &Path) -> anyhow::Result<()> {
     let mut inside = fs::read_dir(out).with_context(|| format!("cannot look into {}", out.display()))?;
     if inside.next().is_some() {
         let message = format!(

@@ -5,7 +5,7 @@ use std::time::Duration;
 use tokio::time::timeout;
 
 use super::look::{Look, Mean, at_rest};
-use super::rest::{LEAST, parted};
+use super::rest::parted;
 use super::twin::why_not;
 use crate::centering::LockState;
 use crate::client::{Client, ClientError, Endpoint, Message, PoseFrame};
@@ -102,17 +102,22 @@ impl Feed {
         Ok(readings)
     }
 
-    /// The mirror at rest for so many seconds; nothing where that is too short to say anything.
+    /// Poses in so many seconds.
+    ///
+    /// # Errors
+    /// The stream has ended.
+    pub async fn poses(&mut self, seconds: f64) -> Result<u64, Trouble> {
+        self.frame().await?; // the descriptor comes before it
+        Ok((seconds * self.rate_hz) as u64)
+    }
+
+    /// The mirror at rest for so many seconds.
     ///
     /// # Errors
     /// As [`Feed::readings`]; or there is a hole in the record, or the sensor was tared meanwhile.
     pub async fn rest(&mut self, seconds: f64) -> Result<Vec<Look>, Trouble> {
-        self.frame().await?; // the descriptor comes before it
-        let poses = (seconds * self.rate_hz) as u64;
+        let poses = self.poses(seconds).await?;
         let average = at_rest(poses);
-        if poses < LEAST as u64 {
-            return Ok(Vec::new());
-        }
         let period_s = f64::from(average) / self.rate_hz;
         let follows = |looks: &[Look]| match looks {
             [.., last, next] => parted(last, next, period_s).map_or(Ok(()), |why| Err(Trouble::Parted(why))),

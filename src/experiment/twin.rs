@@ -4,7 +4,7 @@
 use super::look::{Look, Mean, at_rest};
 use super::protocol::Protocol;
 use super::reading::{Part, Reading};
-use super::rest;
+use super::{place, rest};
 use crate::centering::LockState;
 use crate::config::{Axis, Config, FramesConfig};
 use crate::estimation::{PoseReport, Status};
@@ -80,7 +80,8 @@ impl Bench {
                 for number in 1..=protocol.readings {
                     let look = self.look().map_err(|why| {
                         let (name, unit, of) = (axis.name(), axis.micro_unit(), course.points.len());
-                        let at = format!("{name} point {point} of {of}, at {:.2} {unit}", reference * 1e6);
+                        let at =
+                            format!("{name} point {point} of {of}, at {} {unit}", place(reference * 1e6));
                         Failure::new(exit::UNAVAILABLE, format!("{at}, reading {number}: {why}"))
                     })?;
                     readings.push(Reading { part, moved: Some((axis, *reference)), point, number, look });
