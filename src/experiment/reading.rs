@@ -1,5 +1,6 @@
 //! Readings of the sensor beside the reference, and how they are kept.
 
+use std::collections::HashSet;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 
@@ -118,8 +119,14 @@ pub fn write(record: &Record, to: impl Write) -> std::io::Result<()> {
 pub fn read(file: &Path) -> Result<Record, Failure> {
     let mut sheet = Sheet::open(file, &COLUMNS)?;
     let mut readings = Vec::new();
+    let mut seen = HashSet::new();
     while let Some(row) = sheet.next_row()? {
-        readings.push(reading(&row)?);
+        let reading = reading(&row)?;
+        let axis = reading.moved.map(|(axis, _)| axis as usize);
+        if !seen.insert((reading.part as usize, axis, reading.point, reading.number)) {
+            return Err(row.wrong("this reading is there twice"));
+        }
+        readings.push(reading);
     }
     if readings.is_empty() {
         return Err(Failure::new(exit::DATA, format!("{}: there are no readings in it", file.display())));
@@ -162,6 +169,14 @@ fn reading(row: &Row) -> Result<Reading, Failure> {
     let bit = |name: &str| Status::NAMES.iter().find(|(_, n)| *n == name).map(|(bit, _)| *bit);
     let bits =
         |text: &str| text.split_whitespace().try_fold(Status::default(), |all, name| Some(all | bit(name)?));
+    let status = row.parse("status", "names of status bits with blanks between", bits)?;
+    if !status.has(Status::POSE_VALID) {
+        return Err(row.wrong("its status has no POSE_VALID: it is no reading"));
+    }
+    let deviations = six(12)?.map(|x| x as f32);
+    if !deviations.iter().all(|x| *x > 0.0 && x.is_finite()) {
+        return Err(row.wrong("a stated deviation (sd_...) is not above 0"));
+    }
     Ok(Reading {
         part,
         moved,
@@ -170,10 +185,10 @@ fn reading(row: &Row) -> Result<Reading, Failure> {
         look: Look {
             time_ns: row.count("time_ns")?,
             pose: six(6)?,
-            deviations: six(12)?.map(|x| x as f32),
+            deviations,
             averaged: row.count("averaged")?,
             config: row.count("config")?,
-            status: row.parse("status", "names of status bits with blanks between", bits)?,
+            status,
         },
     })
 }

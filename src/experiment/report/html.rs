@@ -143,7 +143,8 @@ fn crosstalk(all: &[Measured]) -> String {
         let cell = |axis: Axis| {
             let slope = m.response[axis as usize];
             let right = if axis == m.axis { 1.0 } else { 0.0 };
-            let text = with_sigma(slope.value, slope.sigma);
+            // One below the other, or seven columns would be too wide.
+            let text = with_sigma(slope.value, slope.sigma).replace(" <small>", "<br><small>");
             let marked = (slope.value - right).abs() > MARKED * slope.sigma;
             if marked { format!("<b>{text}</b>") } else { text }
         };
