@@ -1,10 +1,11 @@
 //! `trifacet experiment`: the paper's experiment, on the twin or with a running daemon and a person at the stage.
 
 mod choices;
+mod doubt;
 mod guide;
 mod steps;
 
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
@@ -14,7 +15,7 @@ use trifacet::client::Endpoint;
 use trifacet::config::{Axis, Config, SourceKind};
 use trifacet::exit::{self, Failure};
 use trifacet::experiment::protocol::{self, Protocol};
-use trifacet::experiment::reading::{self, Part, Reading};
+use trifacet::experiment::reading::{self, Part, Reading, Record};
 use trifacet::experiment::report::Report;
 use trifacet::experiment::rest::LEAST;
 use trifacet::experiment::table::{self, Table};
@@ -73,50 +74,74 @@ pub(crate) struct ExperimentArgs {
 
 /// Measures, or takes what was measured, and writes the report.
 pub(crate) fn experiment(args: &ExperimentArgs) -> anyhow::Result<()> {
+    let new = !args.out.exists();
+    let done = claimed(&args.out).and_then(|_claim| made(args));
+    if new && done.is_err() {
+        let _ = fs::remove_dir(&args.out); // only if nothing is in it
+    }
+    done
+}
+
+fn made(args: &ExperimentArgs) -> anyhow::Result<()> {
     if let Some(file) = &args.from {
         return from(file, &args.out);
     }
     let protocol = choices::protocol(args)?;
     if let Some(endpoint) = &args.connect {
-        let readings = guide::guided(args, endpoint, &protocol)?;
-        return told(&readings, endpoint.to_string(), &args.out);
+        return told(&guide::guided(args, endpoint, &protocol)?, &args.out);
     }
     let config = twin(args)?;
     fresh(&args.out)?;
+    let source = format!("digital twin, seed {}", config.twin.seed);
     let readings = on_twin(&config, &protocol, args)?;
-    keep(&readings, &args.out)?;
-    told(&readings, format!("digital twin, seed {}", config.twin.seed), &args.out)
+    let record = Record { source, options: options(&protocol, config.estimation.average), readings };
+    keep(&record, &args.out)?;
+    told(&record, &args.out)
+}
+
+/// What was asked for: readings with other options do not belong together.
+fn options(protocol: &Protocol, average: u16) -> String {
+    format!("{protocol}, {average} averaged into each reading")
 }
 
 /// The report of stored readings; where they lie, or beside a copy of them.
 fn from(file: &Path, out: &Path) -> anyhow::Result<()> {
-    let readings = reading::read(file)?;
+    let mut record = reading::read(file)?;
+    if record.source.is_empty() {
+        record.source = format!("readings of {}", file.display());
+    }
     let own = out.join(READINGS);
     let same = own.exists() && fs::canonicalize(&own).ok() == fs::canonicalize(file).ok();
     if !same {
         fresh(out)?;
-        keep(&readings, out)?;
+        keep(&record, out)?;
     }
-    told(&readings, format!("readings of {}", file.display()), out)
+    told(&record, out)
 }
 
 /// The configuration of the twin, with what was asked for.
 fn twin(args: &ExperimentArgs) -> anyhow::Result<Config> {
     let mut config = args.config.load()?;
-    if config.acquisition.source == SourceKind::Serial {
-        let message = "the configuration is that of a board (acquisition.source): run the daemon with it, and take \
-            its readings with --connect HOST:PORT";
+    if config.acquisition.source != SourceKind::Twin {
+        let message = "the configuration has another source than the twin (acquisition.source): run the daemon with \
+            it, and take its readings with --connect HOST:PORT";
         return Err(Failure::new(exit::CONFIG, message).into());
     }
     config.twin.seed = args.seed.unwrap_or(config.twin.seed);
     config.estimation.average = args.average.unwrap_or(config.estimation.average);
     let poses = args.rest * config.acquisition.rate_hz / f64::from(config.estimation.average);
-    if args.rest > 0.0 && poses < LEAST as f64 {
-        let message =
-            format!("--rest {} makes {poses:.0} poses: at least {LEAST} are needed, or --rest 0", args.rest);
-        return Err(Failure::new(exit::USAGE, message).into());
-    }
+    long_enough(args.rest, poses)?;
     Ok(config)
+}
+
+/// So many seconds at rest, or none, make poses enough.
+fn long_enough(seconds: f64, poses: f64) -> Result<(), Failure> {
+    if seconds == 0.0 || poses >= LEAST as f64 {
+        return Ok(());
+    }
+    let message =
+        format!("--rest {seconds} makes {poses:.0} poses: at least {LEAST} are needed, or --rest 0");
+    Err(Failure::new(exit::USAGE, message))
 }
 
 fn on_twin(config: &Config, protocol: &Protocol, args: &ExperimentArgs) -> anyhow::Result<Vec<Reading>> {
@@ -142,9 +167,23 @@ fn bar(length: u64) -> ProgressBar {
 
 const READINGS: &str = "readings.csv";
 
-/// Before anything is measured: a folder for it in which nothing will be overwritten.
-fn fresh(out: &Path) -> anyhow::Result<()> {
+/// The folder, for this session alone as long as what is given back lives.
+fn claimed(out: &Path) -> anyhow::Result<File> {
     fs::create_dir_all(out).with_context(|| format!("cannot make the folder {}", out.display()))?;
+    let folder = File::open(out).with_context(|| format!("cannot look into {}", out.display()))?;
+    match folder.try_lock() {
+        Err(TryLockError::WouldBlock) => {
+            let message =
+                format!("another session works in {}: name another folder with --out", out.display());
+            Err(Failure::new(exit::IN_USE, message).into())
+        }
+        // A file system without locks: as well as it goes.
+        Ok(()) | Err(TryLockError::Error(_)) => Ok(folder),
+    }
+}
+
+/// Before anything is measured: nothing will be overwritten.
+fn fresh(out: &Path) -> anyhow::Result<()> {
     let mut inside = fs::read_dir(out).with_context(|| format!("cannot look into {}", out.display()))?;
     if inside.next().is_some() {
         let message = format!(
@@ -157,10 +196,10 @@ fn fresh(out: &Path) -> anyhow::Result<()> {
 }
 
 /// Keeps all readings: under their name there are always whole ones.
-fn keep(readings: &[Reading], out: &Path) -> anyhow::Result<()> {
+fn keep(record: &Record, out: &Path) -> anyhow::Result<()> {
     let (file, new) = (out.join(READINGS), out.join(".readings.new"));
     let kept = File::create(&new).and_then(|to| {
-        reading::write(readings, &to)?;
+        reading::write(record, &to)?;
         to.sync_all()?;
         fs::rename(&new, &file)
     });
@@ -168,12 +207,15 @@ fn keep(readings: &[Reading], out: &Path) -> anyhow::Result<()> {
 }
 
 /// Writes table and report, and prints the table.
-fn told(readings: &[Reading], source: String, out: &Path) -> anyhow::Result<()> {
-    let report = Report::new(readings, source)?;
+fn told(record: &Record, out: &Path) -> anyhow::Result<()> {
+    let report = Report::new(&record.readings, record.source.clone())?;
     let put = |name: &str, text: &str| {
         let file = out.join(name);
         fs::write(&file, text).with_context(|| format!("cannot write {}", file.display()))
     };
+    if let Some(why) = report.rest.as_ref().and_then(|rest| rest.uneven.as_ref()) {
+        eprintln!("no Allan deviation: {why}");
+    }
     put("table2.csv", &table::csv(&report.table2))?;
     put("report.html", &report.html().context("cannot unpack the chart library")?)?;
     let mut stdout = io::stdout().lock();

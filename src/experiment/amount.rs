@@ -18,6 +18,7 @@ fn units(axis: Axis) -> &'static [(&'static str, f64)] {
 
 /// Metres or radians in a unit, if this axis can be told in it.
 pub fn unit(axis: Axis, name: &str) -> Option<f64> {
+    let name = name.replace('\u{3bc}', "µ"); // the Greek mu for the sign of the same look
     units(axis).iter().find(|(unit, _)| *unit == name).map(|(_, si)| *si)
 }
 
@@ -25,6 +26,11 @@ pub fn unit(axis: Axis, name: &str) -> Option<f64> {
 pub fn allowed(axis: Axis) -> String {
     let names: Vec<_> = units(axis).iter().map(|(name, _)| *name).filter(|name| name.is_ascii()).collect();
     names.join(", ")
+}
+
+/// A number with a sign as keyboards have it: some programs write minus as U+2212.
+pub fn plain(number: &str) -> String {
+    number.replace('\u{2212}', "-")
 }
 
 /// Metres or radians of "-14.40", which is um or urad, or of "-0.0144 mm".
@@ -35,7 +41,7 @@ pub fn parse(axis: Axis, text: &str) -> Result<f64, String> {
     let text = text.trim();
     let end = text.rfind(|c: char| c.is_ascii_digit() || c == '.').map_or(0, |last| last + 1);
     let (number, name) = (text[..end].trim(), text[end..].trim());
-    let value = number.parse::<f64>().ok().filter(|x| x.is_finite()).ok_or_else(|| {
+    let value = plain(number).parse::<f64>().ok().filter(|x| x.is_finite()).ok_or_else(|| {
         format!(
             "\"{text}\" is no number in {0}, such as -14.40; other units are said behind it: {1}",
             axis.micro_unit(),
@@ -58,6 +64,7 @@ mod tests {
         near(parse(Axis::Tx, " -14.40\n"), -14.4e-6);
         near(parse(Axis::Tx, "0.5 mm"), 0.5e-3);
         near(parse(Axis::Tz, "12µm"), 12e-6);
+        near(parse(Axis::Tz, "\u{2212}12 \u{3bc}m"), -12e-6);
         near(parse(Axis::Roll, "1e2"), 100e-6);
         near(parse(Axis::Yaw, "1arcsec"), std::f64::consts::PI / 648_000.0);
         for (axis, bad, told) in [

@@ -5,7 +5,7 @@ use std::time::Duration;
 use tokio::time::timeout;
 
 use super::look::{Look, Mean, at_rest};
-use super::rest::LEAST;
+use super::rest::parted;
 use super::twin::why_not;
 use crate::centering::LockState;
 use crate::client::{Client, ClientError, Endpoint, Message, PoseFrame};
@@ -28,6 +28,9 @@ pub enum Trouble {
     /// It is there, and its poses do not count.
     #[error("no pose to count on for 5 s: {0}")]
     NoPose(String),
+    /// The readings do not belong together.
+    #[error("{0}")]
+    Parted(String),
 }
 
 /// The stream of a daemon.
@@ -65,18 +68,18 @@ impl Feed {
         }
     }
 
-    /// The next so many readings, each the mean of so many poses; `taken` hears of each.
+    /// The next so many readings, each the mean of so many poses; `taken` sees all that there are after each.
     ///
     /// # Errors
-    /// The stream has ended, or its poses do not count.
+    /// The stream has ended, its poses do not count, or `taken` objects.
     pub async fn readings(
         &mut self,
         count: u32,
         average: u32,
-        mut taken: impl FnMut(),
+        mut taken: impl FnMut(&[Look]) -> Result<(), Trouble>,
     ) -> Result<Vec<Look>, Trouble> {
         let (mut readings, mut mean) = (Vec::new(), Mean::default());
-        let (mut calm_since, mut vain_since) = (None, None);
+        let (mut calm_since, mut vain_since, mut config) = (None, None, None);
         while readings.len() < count as usize {
             let frame = self.frame().await?;
             let now = frame.time_ns;
@@ -87,27 +90,40 @@ impl Feed {
                 }
             } else if now - *calm_since.get_or_insert(now) >= SETTLE_NS {
                 vain_since = None;
+                if config.replace(frame.config) != Some(frame.config) {
+                    mean = Mean::default();
+                }
                 if let Some(reading) = mean.push(&look(&frame), average) {
                     readings.push(reading);
-                    taken();
+                    taken(&readings)?;
                 }
             }
         }
         Ok(readings)
     }
 
-    /// The mirror at rest for so many seconds; nothing where that is too short to say anything.
+    /// Poses in so many seconds.
     ///
     /// # Errors
-    /// As [`Feed::readings`].
-    pub async fn rest(&mut self, seconds: f64, taken: impl FnMut()) -> Result<Vec<Look>, Trouble> {
+    /// The stream has ended.
+    pub async fn poses(&mut self, seconds: f64) -> Result<u64, Trouble> {
         self.frame().await?; // the descriptor comes before it
-        let poses = (seconds * self.rate_hz) as u64;
+        Ok((seconds * self.rate_hz) as u64)
+    }
+
+    /// The mirror at rest for so many seconds.
+    ///
+    /// # Errors
+    /// As [`Feed::readings`]; or there is a hole in the record, or the sensor was tared meanwhile.
+    pub async fn rest(&mut self, seconds: f64) -> Result<Vec<Look>, Trouble> {
+        let poses = self.poses(seconds).await?;
         let average = at_rest(poses);
-        if poses < LEAST as u64 {
-            return Ok(Vec::new());
-        }
-        self.readings(poses as u32 / average, average, taken).await
+        let period_s = f64::from(average) / self.rate_hz;
+        let follows = |looks: &[Look]| match looks {
+            [.., last, next] => parted(last, next, period_s).map_or(Ok(()), |why| Err(Trouble::Parted(why))),
+            _ => Ok(()),
+        };
+        self.readings(poses as u32 / average, average, follows).await
     }
 
     async fn frame(&mut self) -> Result<PoseFrame, Trouble> {

@@ -80,6 +80,18 @@ impl Protocol {
     }
 }
 
+impl std::fmt::Display for Protocol {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        write!(f, "{} readings at each point", self.readings)?;
+        for Course { axis, points } in &self.courses {
+            let [first, last] = [points.first(), points.last()].map(|x| x.unwrap_or(&0.0) * 1e6);
+            let (name, n, unit) = (axis.name(), points.len(), axis.micro_unit());
+            write!(f, ", {name} {n} points from {first:.6} to {last:.6} {unit}")?;
+        }
+        Ok(())
+    }
+}
+
 impl Default for Protocol {
     /// The paper's.
     fn default() -> Self {

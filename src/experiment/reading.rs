@@ -1,6 +1,7 @@
 //! Readings of the sensor beside the reference, and how they are kept.
 
-use std::io::Write;
+use std::collections::HashSet;
+use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 
 use super::look::Look;
@@ -47,6 +48,20 @@ pub struct Reading {
     pub look: Look,
 }
 
+/// Readings, where they come from, and how they were taken.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Record {
+    /// Where they come from, for people; "" where the file does not say.
+    pub source: String,
+    /// What was asked for, for people; readings with other options do not belong to them.
+    pub options: String,
+    /// In the order in which they were taken.
+    pub readings: Vec<Reading>,
+}
+
+/// What begins the line of the source, and that of the options.
+const HEAD: [&str; 2] = ["# source: ", "# options: "];
+
 const COLUMNS: [&str; 21] = [
     "part",
     "axis",
@@ -71,14 +86,17 @@ const COLUMNS: [&str; 21] = [
     "status",
 ];
 
-/// Writes readings as CSV, in SI units.
+/// Writes readings as CSV, in SI units, under two lines that say where they come from.
 ///
 /// # Errors
 /// The writer fails.
-pub fn write(readings: &[Reading], to: impl Write) -> std::io::Result<()> {
+pub fn write(record: &Record, to: impl Write) -> std::io::Result<()> {
     let mut out = std::io::BufWriter::new(to);
+    for (name, text) in HEAD.iter().zip([&record.source, &record.options]) {
+        writeln!(out, "{name}{}", text.replace(['\n', '\r'], " "))?;
+    }
     writeln!(out, "{}", COLUMNS.join(","))?;
-    for Reading { part, moved, point, number, look } in readings {
+    for Reading { part, moved, point, number, look } in &record.readings {
         let (axis, reference) =
             moved.map_or(("", String::new()), |(axis, x)| (axis.name(), format!("{x:e}")));
         write!(out, "{},{axis},{point},{number},{},{reference}", part.name(), look.time_ns)?;
@@ -98,16 +116,40 @@ pub fn write(readings: &[Reading], to: impl Write) -> std::io::Result<()> {
 ///
 /// # Errors
 /// What is wrong, with file and line.
-pub fn read(file: &Path) -> Result<Vec<Reading>, Failure> {
+pub fn read(file: &Path) -> Result<Record, Failure> {
     let mut sheet = Sheet::open(file, &COLUMNS)?;
     let mut readings = Vec::new();
+    let mut seen = HashSet::new();
     while let Some(row) = sheet.next_row()? {
-        readings.push(reading(&row)?);
+        let reading = reading(&row)?;
+        let axis = reading.moved.map(|(axis, _)| axis as usize);
+        if !seen.insert((reading.part as usize, axis, reading.point, reading.number)) {
+            return Err(row.wrong("this reading is there twice"));
+        }
+        readings.push(reading);
     }
     if readings.is_empty() {
         return Err(Failure::new(exit::DATA, format!("{}: there are no readings in it", file.display())));
     }
-    Ok(readings)
+    let [source, options] =
+        head(file).map_err(|e| Failure::new(exit::IO, format!("cannot read {}: {e}", file.display())))?;
+    Ok(Record { source, options, readings })
+}
+
+fn head(file: &Path) -> std::io::Result<[String; 2]> {
+    let mut head = [String::new(), String::new()];
+    for line in BufReader::new(std::fs::File::open(file)?).lines() {
+        let line = line?;
+        if !line.starts_with('#') {
+            break;
+        }
+        for (text, name) in head.iter_mut().zip(HEAD) {
+            if let Some(said) = line.strip_prefix(name) {
+                said.trim().clone_into(text);
+            }
+        }
+    }
+    Ok(head)
 }
 
 fn reading(row: &Row) -> Result<Reading, Failure> {
@@ -127,6 +169,14 @@ fn reading(row: &Row) -> Result<Reading, Failure> {
     let bit = |name: &str| Status::NAMES.iter().find(|(_, n)| *n == name).map(|(bit, _)| *bit);
     let bits =
         |text: &str| text.split_whitespace().try_fold(Status::default(), |all, name| Some(all | bit(name)?));
+    let status = row.parse("status", "names of status bits with blanks between", bits)?;
+    if !status.has(Status::POSE_VALID) {
+        return Err(row.wrong("its status has no POSE_VALID: it is no reading"));
+    }
+    let deviations = six(12)?.map(|x| x as f32);
+    if !deviations.iter().all(|x| *x > 0.0 && x.is_finite()) {
+        return Err(row.wrong("a stated deviation (sd_...) is not above 0"));
+    }
     Ok(Reading {
         part,
         moved,
@@ -135,10 +185,10 @@ fn reading(row: &Row) -> Result<Reading, Failure> {
         look: Look {
             time_ns: row.count("time_ns")?,
             pose: six(6)?,
-            deviations: six(12)?.map(|x| x as f32),
+            deviations,
             averaged: row.count("averaged")?,
             config: row.count("config")?,
-            status: row.parse("status", "names of status bits with blanks between", bits)?,
+            status,
         },
     })
 }
@@ -170,13 +220,19 @@ mod tests {
         let moved = Some((Axis::Pitch, -1.0 / 3.0e6));
         let status = Status::POSE_VALID | Status::SIMULATED;
         let one = Look { status, pose: [1.0 / 3.0, -2.0 / 3.0e7, 0.0, 1e-9, 5.0, 6.0], ..look(-5, 0.0) };
-        let readings = [
+        let readings = vec![
             Reading { part: Part::Table2, moved, point: 2, number: 50, look: one },
             Reading { part: Part::Beyond, moved, point: 3, number: 1, look: look(7, 1e-6) },
             Reading { part: Part::Rest, moved: None, point: 0, number: 9, look: look(8, 2e-6) },
         ];
         let file = tempfile::NamedTempFile::new().unwrap();
-        write(&readings, file.as_file()).unwrap();
-        assert_eq!(read(file.path()).unwrap(), readings);
+        let record = Record { source: "tcp://lab:7361".into(), options: "50 readings".into(), readings };
+        write(&record, file.as_file()).unwrap();
+        assert_eq!(read(file.path()).unwrap(), record);
+        let text = std::fs::read_to_string(file.path()).unwrap();
+        let bare: String = text.lines().skip(2).map(|line| format!("{line}\n")).collect();
+        std::fs::write(file.path(), bare).unwrap();
+        let Record { source, readings, .. } = read(file.path()).unwrap();
+        assert_eq!((source, readings), (String::new(), record.readings));
     }
 }

@@ -2,12 +2,17 @@
 
 use super::allan::{Allan, allan, drift};
 use super::fit::{Slope, median};
+use super::look::Look;
 use super::reading::{Part, Reading};
 use crate::clock::NS_PER_S;
 use crate::exit::{self, Failure};
 
 /// Fewer readings say nothing of how noise and time go together.
 pub const LEAST: usize = 64;
+/// Readings farther apart than so many periods have a hole between them: a single sample that was dropped is none.
+const HOLE: f64 = 2.5;
+/// The time from the first to the last may differ from that of as many periods by this part.
+const UNEVEN: f64 = 0.01;
 /// Stretches of the drawing.
 const STRETCHES: usize = 60;
 
@@ -16,8 +21,12 @@ const STRETCHES: usize = 60;
 pub struct Rest {
     /// Readings.
     pub readings: usize,
-    /// From one to the next, seconds.
+    /// From one to the next, seconds: the median.
     pub period_s: f64,
+    /// From the first to the last, seconds.
+    pub span_s: f64,
+    /// Why there is no Allan deviation, if there is none: the readings do not follow each other at equal times.
+    pub uneven: Option<String>,
     /// Each axis, in the order of a pose.
     pub axes: [Still; 6],
     /// The middles of the stretches of the drawing, seconds from the first reading.
@@ -27,7 +36,7 @@ pub struct Rest {
 /// One axis at rest. Metres or radians.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Still {
-    /// The deviation over means of growing length.
+    /// The deviation over means of growing length; none of an uneven record.
     pub allan: Vec<Allan>,
     /// The deviation of a reading, as stated with the poses.
     pub stated: f64,
@@ -41,7 +50,7 @@ impl Rest {
     /// The part at rest of all readings, if there is one.
     ///
     /// # Errors
-    /// It is too short.
+    /// It is too short, or the sensor was tared or configured anew within it.
     pub fn of(readings: &[Reading]) -> Result<Option<Self>, Failure> {
         let rest: Vec<&Reading> = readings.iter().filter(|r| r.part == Part::Rest).collect();
         let [first, .., last] = rest[..] else { return Ok(None) };
@@ -50,24 +59,60 @@ impl Rest {
                 format!("the record at rest has {} readings: at least {LEAST} are needed", rest.len());
             return Err(Failure::new(exit::DATA, message));
         }
-        let span_s = (last.look.time_ns - first.look.time_ns) as f64 / NS_PER_S as f64;
-        let seconds = |r: &&Reading| (r.look.time_ns - first.look.time_ns) as f64 / NS_PER_S as f64;
-        let times: Vec<f64> = rest.iter().map(seconds).collect();
+        if let Some(other) = rest.iter().find(|r| r.look.config != first.look.config) {
+            let at_s = seconds(&first.look, &other.look);
+            let message = format!("the record at rest: {CHANGED}, {at_s:.3} s after its begin");
+            return Err(Failure::new(exit::DATA, message));
+        }
+        let times: Vec<f64> = rest.iter().map(|r| seconds(&first.look, &r.look)).collect();
+        let period_s = median(times.windows(2).map(|t| t[1] - t[0]));
+        let uneven = uneven(&times, period_s);
         Ok(Some(Self {
             readings: rest.len(),
-            period_s: span_s / (rest.len() - 1) as f64,
-            axes: std::array::from_fn(|i| still(i, &times, &rest)),
+            period_s,
+            span_s: seconds(&first.look, &last.look),
+            axes: std::array::from_fn(|i| still(i, &times, &rest, uneven.is_none())),
             times_s: stretches(&times),
+            uneven,
         }))
     }
 }
 
-fn still(axis: usize, times: &[f64], rest: &[&Reading]) -> Still {
+const CHANGED: &str = "geometry, calibration or frames of the sensor have changed (a tare?)";
+
+fn seconds(from: &Look, to: &Look) -> f64 {
+    (to.time_ns - from.time_ns) as f64 / NS_PER_S as f64
+}
+
+/// Why two looks, one after the other, do not belong to one record at rest with this period (seconds), if they do not.
+pub fn parted(last: &Look, next: &Look, period_s: f64) -> Option<String> {
+    if last.config != next.config {
+        return Some(CHANGED.into());
+    }
+    hole(seconds(last, next), period_s)
+}
+
+fn hole(step_s: f64, period_s: f64) -> Option<String> {
+    let wrong = !(step_s > 0.0 && step_s <= HOLE * period_s);
+    wrong.then(|| format!("{step_s:.4} s from one reading to the next, where {period_s:.4} s are due"))
+}
+
+fn uneven(times: &[f64], period_s: f64) -> Option<String> {
+    let holed =
+        times.windows(2).find_map(|t| Some(format!("{}, at {:.3} s", hole(t[1] - t[0], period_s)?, t[0])));
+    let (span, even) = (times[times.len() - 1], period_s * (times.len() - 1) as f64);
+    let stretched = (span - even).abs() > UNEVEN * even;
+    holed.or_else(|| {
+        stretched.then(|| format!("{span:.3} s in all, where periods of {period_s:.4} s make {even:.3} s"))
+    })
+}
+
+fn still(axis: usize, times: &[f64], rest: &[&Reading], even: bool) -> Still {
     let values: Vec<f64> = rest.iter().map(|r| r.look.pose[axis]).collect();
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     let values: Vec<f64> = values.iter().map(|x| x - mean).collect();
     Still {
-        allan: allan(&values),
+        allan: if even { allan(&values) } else { Vec::new() },
         stated: median(rest.iter().map(|r| r.look.deviations[axis].into())),
         drift: drift(times, &values),
         course: stretches(&values),
@@ -78,4 +123,57 @@ fn still(axis: usize, times: &[f64], rest: &[&Reading]) -> Still {
 fn stretches(values: &[f64]) -> Vec<f64> {
     let long = values.len().div_ceil(STRETCHES);
     values.chunks(long).map(|chunk| chunk.iter().sum::<f64>() / chunk.len() as f64).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimation::Status;
+
+    /// Readings at rest at these times (ms).
+    fn at(times: &[i64]) -> Vec<Reading> {
+        let look = |ms: i64| Look {
+            time_ns: ms * 1_000_000,
+            pose: [1e-6 * (ms % 7) as f64; 6],
+            deviations: [1e-6; 6],
+            averaged: 1,
+            config: 3,
+            status: Status::POSE_VALID,
+        };
+        let one = |ms: &i64| Reading { part: Part::Rest, moved: None, point: 0, number: 1, look: look(*ms) };
+        times.iter().map(one).collect()
+    }
+
+    fn rest(times: &[i64]) -> Rest {
+        Rest::of(&at(times)).unwrap().unwrap()
+    }
+
+    #[test]
+    fn what_is_no_even_record_has_no_allan_deviation() {
+        let even: Vec<i64> = (0..1000).map(|k| 10 * k).collect();
+        assert_eq!((rest(&even).period_s, rest(&even).uneven), (0.01, None));
+        let dropped: Vec<i64> = even.iter().copied().filter(|ms| *ms != 500).collect();
+        assert!(!rest(&dropped).axes[0].allan.is_empty());
+        let blocked: Vec<i64> = even.iter().map(|ms| if *ms > 500 { ms + 3000 } else { *ms }).collect();
+        let many: Vec<i64> = even.iter().copied().filter(|ms| ms % 500 != 0).collect();
+        let back: Vec<i64> = even.iter().rev().copied().collect();
+        for (times, told) in [
+            (blocked, "3.0100 s from one reading to the next, where 0.0100 s are due, at 0.500 s"),
+            (many, "s in all, where periods of 0.0100 s make"),
+            (back, "-0.0100 s from one"),
+        ] {
+            let rest = rest(&times);
+            assert!(rest.uneven.unwrap().contains(told) && rest.axes[0].allan.is_empty());
+            assert!(rest.axes[0].drift.value.is_finite());
+        }
+    }
+
+    #[test]
+    fn a_tare_within_it_is_refused() {
+        let mut readings = at(&(0..100).collect::<Vec<_>>());
+        readings[40].look.config = 4;
+        let error = Rest::of(&readings).unwrap_err().message;
+        assert!(error.contains("have changed (a tare?), 0.040 s after its begin"), "{error}");
+        assert!(parted(&readings[39].look, &readings[40].look, 0.001).is_some());
+    }
 }

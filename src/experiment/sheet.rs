@@ -4,6 +4,7 @@ use std::path::Path;
 
 use csv::StringRecord;
 
+use super::amount::plain;
 use crate::exit::{self, Failure};
 
 /// A CSV file whose header is read.
@@ -22,24 +23,28 @@ pub struct Row<'s> {
 }
 
 impl Sheet {
-    /// Opens a file that must have these columns, in any order; others are ignored.
+    /// Opens a file that must have these columns, in any order; others are ignored, and so are lines that begin with #.
     ///
     /// # Errors
-    /// It cannot be read, or a column is missing.
+    /// It cannot be read, or a column is missing, or there twice.
     pub fn open(file: &Path, needed: &[&str]) -> Result<Self, Failure> {
         let name = file.display().to_string();
         let cannot = |e: &dyn std::fmt::Display| Failure::new(exit::IO, format!("cannot read {name}: {e}"));
         let opened = std::fs::File::open(file).map_err(|e| cannot(&e))?;
-        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(opened);
+        let mut reader =
+            csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(opened);
         let header = reader.headers().map_err(|e| cannot(&e))?;
         let columns: Vec<String> =
             header.iter().map(|c| c.trim_start_matches('\u{feff}').to_owned()).collect();
         for column in needed {
-            if !columns.iter().any(|c| c == column) {
-                let needed = needed.join(",");
-                let message = format!("{name}:1: the column {column} is missing; needed are {needed}");
-                return Err(Failure::new(exit::DATA, message));
-            }
+            let what = match columns.iter().filter(|c| c == column).count() {
+                0 => "is missing",
+                1 => continue,
+                _ => "is there twice",
+            };
+            let needed = needed.join(",");
+            let message = format!("{name}: the column {column} {what}; needed are {needed}");
+            return Err(Failure::new(exit::DATA, message));
         }
         Ok(Self { name, reader, columns })
     }
@@ -77,7 +82,7 @@ impl Row<'_> {
 
     /// A field as a finite number.
     pub fn number(&self, column: &str) -> Result<f64, Failure> {
-        self.parse(column, "a finite number", |text| text.parse().ok().filter(|x: &f64| x.is_finite()))
+        self.parse(column, "a finite number", |text| plain(text).parse().ok().filter(|x: &f64| x.is_finite()))
     }
 
     /// A field as a count.

@@ -90,6 +90,10 @@ fn measured_axis(axis: Axis, readings: &[&Reading]) -> Result<Measured, Failure>
     }
     let numbers: std::collections::BTreeSet<u32> = readings.iter().map(|r| r.point).collect();
     let of = |number| readings.iter().filter(move |r| r.point == number).copied().collect::<Vec<_>>();
+    if let Some((due, _)) = (1..).zip(&numbers).find(|(due, number)| due != *number) {
+        let message = format!("{} point {due} is missing, and a later one is there", axis.name());
+        return Err(Failure::new(exit::DATA, message));
+    }
     let points = numbers.into_iter().map(|number| point(axis, number, &of(number)));
     let points = points.collect::<Result<Vec<_>, _>>()?;
     if points.len() < POINTS {

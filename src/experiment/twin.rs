@@ -4,6 +4,7 @@
 use super::look::{Look, Mean, at_rest};
 use super::protocol::Protocol;
 use super::reading::{Part, Reading};
+use super::{place, rest};
 use crate::centering::LockState;
 use crate::config::{Axis, Config, FramesConfig};
 use crate::estimation::{PoseReport, Status};
@@ -79,7 +80,8 @@ impl Bench {
                 for number in 1..=protocol.readings {
                     let look = self.look().map_err(|why| {
                         let (name, unit, of) = (axis.name(), axis.micro_unit(), course.points.len());
-                        let at = format!("{name} point {point} of {of}, at {:.2} {unit}", reference * 1e6);
+                        let at =
+                            format!("{name} point {point} of {of}, at {} {unit}", place(reference * 1e6));
                         Failure::new(exit::UNAVAILABLE, format!("{at}, reading {number}: {why}"))
                     })?;
                     readings.push(Reading { part, moved: Some((axis, *reference)), point, number, look });
@@ -93,16 +95,23 @@ impl Bench {
     /// The mirror at rest for so many seconds.
     ///
     /// # Errors
-    /// A reading cannot be had: why.
+    /// A reading cannot be had, or there is a hole between two: why.
     pub fn rest(&mut self, seconds: f64) -> Result<Vec<Reading>, Failure> {
         self.place(Axis::Tx, 0.0);
         let poses = (seconds * self.rate_hz / f64::from(self.average)) as u64;
         let of = at_rest(poses);
         let mut mean = Mean::default();
         let mut readings = Vec::new();
+        let period_s = f64::from(self.average) / self.rate_hz;
+        let failed = |why| Failure::new(exit::UNAVAILABLE, format!("at rest: {why}; --rest 0 does without"));
+        let mut last: Option<Look> = None;
         for _ in 0..poses {
-            let look = self.look();
-            let look = look.map_err(|why| Failure::new(exit::UNAVAILABLE, format!("at rest: {why}")))?;
+            let look = self.look().map_err(failed)?;
+            if let Some(why) = last.and_then(|last| rest::parted(&last, &look, period_s)) {
+                let at_s = look.time_ns as f64 * 1e-9;
+                return Err(failed(format!("{why}, at {at_s:.3} s; before: {}", self.why)));
+            }
+            last = Some(look);
             if let Some(look) = mean.push(&look, of) {
                 let number = readings.len() as u32 + 1;
                 readings.push(Reading { part: Part::Rest, moved: None, point: 0, number, look });

@@ -1,41 +1,43 @@
 //! A person at the stage, played by this test, and the real daemon on its twin.
 
+use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
-use std::process::{Child, ChildStdin, Output, Stdio};
+use std::process::{Child, Output, Stdio};
 use std::sync::mpsc;
+
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 
 use crate::fixture::{Daemon, PATIENCE, Stream};
 use crate::{command, deviation, number, points, rows, said, table2};
 
-/// Starts it, with someone who types.
-fn typing(out: &Path, arguments: &[&str]) -> Child {
-    command(out, arguments)
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap()
+/// Starts it with this input.
+fn reading(out: &Path, arguments: &[&str], input: Stdio) -> Child {
+    command(out, arguments).stdin(input).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
 }
 
-/// All that is typed is known beforehand.
+/// All that is typed is known beforehand, and comes through a pipe.
 fn typed(out: &Path, arguments: &[&str], text: &str) -> Output {
-    let mut child = typing(out, arguments);
-    child.stdin.take().unwrap().write_all(text.as_bytes()).unwrap();
+    let mut child = reading(out, arguments, Stdio::piped());
+    child.stdin.take().unwrap().write_all(text.as_bytes()).unwrap_or_default();
     child.wait_with_output().unwrap()
 }
 
-/// The command, what it says as it goes, and a hand at the keyboard.
+/// The command, what it says as it goes, and a hand at the keyboard of a terminal.
 struct Person {
     child: Child,
-    keys: ChildStdin,
+    keys: File,
     heard: mpsc::Receiver<String>,
     all: String,
 }
 
 impl Person {
     fn at(out: &Path, arguments: &[&str]) -> Self {
-        let mut child = typing(out, arguments);
+        let keys = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
+        grantpt(&keys).unwrap();
+        unlockpt(&keys).unwrap();
+        let terminal = File::open(ptsname(&keys, Vec::new()).unwrap().to_str().unwrap()).unwrap();
+        let mut child = reading(out, arguments, terminal.into());
         let (sender, heard) = mpsc::channel();
         let mut errors = BufReader::new(child.stderr.take().unwrap());
         std::thread::spawn(move || {
@@ -49,7 +51,7 @@ impl Person {
                 }
             }
         });
-        Self { keys: child.stdin.take().unwrap(), child, heard, all: String::new() }
+        Self { keys: File::from(keys), child, heard, all: String::new() }
     }
 
     /// Waits until it has said this.
@@ -154,9 +156,13 @@ fn references_come_from_a_file_and_bad_answers_are_asked_again() {
         "--rest",
         "0",
     ];
-    let output = typed(&out, &arguments, "b\n\n5\n\n\n");
-    let told = said(&output);
-    assert!(output.status.success(), "{told}");
+    let mut person = Person::at(&out, &arguments);
+    for line in ["b", "", "5", "", ""] {
+        person.types(line);
+        person.hears("then Enter: ");
+    }
+    let (code, told) = person.end();
+    assert_eq!(code, Some(0), "{told}");
     assert!(told.contains("this is the first point"), "{told}");
     assert!(told.contains("the reference of this point stands in the file"), "{told}");
     assert!(told.contains("yaw point 3 of 3: move the stage to +10.50 urad, then Enter: "), "{told}");
@@ -176,7 +182,7 @@ fn nothing_is_lost_with_the_daemon_and_a_point_can_be_taken_again() {
     let options = ["--axes", "tz,pitch", "--points", "3", "--readings", "10", "--rest", "0"];
     let mut person = Person::at(&out, &[&["--connect", &at], &options[..]].concat());
     person.hears("tz point 1 of 3: move the stage to -0.93 um, type the interferometer's reading in um: ");
-    for bad in ["", "1,5", "three", "1 urad"] {
+    for bad in ["", "1,5", "three", "1 urad", "1 m"] {
         person.types(bad);
         person.hears("type the interferometer's reading in um: ");
     }
@@ -185,20 +191,46 @@ fn nothing_is_lost_with_the_daemon_and_a_point_can_be_taken_again() {
         person.hears("type the interferometer's reading in ");
     }
     assert!(person.all.contains("pitch point 2 of 3"), "{}", person.all);
+    let lost = at;
     first.signal(rustix::process::Signal::KILL);
     person.hears("go on with the same options and --resume");
     let (code, told) = person.end();
     assert_eq!(code, Some(69), "{told}");
-    for word in
-        ["\"1,5\" is no number in um", "\"urad\" is no unit of tz", "40 readings are kept in", "--resume"]
-    {
+    for word in [
+        "\"1,5\" is no number in um",
+        "\"urad\" is no unit of tz",
+        "40 readings are kept in",
+        "--resume",
+        "from the target",
+    ] {
         assert!(told.contains(word), "{word}: {told}");
     }
     first.end();
-    let (_second, _stream, at) = daemon(REST);
+    let (second, _stream, at) = daemon(REST);
     let other = typed(&out, &["--connect", &at, "--resume", "--axes", "yaw"], "");
     assert_eq!(other.status.code(), Some(64));
-    assert!(said(&other).contains("point 1 of tz, which is none of this protocol"), "{}", said(&other));
+    assert!(
+        said(&other).contains(&format!("readings.csv says \"source: tcp://{lost}\"")),
+        "{}",
+        said(&other)
+    );
+    drop(second);
+    let (_third, _stream, at) = daemon(&format!(
+        "{REST}publishing.tcp = \"{lost}\"
+"
+    ));
+    let options_of = |options: &[&str]| typed(&out, &[&["--connect", &at, "--resume"], options].concat(), "");
+    for changed in [
+        &["--axes", "yaw"][..],
+        &["--axes", "tz,pitch", "--points", "3", "--readings", "20"],
+        &["--axes", "tz,pitch", "--points", "3", "--readings", "10", "--average", "2"],
+        &["--axes", "tz,pitch", "--points", "3", "--readings", "10", "--interval", "tz=2"],
+    ] {
+        let other = options_of(changed);
+        assert_eq!(other.status.code(), Some(64));
+        let told = said(&other);
+        assert!(told.contains("options: 10 readings at each point, tz 3 points from -0.930000"), "{told}");
+    }
     let output = typed(&out, &[&["--connect", &at, "--resume"], &options[..]].concat(), "10\n20\n");
     assert!(output.status.success(), "{}", said(&output));
     let all = rows(&out.join("readings.csv"));
@@ -217,14 +249,10 @@ fn poses_that_do_not_count_are_told_and_the_point_is_asked_again() {
         let folder = tempfile::tempdir().unwrap();
         let output = typed(&folder.path().join("out"), &["--connect", &at], "0\n");
         let said = said(&output);
-        assert_eq!(output.status.code(), Some(65), "{said}");
-        for word in [
-            "no pose to count on for 5 s",
-            told,
-            "once more, when that is mended",
-            "the input has ended before the last point",
-            "0 readings are kept",
-        ] {
+        assert_eq!(output.status.code(), Some(69), "{said}");
+        for word in
+            ["no pose to count on for 5 s", told, "once more, when that is mended", "no readings are kept"]
+        {
             assert!(said.contains(word), "{word}: {said}");
         }
     }
@@ -246,4 +274,94 @@ fn a_tare_between_points_of_an_axis_is_noticed() {
     let (code, told) = person.end();
     assert_eq!(code, Some(130), "{told}");
     assert!(told.contains("5 readings are kept in"), "{told}");
+}
+
+#[test]
+fn a_tare_within_the_record_at_rest_begins_it_anew() {
+    let folder = tempfile::tempdir().unwrap();
+    let (daemon, _stream, at) = daemon(REST);
+    let file = folder.path().join("lab.csv");
+    std::fs::write(&file, "axis,unit,point,reference\ntx,um,1,0\ntx,um,2,1\ntx,um,3,2\n").unwrap();
+    let out = folder.path().join("out");
+    let arguments =
+        ["--connect", &at, "--reference", file.to_str().unwrap(), "--readings", "5", "--rest", "3"];
+    let mut person = Person::at(&out, &arguments);
+    for _ in 0..3 {
+        person.types("");
+    }
+    person.hears("Enter starts it");
+    person.types("");
+    person.hears("recording");
+    std::thread::sleep(std::time::Duration::from_millis(1500)); // half of the record
+    daemon.reload(&format!("{PATIENT}{REST}frames.tare.rotation_deg = [0.1, 0.0, 0.0]\n"));
+    person.hears("have changed (a tare?): the record begins anew");
+    let (code, told) = person.end();
+    assert_eq!(code, Some(0), "{told}");
+    let all = rows(&out.join("readings.csv"));
+    let configs: std::collections::BTreeSet<_> =
+        all.iter().filter(|r| r["part"] == "rest").map(|r| r["config"].clone()).collect();
+    assert_eq!(configs.len(), 1);
+}
+
+#[test]
+fn a_pipe_ends_at_the_point_that_is_refused() {
+    let (_daemon, _stream, at) = daemon(REST);
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let options = ["--connect", &at, "--axes", "tx", "--points", "3", "--readings", "5", "--rest", "1"];
+    for (bad, why) in
+        [("1 m", "from the target +0.00 um"), ("0", "what the point before has"), ("x", "no number")]
+    {
+        let output = typed(&out, &options, &format!("0\n{bad}\n2\n"));
+        let told = said(&output);
+        assert_eq!(output.status.code(), Some(65), "{told}");
+        for word in [why, "the input is no terminal", "5 readings are kept in"] {
+            assert!(told.contains(word), "{word}: {told}");
+        }
+        assert_eq!(rows(&out.join("readings.csv")).len(), 5);
+        std::fs::remove_dir_all(&out).unwrap();
+    }
+    // As many as there are points: no record at rest, but a report.
+    let output = typed(&out, &options, "0\n1\n2\n");
+    assert!(output.status.success(), "{}", said(&output));
+    assert!(said(&output).contains("the report is made without a record at rest"), "{}", said(&output));
+    assert!(out.join("report.html").exists());
+    let short = [&options[..8], &["--rest", "0.01"]].concat();
+    let output = typed(&folder.path().join("short"), &short, "");
+    assert_eq!(output.status.code(), Some(64), "{}", said(&output));
+    assert!(said(&output).contains("at least 64 are needed, or --rest 0"), "{}", said(&output));
+    assert!(!folder.path().join("short").exists());
+}
+
+#[test]
+fn a_folder_is_for_one_session_and_is_empty_again_after_b() {
+    let (_daemon, _stream, at) = daemon(REST);
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let options = ["--connect", &at, "--axes", "tx", "--points", "3", "--readings", "5", "--rest", "1"];
+    let mut person = Person::at(&out, &options);
+    person.hears("tx point 1 of 3");
+    let second = typed(&out, &options, "0\n");
+    assert_eq!(second.status.code(), Some(75), "{}", said(&second));
+    assert!(said(&second).contains("another session works in"), "{}", said(&second));
+    for (line, heard) in [
+        ("0", "point 2 of 3"),
+        ("b", "point 1 of 3"),
+        ("0", "point 2 of 3"),
+        ("1", "point 3 of 3"),
+        ("2", "Enter starts it"),
+        ("b", "point 3 of 3"),
+        ("2", "Enter starts it"),
+        ("b", "point 3 of 3"),
+        ("b", "point 2 of 3"),
+        ("b", "point 1 of 3"),
+    ] {
+        person.types(line);
+        person.hears(heard);
+    }
+    person.types("q");
+    let (code, told) = person.end();
+    assert!(code == Some(130) && told.contains("no readings are kept"), "{told}");
+    let again = typed(&out, &[&options[..], &["--resume"]].concat(), "0\n1\n2\n");
+    assert!(again.status.success(), "{}", said(&again));
 }

@@ -46,7 +46,7 @@ fn said(output: &Output) -> String {
 
 /// The rows of a CSV file by column.
 fn rows(file: &Path) -> Vec<BTreeMap<String, String>> {
-    let mut reader = csv::Reader::from_path(file).unwrap();
+    let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).from_path(file).unwrap();
     reader.deserialize().collect::<Result<_, _>>().unwrap()
 }
 

@@ -25,6 +25,8 @@ fn wrong_options_are_named() {
         (&["--interval", "tx"], "AXIS=X"),
         (&["--interval", "tx=0"], "above 0 and at most 1000 um"),
         (&["--interval", "roll=5um"], "\"um\" is no unit of roll"),
+        (&["--axes", "tx", "--interval", "ty=2"], "ty is not moved"),
+        (&["--interval", "ty=2,ty=3"], "--interval gives ty twice"),
         (&["--rest=-1"], "from 0 to 86400"),
         (&["--rest", "0.06"], "--rest 0.06 makes 60 poses: at least 64 are needed, or --rest 0"),
         (&["--connect", "udp://127.0.0.1:7362"], "HOST:PORT"),
@@ -63,6 +65,7 @@ fn bad_references_are_named_with_their_line() {
     let folder = tempfile::tempdir().unwrap();
     for (text, told) in [
         ("axis,unit,reference\n", "the column point is missing; needed are axis,unit,point,reference"),
+        ("axis,unit,point,reference,reference\n", "the column reference is there twice"),
         ("axis,unit,point,reference\n", "no readings in it"),
         (
             "axis,unit,point,reference\ntx,urad,1,0\n",
@@ -88,11 +91,14 @@ fn bad_readings_are_named_with_their_line() {
     let (folder, out) =
         done(&["--axes", "tx", "--points", "4", "--readings", "3", "--paper-only", "--rest", "0"]);
     let text = fs::read_to_string(out.join("readings.csv")).unwrap();
+    let text = &text[text.find("part,").unwrap()..]; // without the lines that say where they come from
     let lines = |n: usize| text.split_inclusive('\n').take(n).collect::<String>();
     let wrong = |from: &str, to: &str| {
         let (head, rest) = text.split_at(text.find('\n').unwrap());
         format!("{head}{}", rest.replacen(from, to, 1))
     };
+    let deviation = text.lines().nth(1).unwrap().split(',').nth(12).unwrap();
+    let negative = wrong(deviation, &format!("-{deviation}"));
     for (text, told) in [
         (lines(1), "there are no readings in it"),
         (lines(1 + 2 * 3), "tx has readings at 2 points: at least 3 are needed"),
@@ -101,8 +107,15 @@ fn bad_readings_are_named_with_their_line() {
         (wrong(",tx,", ",up,"), ":2: axis is \"up\""),
         (wrong("POSE_VALID", "POSE_FINE"), ":2: status is \"POSE_FINE"),
         (text.replacen("reference_si", "reference", 1), "the column reference_si is missing"),
+        (wrong("POSE_VALID", ""), ":2: its status has no POSE_VALID"),
+        (lines(2) + &lines(2)[lines(1).len()..], ":3: this reading is there twice"),
+        (negative, ":2: a stated deviation (sd_...) is not above 0"),
+        (
+            text.lines().filter(|line| !line.contains(",tx,2,")).map(|line| format!("{line}\n")).collect(),
+            "tx point 2 is missing",
+        ),
         (lines(5) + "table2,tx,1\n", "line: 6"),
-        (lines(13).replace(",tx,4,", ",tx,3,"), "tx point 3: its readings have different references"),
+        (lines(13).replace(",tx,4,1,", ",tx,3,4,"), "tx point 3: its readings have different references"),
     ] {
         let file = file(folder.path(), &text);
         refuses(&["--from", &file], 65, &[told]);

@@ -25,6 +25,9 @@ fn the_report_stands_alone_and_fits_desks_phones_and_paper() {
             page.until(CHARTS);
             std::thread::sleep(Duration::from_millis(300)); // for the eye: the last chart is drawn
             page.picture(&pictures.join(format!("experiment-{}-{scheme}.png", size[0])));
+            let whole =
+                "[...document.querySelectorAll('.scroll')].every((t) => t.scrollWidth <= t.clientWidth)";
+            assert!(size[0] < 1000 || page.eval(whole) == true, "a table is cut off");
             assert_eq!(
                 page.eval("document.documentElement.scrollWidth <= innerWidth"),
                 true,

@@ -14,6 +14,17 @@ const MOST: f64 = 1e-3;
 /// The protocol that is asked for.
 pub(super) fn protocol(args: &ExperimentArgs) -> Result<Protocol, Failure> {
     let wanted = |axis: &Axis| args.axes.is_empty() || args.axes.contains(axis);
+    for (before, (axis, _)) in args.interval.iter().enumerate() {
+        let name = axis.name();
+        let what = if !wanted(axis) {
+            format!("--interval {name}: {name} is not moved, as --axes says")
+        } else if args.interval[..before].iter().any(|(other, _)| other == axis) {
+            format!("--interval gives {name} twice")
+        } else {
+            continue;
+        };
+        return Err(Failure::new(exit::USAGE, what));
+    }
     let courses: Vec<Course> = match &args.reference {
         Some(file) => {
             let courses = reference::read(file)?;
@@ -34,7 +45,7 @@ pub(super) fn protocol(args: &ExperimentArgs) -> Result<Protocol, Failure> {
 }
 
 fn course(args: &ExperimentArgs, axis: Axis) -> Course {
-    let own = args.interval.iter().rev().find(|(a, _)| *a == axis).map(|(_, interval)| *interval);
+    let own = args.interval.iter().find(|(a, _)| *a == axis).map(|(_, interval)| *interval);
     Course::even(axis, own.unwrap_or(printed(axis).interval * 1e-6), args.points)
 }
 

@@ -1,24 +1,34 @@
 //! A person at the stage, a daemon at the sensor: point by point.
 
-use std::io::{self, BufRead, Write};
+use std::fs;
+use std::io::{self, BufRead, IsTerminal, Write};
 
+use anyhow::Context;
 use tokio::sync::mpsc;
 use trifacet::client::Endpoint;
 use trifacet::exit::{self, Failure};
 use trifacet::experiment::live::{Feed, Trouble};
 use trifacet::experiment::look::Look;
 use trifacet::experiment::protocol::Protocol;
-use trifacet::experiment::reading::{self, Part, Reading};
-use trifacet::experiment::{amount, three};
+use trifacet::experiment::reading::{self, Part, Reading, Record};
+use trifacet::experiment::{amount, place, three};
 
-use super::steps::{Step, fits, steps};
-use super::{ExperimentArgs, READINGS, bar, fresh, keep};
+use super::doubt::{implausible, opposite};
+use super::steps::{Step, steps};
+use super::{ExperimentArgs, READINGS, bar, fresh, keep, long_enough, options};
 use crate::commands::watch::{opening_failed, unavailable};
+
+/// So often a record at rest is begun.
+const ATTEMPTS: u32 = 3;
 
 /// What a person at the prompt wants.
 enum Said {
     /// Take the readings; this is the reference.
     Reference(f64),
+    /// Begin the record at rest.
+    Rest,
+    /// There is nobody left to leave the mirror alone.
+    NoRest,
     /// Once more the point before.
     Back,
     /// Enough for now.
@@ -29,7 +39,9 @@ struct Guide<'a> {
     args: &'a ExperimentArgs,
     feed: Feed,
     lines: mpsc::UnboundedReceiver<String>,
-    readings: Vec<Reading>,
+    record: Record,
+    /// Readings that are in the file.
+    kept: usize,
 }
 
 /// Goes through the protocol with a person, and records the rest. Every finished point is in the file at once.
@@ -37,23 +49,48 @@ pub(super) fn guided(
     args: &ExperimentArgs,
     endpoint: &Endpoint,
     protocol: &Protocol,
-) -> anyhow::Result<Vec<Reading>> {
+) -> anyhow::Result<Record> {
     let steps = steps(protocol);
     let file = args.out.join(READINGS);
-    let readings = if args.resume && file.exists() { reading::read(&file)? } else { Vec::new() };
-    if readings.is_empty() {
+    let options = options(protocol, args.average.unwrap_or(1));
+    let mut record = Record { source: endpoint.to_string(), options, readings: Vec::new() };
+    if args.resume && file.exists() {
+        let before = reading::read(&file)?;
+        belongs(&before, &record)?;
+        record = before;
+    } else {
         fresh(&args.out)?;
     }
-    fits(&readings, &steps)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let feed = Feed::connect(endpoint).await.map_err(|e| opening_failed(endpoint, &e))?;
-        let mut guide = Guide { args, feed, lines: typed(), readings };
+        let kept = record.readings.len();
+        let mut guide = Guide { args, feed, lines: typed(), record, kept };
         eprintln!("connected to {endpoint}; at each point: b takes the point before once more, q stops, and --resume goes on");
+        if args.rest > 0.0 {
+            let poses = guide.feed.poses(args.rest).await.map_err(|why| lost(&why))?;
+            long_enough(args.rest, poses as f64)?;
+        }
         let done = guide.all(&steps).await;
         done.map_err(|e| guide.kept(&e))?;
-        Ok(guide.readings)
+        Ok(guide.record)
     })
+}
+
+/// What was measured before was measured there, and so.
+fn belongs(before: &Record, now: &Record) -> Result<(), Failure> {
+    for (what, before, now) in
+        [("source", &before.source, &now.source), ("options", &before.options, &now.options)]
+    {
+        if before != now {
+            let message = format!(
+                "{READINGS} says \"{what}: {before}\", now it is \"{now}\": go on with the same options as before, \
+                or name a new folder with --out"
+            );
+            return Err(Failure::new(exit::USAGE, message));
+        }
+    }
+    Ok(())
 }
 
 /// Lines of standard input. A thread of its own waits for them, and is left behind at the end.
@@ -67,78 +104,110 @@ fn typed() -> mpsc::UnboundedReceiver<String> {
 
 impl Guide<'_> {
     async fn all(&mut self, steps: &[Step]) -> anyhow::Result<()> {
-        let mut next = steps.iter().take_while(|s| self.readings.iter().any(|r| s.took(r))).count();
-        while let Some(step) = steps.get(next) {
-            match self.ask(step).await? {
-                Said::Reference(reference) => {
-                    if self.take(step, reference).await? {
-                        next += 1;
-                    }
-                }
+        let mut next = steps.iter().take_while(|s| self.record.readings.iter().any(|r| s.took(r))).count();
+        loop {
+            let said = match steps.get(next) {
+                Some(step) => self.ask(step, steps).await?,
+                None if self.rested() => return Ok(()),
+                None => self.ask_rest().await?,
+            };
+            match said {
+                Said::Reference(reference) => next += usize::from(self.take(&steps[next], reference).await?),
+                Said::Rest => self.rest().await?,
+                Said::NoRest => return Ok(()),
                 Said::Back if next == 0 => eprintln!("this is the first point"),
                 Said::Back => {
                     next -= 1;
-                    self.readings.retain(|r| !steps[next].took(r));
-                    keep(&self.readings, &self.args.out)?;
+                    self.record.readings.retain(|r| !steps[next].took(r));
+                    self.keep()?;
                 }
                 Said::Stop => return Err(Failure::new(exit::INTERRUPTED, "stopped").into()),
             }
         }
-        self.rest().await
     }
 
     /// Asks until there is an answer that can be used.
-    async fn ask(&mut self, step: &Step) -> anyhow::Result<Said> {
+    async fn ask(&mut self, step: &Step, steps: &[Step]) -> anyhow::Result<Said> {
         let Step { axis, point, of, target } = *step;
         let (name, unit) = (axis.name(), axis.micro_unit());
         let given = self.args.reference.is_some();
         let want =
             if given { "then Enter".into() } else { format!("type the interferometer's reading in {unit}") };
         loop {
-            eprint!("{name} point {point} of {of}: move the stage to {:+.2} {unit}, {want}: ", target * 1e6);
-            let _ = io::stderr().flush(); // whoever does not see it does not answer
-            let line = self.line().await?;
-            match line.trim() {
+            eprint!(
+                "{name} point {point} of {of}: move the stage to {} {unit}, {want}: ",
+                place(target * 1e6)
+            );
+            let ended = || Failure::new(exit::DATA, "the input has ended before the last point");
+            let line = self.line().await?.ok_or_else(ended)?;
+            let wrong = match line.trim() {
                 "b" => return Ok(Said::Back),
                 "q" => return Ok(Said::Stop),
                 "" if given => return Ok(Said::Reference(target)),
-                _ if given => eprintln!("the reference of this point stands in the file: just Enter, b or q"),
+                _ if given => "the reference of this point stands in the file: just Enter, b or q".into(),
                 text => match amount::parse(axis, text) {
-                    Ok(reference) => return Ok(Said::Reference(reference)),
-                    Err(why) => eprintln!("{why}"),
+                    Ok(reference) => match implausible(step, steps, reference, &self.record.readings) {
+                        None => return Ok(Said::Reference(reference)),
+                        Some(why) => why,
+                    },
+                    Err(why) => why,
                 },
+            };
+            once_more(exit::DATA, &wrong)?;
+        }
+    }
+
+    /// Asks until the mirror is left alone.
+    async fn ask_rest(&mut self) -> anyhow::Result<Said> {
+        let seconds = self.args.rest;
+        loop {
+            eprint!("leave the mirror alone for {seconds} s, the record at rest; Enter starts it: ");
+            match self.line().await?.as_deref().map(str::trim) {
+                Some("") => return Ok(Said::Rest),
+                Some("b") => return Ok(Said::Back),
+                Some("q") => return Ok(Said::Stop),
+                Some(_) => once_more(exit::DATA, "just Enter, b or q")?,
+                None => {
+                    eprintln!("the input has ended: the report is made without a record at rest");
+                    return Ok(Said::NoRest);
+                }
             }
         }
     }
 
-    async fn line(&mut self) -> anyhow::Result<String> {
-        let line = self.feed.until(self.lines.recv()).await;
-        line.map_err(|why| lost(&why))?
-            .ok_or_else(|| Failure::new(exit::DATA, "the input has ended before the last point").into())
+    /// The answer to what was asked; nothing at the end of the input.
+    async fn line(&mut self) -> anyhow::Result<Option<String>> {
+        let _ = io::stderr().flush(); // whoever does not see the question does not answer
+        self.feed.until(self.lines.recv()).await.map_err(|why| lost(&why))
     }
 
     /// Takes the readings of a point; says why, if there are none.
     async fn take(&mut self, step: &Step, reference: f64) -> anyhow::Result<bool> {
         let progress = bar(self.args.readings.into());
-        let looks = self.feed.readings(self.args.readings, self.average(), || progress.inc(1)).await;
+        let counted = |_: &[Look]| {
+            progress.inc(1);
+            Ok(())
+        };
+        let looks = self.feed.readings(self.args.readings, self.average(), counted).await;
         progress.finish_and_clear();
         let looks = match looks {
             Ok(looks) => looks,
             Err(why @ Trouble::NoPose(_)) => {
-                eprintln!("{why}\nonce more, when that is mended; `trifacet doctor` may know more");
-                return Ok(false);
+                let why = format!("{why}\nonce more, when that is mended; `trifacet doctor` may know more");
+                return once_more(exit::UNAVAILABLE, &why).map(|()| false);
             }
             Err(why) => return Err(lost(&why)),
         };
         if self.other_config(step, &looks) {
             let what = "geometry, calibration or frames of the sensor have changed (a tare?) since the points before";
-            eprintln!(
-                "{what}: this point is not taken; undo the change, or take {} anew with b",
-                step.axis.name()
-            );
-            return Ok(false);
+            let name = step.axis.name();
+            let why = format!("{what}: this point is not taken; undo the change, or take {name} anew with b");
+            return once_more(exit::DATA, &why).map(|()| false);
         }
         say(step, reference, &looks);
+        if let Some(why) = opposite(step, reference, &looks, &self.record.readings) {
+            eprintln!("{why}");
+        }
         let moved = Some((step.axis, reference));
         let taken = (1..).zip(looks).map(|(number, look)| Reading {
             part: Part::Table2,
@@ -147,14 +216,15 @@ impl Guide<'_> {
             number,
             look,
         });
-        self.readings.extend(taken);
-        keep(&self.readings, &self.args.out)?;
+        self.record.readings.extend(taken);
+        self.keep()?;
         Ok(true)
     }
 
     /// These looks do not belong to what was read of the same axis before.
     fn other_config(&self, step: &Step, looks: &[Look]) -> bool {
-        let before = self.readings.iter().filter(|r| r.moved.is_some_and(|(axis, _)| axis == step.axis));
+        let before =
+            self.record.readings.iter().filter(|r| r.moved.is_some_and(|(axis, _)| axis == step.axis));
         let mut configs = before.map(|r| r.look.config).chain(looks.iter().map(|look| look.config));
         let first = configs.next();
         configs.any(|config| Some(config) != first)
@@ -164,44 +234,76 @@ impl Guide<'_> {
         self.args.average.unwrap_or(1).into()
     }
 
+    /// There is a record at rest, or none is wanted.
+    fn rested(&self) -> bool {
+        self.args.rest == 0.0 || self.record.readings.iter().any(|r| r.part == Part::Rest)
+    }
+
+    /// Takes the record at rest; says why, if there is none.
     async fn rest(&mut self) -> anyhow::Result<()> {
-        let seconds = self.args.rest;
-        if seconds == 0.0 || self.readings.iter().any(|r| r.part == Part::Rest) {
-            return Ok(());
+        eprintln!("recording");
+        match self.record(self.args.rest).await {
+            Ok(looks) => {
+                let at_rest =
+                    |(number, look)| Reading { part: Part::Rest, moved: None, point: 0, number, look };
+                self.record.readings.extend((1..).zip(looks).map(at_rest));
+                self.keep()
+            }
+            Err(why @ (Trouble::NoPose(_) | Trouble::Parted(_))) => {
+                let what = "once more, when that is mended; or q, and --resume with --rest 0";
+                once_more(exit::UNAVAILABLE, &format!("{why}\n{what}"))
+            }
+            Err(why) => Err(lost(&why)),
         }
-        loop {
-            eprint!("leave the mirror alone for {seconds} s, the record at rest; Enter starts it: ");
-            let _ = io::stderr().flush();
-            self.line().await?;
-            eprintln!("recording");
-            match self.feed.rest(seconds, || {}).await {
-                Ok(looks) if looks.is_empty() => {
-                    eprintln!(
-                        "{seconds} s of this stream are too few poses for a record at rest: none is taken"
-                    );
-                    return Ok(());
-                }
-                Ok(looks) => {
-                    let at_rest =
-                        |(number, look)| Reading { part: Part::Rest, moved: None, point: 0, number, look };
-                    self.readings.extend((1..).zip(looks).map(at_rest));
-                    return keep(&self.readings, &self.args.out);
-                }
-                Err(why @ Trouble::NoPose(_)) => eprintln!("{why}"),
-                Err(why) => return Err(lost(&why)),
+    }
+
+    /// Brings the file up to date. Without readings there is none.
+    fn keep(&mut self) -> anyhow::Result<()> {
+        let n = self.record.readings.len();
+        if n == 0 {
+            let file = self.args.out.join(READINGS);
+            fs::remove_file(&file).with_context(|| format!("cannot remove {}", file.display()))?;
+        } else {
+            keep(&self.record, &self.args.out)?;
+        }
+        self.kept = n;
+        Ok(())
+    }
+
+    /// The record at rest, begun anew a few times where it has a hole.
+    async fn record(&mut self, seconds: f64) -> Result<Vec<Look>, Trouble> {
+        for _ in 1..ATTEMPTS {
+            match self.feed.rest(seconds).await {
+                Err(Trouble::Parted(why)) => eprintln!("{why}: the record begins anew"),
+                other => return other,
             }
         }
+        self.feed.rest(seconds).await
     }
 
     /// Why it ended, and what there is.
     fn kept(&self, why: &anyhow::Error) -> anyhow::Error {
         let code = why.downcast_ref::<Failure>().map_or(exit::IO, |failure| failure.code);
-        let n = self.readings.len();
         let out = self.args.out.display();
-        let go_on =
-            format!("{n} readings are kept in {out}/{READINGS}; go on with the same options and --resume");
+        let go_on = match self.kept {
+            0 => "no readings are kept".into(),
+            n => {
+                format!("{n} readings are kept in {out}/{READINGS}; go on with the same options and --resume")
+            }
+        };
         Failure::new(code, format!("{why:#}\n{go_on}")).into()
     }
+}
+
+/// Whoever sits at a terminal is asked once more. In a file or a pipe the next line is meant for the next point: with
+/// it the session ends.
+fn once_more(code: u8, why: &str) -> anyhow::Result<()> {
+    if io::stdin().is_terminal() {
+        eprintln!("{why}");
+        return Ok(());
+    }
+    let message = format!("{why}\nthe input is no terminal: its next line would be taken for this point");
+    Err(Failure::new(code, message).into())
 }
 
 /// What was read at a point, in a line.

@@ -1,11 +1,8 @@
 //! The points of a protocol, one after the other.
 
 use trifacet::config::Axis;
-use trifacet::exit::{self, Failure};
 use trifacet::experiment::protocol::{Course, Protocol};
 use trifacet::experiment::reading::Reading;
-
-use super::READINGS;
 
 /// One point of the protocol.
 #[derive(Clone, Copy)]
@@ -20,14 +17,9 @@ pub(super) struct Step {
 }
 
 impl Step {
-    /// It is this one.
-    fn is(&self, axis: Axis, point: u32) -> bool {
-        self.axis == axis && self.point == point
-    }
-
     /// A reading was taken there.
     pub(super) fn took(&self, reading: &Reading) -> bool {
-        reading.moved.is_some_and(|(axis, _)| self.is(axis, reading.point))
+        reading.moved.is_some_and(|(axis, _)| (axis, reading.point) == (self.axis, self.point))
     }
 }
 
@@ -41,14 +33,4 @@ pub(super) fn steps(protocol: &Protocol) -> Vec<Step> {
             .collect::<Vec<_>>()
     };
     protocol.courses.iter().flat_map(of_course).collect()
-}
-
-/// What is there was measured with this protocol.
-pub(super) fn fits(readings: &[Reading], steps: &[Step]) -> Result<(), Failure> {
-    let moved = readings.iter().filter_map(|r| Some((r.moved?.0, r.point)));
-    let mut strange = moved.filter(|(axis, point)| !steps.iter().any(|s| s.is(*axis, *point)));
-    strange.next().map_or(Ok(()), |(axis, point)| {
-        let what = format!("{READINGS} has point {point} of {}, which is none of this protocol", axis.name());
-        Err(Failure::new(exit::USAGE, format!("{what}: go on with the same options as before")))
-    })
 }

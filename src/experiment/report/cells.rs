@@ -53,5 +53,8 @@ pub(super) fn seconds(s: f64) -> String {
 /// A value with its deviation: of that two digits count.
 pub(super) fn with_sigma(value: f64, sigma: f64) -> String {
     let digits = if sigma > 0.0 { (1 - sigma.log10().floor() as i32).clamp(0, 9) as usize } else { 4 };
-    format!("{value:.digits$} <small>± {sigma:.digits$}</small>")
+    let value = format!("{value:.digits$}");
+    // What is rounded to nothing has no sign.
+    let value = value.strip_prefix('-').filter(|x| x.parse() == Ok(0.0)).unwrap_or(&value);
+    format!("{value} <small>± {sigma:.digits$}</small>")
 }

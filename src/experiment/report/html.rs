@@ -143,7 +143,8 @@ fn crosstalk(all: &[Measured]) -> String {
         let cell = |axis: Axis| {
             let slope = m.response[axis as usize];
             let right = if axis == m.axis { 1.0 } else { 0.0 };
-            let text = with_sigma(slope.value, slope.sigma);
+            // One below the other, or seven columns would be too wide.
+            let text = with_sigma(slope.value, slope.sigma).replace(" <small>", "<br><small>");
             let marked = (slope.value - right).abs() > MARKED * slope.sigma;
             if marked { format!("<b>{text}</b>") } else { text }
         };
@@ -180,14 +181,19 @@ fn at_rest(rest: &Rest) -> String {
             "<div class=\"chart\" data-kind=\"{kind}\" data-axis=\"{axis}\" role=\"img\" aria-label=\"{label}\"></div>"
         )
     };
+    let allan = match &rest.uneven {
+        Some(why) => format!("</p>\n<p class=\"note\">No Allan deviation: {why}.</p>"),
+        None => format!(
+            " Dotted: white noise of the stated deviation, σ/√n; the bars are one deviation of what is drawn.</p>\n<div class=\"pair\">{}{}</div>",
+            chart("allan", 0, "Allan deviation of the translations"),
+            chart("allan", 3, "Allan deviation of the turns"),
+        ),
+    };
     format!(
-        "<section>\n<h2>At rest: Allan deviation and drift</h2>\n<p>{} readings in {} with the mirror at rest. Dotted: white noise of the stated deviation, σ/√n; \
-         the bars are one deviation of what is drawn.</p>\n<div class=\"pair\">{}{}</div>\n<div class=\"pair\"><h3>Course <small>means over {}</small></h3>{}{}</div>\n{}</section>\n",
+        "<section>\n<h2>At rest: Allan deviation and drift</h2>\n<p>{} readings in {} with the mirror at rest.{allan}\n<div class=\"pair\"><h3>Course <small>means over {}</small></h3>{}{}</div>\n{}</section>\n",
         rest.readings,
-        seconds(rest.period_s * rest.readings as f64),
-        chart("allan", 0, "Allan deviation of the translations"),
-        chart("allan", 3, "Allan deviation of the turns"),
-        seconds(rest.period_s * (rest.readings as f64 / rest.times_s.len() as f64)),
+        seconds(rest.span_s + rest.period_s),
+        seconds((rest.span_s + rest.period_s) / rest.times_s.len() as f64),
         chart("course", 0, "translations over time"),
         chart("course", 3, "turns over time"),
         table(&head, Axis::ALL.into_iter().zip(&rest.axes).map(row)),
