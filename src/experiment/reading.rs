@@ -230,7 +230,7 @@ mod tests {
         write(&record, file.as_file()).unwrap();
         assert_eq!(read(file.path()).unwrap(), record);
         let text = std::fs::read_to_string(file.path()).unwrap();
-        let bare: String = text.lines().skip(2).map(|line| format!("{line}\n")).collect();
+        let bare = text.lines().skip(2).flat_map(|line| [line, "\n"]).collect::<String>();
         std::fs::write(file.path(), bare).unwrap();
         let Record { source, readings, .. } = read(file.path()).unwrap();
         assert_eq!((source, readings), (String::new(), record.readings));

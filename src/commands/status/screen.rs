@@ -173,9 +173,8 @@ pub(super) fn mood(line: &str) -> Option<&'static str> {
         "pose" => "31",
         "lock" if is(LockState::Locked) => "32",
         "lock" if is(LockState::Lost) || is(LockState::Railed) => "31",
-        "lock" => "33",
+        "lock" | "control" => "33",
         "losses" if text != "none" => "33",
-        "control" => "33",
         _ => return None,
     })
 }
