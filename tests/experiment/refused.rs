@@ -111,7 +111,7 @@ fn bad_readings_are_named_with_their_line() {
         (lines(2) + &lines(2)[lines(1).len()..], ":3: this reading is there twice"),
         (negative, ":2: a stated deviation (sd_...) is not above 0"),
         (
-            text.lines().filter(|line| !line.contains(",tx,2,")).map(|line| format!("{line}\n")).collect(),
+            text.lines().filter(|line| !line.contains(",tx,2,")).flat_map(|line| [line, "\n"]).collect(),
             "tx point 2 is missing",
         ),
         (lines(5) + "table2,tx,1\n", "line: 6"),
