@@ -70,7 +70,8 @@ impl Person {
 
     /// The code it ends with, and all that it said.
     fn end(mut self) -> (Option<i32>, String) {
-        drop(self.keys);
+        // The end of the input, behind what was typed: to hang up would take that away.
+        let _ = self.keys.write_all(b"\x04");
         let mut out = String::new();
         BufReader::new(self.child.stdout.take().unwrap())
             .lines()
