@@ -125,7 +125,7 @@ counters! {
     monitor_refused,
     /// HTTP requests that were refused: not addressed to this host alone, or from a page of another.
     monitor_forbidden,
-    /// Orders by HTTP that were refused: a wrong token, or `monitor.control` is off.
+    /// Orders by HTTP that were refused: a wrong token, or monitor.control is off.
     monitor_denied,
 }
 

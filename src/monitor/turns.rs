@@ -129,12 +129,11 @@ impl Turn {
 pub async fn counted(task: impl Future<Output = ()>, turn: &Turn) {
     let mut task = pin!(task);
     poll_fn(|context| {
-        turn.edge();
         let drill = turn.drill.load(Relaxed);
         if drill == Drill::Stall as u8 {
-            turn.edge();
-            return Poll::Pending; // nothing will ever wake it
+            return Poll::Pending; // who still wakes it makes no turn of that
         }
+        turn.edge();
         while turn.drill.load(Relaxed) == Drill::Block as u8 {
             std::thread::sleep(HEARTBEAT);
         }

@@ -84,8 +84,9 @@ fn frames_claim_no_lock_of_a_loop_that_stands_still() {
     let folder = tempfile::tempdir().unwrap();
     let (_daemon, address, at) = daemon(folder.path());
     let mut stream = Stream::tcp(address);
-    let before_ns = now_ns();
+    stream.until("locked", |frame| frame.locked());
     drill(folder.path(), "stall", "centering");
+    let before_ns = now_ns();
     let first = stream.until("not locked", |frame| frame.time_ns > before_ns && !frame.locked());
     assert!(first.time_ns - before_ns < 1_000_000_000, "by the daemon's time stamps: {first:?}");
     until(at, "not ready", |ready| ready["ready"] == false);

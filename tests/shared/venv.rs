@@ -1,6 +1,7 @@
 //! Python with packages, which are installed under `target/` once.
 
 use std::{
+    fs::File,
     path::{Path, PathBuf},
     process::{Command, Output},
 };
@@ -10,6 +11,9 @@ use std::{
 pub(crate) fn python(name: &str, modules: &str, packages: &[&str]) -> PathBuf {
     let place = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     let python = place.join("bin/python");
+    // Tests run side by side, and one makes it for all.
+    let lock = File::create(place.with_extension("lock")).expect("a lock file");
+    lock.lock().expect("a lock");
     let has_all = |python: &Path| {
         let check = Command::new(python).args(["-c", &format!("import {modules}")]).output();
         check.is_ok_and(|o| o.status.success())
