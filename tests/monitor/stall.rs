@@ -84,7 +84,6 @@ fn frames_claim_no_lock_of_a_loop_that_stands_still() {
     let folder = tempfile::tempdir().unwrap();
     let (_daemon, address, at) = daemon(folder.path());
     let mut stream = Stream::tcp(address);
-    stream.until("locked", |frame| frame.locked());
     drill(folder.path(), "stall", "centering");
     let before_ns = now_ns();
     let first = stream.until("not locked", |frame| frame.time_ns > before_ns && !frame.locked());
