@@ -72,10 +72,10 @@ impl Mean {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
-    fn look(time_ns: i64, x: f64) -> Look {
+    pub(crate) fn look(time_ns: i64, x: f64) -> Look {
         Look {
             time_ns,
             pose: [x; 6],

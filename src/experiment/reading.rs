@@ -203,17 +203,7 @@ pub(super) fn axis(row: &Row) -> Result<Axis, Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn look(time_ns: i64, x: f64) -> Look {
-        Look {
-            time_ns,
-            pose: [x; 6],
-            deviations: [2e-6; 6],
-            averaged: 3,
-            config: 9,
-            status: Status::POSE_VALID,
-        }
-    }
+    use crate::experiment::look::tests::look;
 
     #[test]
     fn what_is_written_is_read_again() {

@@ -65,7 +65,8 @@ impl Rest {
             return Err(Failure::new(exit::DATA, message));
         }
         let times: Vec<f64> = rest.iter().map(|r| seconds(&first.look, &r.look)).collect();
-        let period_s = median(times.windows(2).map(|t| t[1] - t[0]));
+        // Stamps are whole nanoseconds; the digits behind that are of the arithmetic.
+        let period_s = (median(times.windows(2).map(|t| t[1] - t[0])) * 1e9).round() / 1e9;
         let uneven = uneven(&times, period_s);
         Ok(Some(Self {
             readings: rest.len(),
