@@ -61,7 +61,9 @@ pub(crate) fn park(args: &ParkArgs) -> anyhow::Result<()> {
     let parked = runtime.block_on(parking);
     runtime.shutdown_background(); // a port that is still being opened is not waited for
     match parked? {
-        None => eprintln!("nothing is parked: no stage is there without the daemon"),
+        None => {
+            eprintln!("nothing is parked: with the twin or a recording no stage is there without the daemon")
+        }
         Some(at) => eprintln!("parked at {at:?} um"),
     }
     Ok(())
