@@ -62,7 +62,7 @@ pub(crate) fn park(args: &ParkArgs) -> anyhow::Result<()> {
     runtime.shutdown_background(); // a port that is still being opened is not waited for
     match parked? {
         None => {
-            eprintln!("nothing is parked: with the twin or a recording no stage is there without the daemon")
+            eprintln!("nothing is parked: with the twin or a recording no stage is there without the daemon");
         }
         Some(at) => eprintln!("parked at {at:?} um"),
     }
