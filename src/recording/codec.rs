@@ -16,6 +16,10 @@ use crate::estimation::{Memory, Status};
 /// The version of this program: the state of another one may have another form.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 
+/// Keyframes after which configuration and source are written again: damage where they stand costs no more of the
+/// replay than that.
+const AGAIN: u32 = 10;
+
 /// Stands before each message: plain CDR, little-endian.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
@@ -86,6 +90,8 @@ pub struct Encoder {
     latest: Mono,
     meaning: Option<Arc<Meaning>>,
     source: Option<Arc<Identity>>,
+    /// Keyframes since those were forgotten.
+    keyframes: u32,
     bytes: Vec<u8>,
 }
 
@@ -93,12 +99,12 @@ impl Encoder {
     /// An encoder that knows the time by both clocks, until frames tell it better.
     pub fn new((latest, utc_ns): Reading) -> Self {
         let offset_ns = utc_ns - latest.0;
-        Self { offset_ns, latest, meaning: None, source: None, bytes: Vec::new() }
+        Self { offset_ns, latest, meaning: None, source: None, keyframes: 0, bytes: Vec::new() }
     }
 
     /// A new file begins: configuration and source are written again.
     pub fn restart(&mut self) {
-        (self.meaning, self.source) = (None, None);
+        (self.meaning, self.source, self.keyframes) = (None, None, 0);
     }
 
     /// UTC of the last moment that was told, nanoseconds since 1970.
@@ -162,6 +168,10 @@ impl Encoder {
         keyframe: &Keyframe,
         put: &mut impl FnMut(Encoded<'_>) -> Result<(), E>,
     ) -> Result<(), E> {
+        if self.keyframes == AGAIN {
+            self.restart();
+        }
+        self.keyframes += 1;
         let Keyframe { meaning, source, last, memory } = keyframe;
         let stamp = last.map_or(Time::new(self.now_ns()), |last| self.at(last.time));
         if self.meaning.as_ref().is_none_or(|known| !Arc::ptr_eq(known, meaning)) {

@@ -116,6 +116,24 @@ fn of_many_flipped_bits_each_is_reported_or_harmless() {
 }
 
 #[test]
+fn a_replay_begins_again_ten_seconds_after_the_configuration_was_damaged() {
+    let lab = Lab::new();
+    let file = lab.record("a.mcap", "acquisition.rate_hz = 500", 12_500);
+    let mut bad = std::fs::read(&file).unwrap();
+    bad[10_000] ^= 1;
+    let done = on(&["replay"], &lab.write("bad.mcap", &bad));
+    assert_eq!(done.code, 0, "{}", done.err);
+    assert!(
+        done.err.contains("damage at byte") && done.err.contains("before the configuration"),
+        "{}",
+        done.err
+    );
+    let same = done.out.split(' ').next().unwrap().parse::<u32>().unwrap();
+    assert!((7_000..12_500).contains(&same), "{}", done.out);
+    assert!(done.out.contains(&format!("{same} of {same} frames are identical")), "{}", done.out);
+}
+
+#[test]
 fn a_torn_file_reads_up_to_its_last_chunk_wherever_it_is_torn() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "acquisition.rate_hz = 5000", 10_000);

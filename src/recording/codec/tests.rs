@@ -187,7 +187,7 @@ fn a_keyframe_survives_without_the_secret() {
 }
 
 #[test]
-fn what_has_not_changed_is_written_once_a_file() {
+fn what_has_not_changed_is_not_written_with_each_keyframe() {
     let mut encoder = encoder();
     let keyframe = keyframe();
     let entry = Entry::Keyframe(Box::new(keyframe.clone()));
@@ -202,6 +202,16 @@ fn what_has_not_changed_is_written_once_a_file() {
     assert_eq!(encode(&mut encoder, &Entry::Keyframe(Box::new(other))).len(), 2);
     encoder.restart();
     assert_eq!(encode(&mut encoder, &entry).len(), 3);
+}
+
+#[test]
+fn what_the_keyframes_rest_on_comes_again_now_and_then() {
+    let mut encoder = encoder();
+    let entry = Entry::Keyframe(Box::new(keyframe()));
+    let messages: Vec<usize> = (0..2 * AGAIN).map(|_| encode(&mut encoder, &entry).len()).collect();
+    let (first, second) = messages.split_at(AGAIN as usize);
+    assert_eq!(first, second);
+    assert_eq!((first[0], &first[1..]), (3, &[1; AGAIN as usize - 1][..]));
 }
 
 fn decode_error(decoder: &mut Decoder, messages: &Messages) -> String {
