@@ -65,8 +65,8 @@ pub(crate) fn replay(args: &ReplayArgs) -> anyhow::Result<()> {
         match news {
             News::Read(reads, at) => {
                 bar.set_position(at);
-                for read in reads {
-                    bar.suspend_if(&read);
+                for read in &reads {
+                    bar.suspend_if(read);
                     run.take(read)?;
                 }
             }
@@ -148,7 +148,7 @@ struct Run {
 }
 
 impl Run {
-    fn take(&mut self, read: Read) -> anyhow::Result<()> {
+    fn take(&mut self, read: &Read) -> anyhow::Result<()> {
         let entry = match read {
             Read::Entry(entry) => entry,
             Read::Gap { .. } => return Ok(()),
@@ -158,7 +158,7 @@ impl Run {
                         "trifacet: {why}: the replay begins without it, and is not the same bit by bit"
                     );
                 }
-                return Ok(self.engine.cold(&meaning, source.as_ref())?);
+                return Ok(self.engine.cold(meaning, source.as_ref())?);
             }
             Read::Damage(_) => {
                 self.engine.hole();
@@ -167,16 +167,16 @@ impl Run {
             }
         };
         if let Some(pace) = &mut self.pace {
-            pace.wait(&entry);
+            pace.wait(entry);
         }
-        let report = self.engine.take(&entry)?;
-        let pair = self.verdict.take(&entry, report);
+        self.engine.take(entry)?;
+        let pair = self.verdict.take(entry, self.engine.report());
         if let Some((statistics, pair)) = self.statistics.as_mut().zip(pair) {
             statistics.push(&pair);
         }
         match &mut self.output {
             None => Ok(()),
-            Some(output) => output.take(&entry, report.as_ref(), pair.as_ref(), &self.engine),
+            Some(output) => output.take(entry, pair.as_ref(), &self.engine),
         }
     }
 

@@ -49,7 +49,7 @@ pub struct Integrity {
 impl Integrity {
     /// Takes a residual; whether the sighting may be fused: it fits, and so does the mean of the last ones,
     /// which are not just a lucky few.
-    pub fn judge(&mut self, innovation: &Innovation) -> bool {
+    pub fn judge(&mut self, innovation: &Innovation<'_>) -> bool {
         if !self.fits(innovation.deviations()) {
             return false;
         }

@@ -66,12 +66,11 @@ impl Solution {
 
 impl Sensitivity {
     /// What this noise does to the result.
-    pub fn spread(&self, noise: &Noise) -> Spread<9> {
-        let mut scaled = self.0;
-        for (mut column, sd) in scaled.column_iter_mut().zip(noise.spots.iter().chain(&noise.powers)) {
+    pub fn spread(mut self, noise: &Noise) -> Spread<9> {
+        for (mut column, sd) in self.0.column_iter_mut().zip(noise.spots.iter().chain(&noise.powers)) {
             column *= *sd;
         }
-        Spread(scaled)
+        Spread(self.0)
     }
 }
 

@@ -23,12 +23,12 @@ pub struct Sighting {
 
 /// A sighting against what nine signals say of the same place.
 #[derive(Clone, Copy, Debug)]
-pub struct Innovation {
+pub struct Innovation<'a> {
     /// Sighted minus solved, across the beam, metres.
     pub residual: Vec2,
     /// Inverse of its covariance, 1/m^2.
     weight: Matrix2<f64>,
-    spread: Spread<9>,
+    spread: &'a Spread<9>,
     /// How the noise of each signal shows in the solved place, metres.
     seen: SMatrix<f64, 2, 9>,
     deviation: f64,
@@ -45,13 +45,13 @@ pub struct Fused {
     pub spread: Spread<11>,
 }
 
-impl Innovation {
+impl<'a> Innovation<'a> {
     /// Compares a sighting with a solution of the Gaussian model, whose noise has this spread. `None` if
     /// one of them is no number.
     pub fn new(
         optics: &Optics,
         solution: &Solution,
-        spread: &Spread<9>,
+        spread: &'a Spread<9>,
         sighting: &Sighting,
     ) -> Option<Self> {
         let residual = sighting.at - optics.across(solution.pose.t) - solution.offset;
@@ -60,7 +60,7 @@ impl Innovation {
         let own = Matrix2::from_diagonal_element(sighting.deviation.powi(2));
         let weight = (seen * seen.transpose() + own).try_inverse()?;
         let finite = residual.iter().chain(&weight).all(|x| x.is_finite());
-        finite.then_some(Self { residual, weight, spread: *spread, seen, deviation: sighting.deviation })
+        finite.then_some(Self { residual, weight, spread, seen, deviation: sighting.deviation })
     }
 
     /// The length of the residual in its own deviations (Mahalanobis): by chance above 5 once in 270 000.

@@ -19,6 +19,7 @@ pub struct Engine {
     /// What samples and poses shall mean, whatever they meant then.
     other: Option<Arc<Meaning>>,
     state: Option<State>,
+    report: Option<PoseReport>,
     /// How often the state of a keyframe was taken.
     pub taken_up: u64,
     /// Samples and silences before the first keyframe, or without a source: nothing can be said of them.
@@ -52,27 +53,34 @@ impl Engine {
         self.other.is_none()
     }
 
-    /// What comes out of an entry, in the user's frame.
+    /// Takes the next entry.
     ///
     /// # Errors
     /// The configuration and the source of a keyframe do not go together.
-    pub fn take(&mut self, entry: &Entry) -> Result<Option<PoseReport>, Failure> {
+    pub fn take(&mut self, entry: &Entry) -> Result<(), Failure> {
         match entry {
-            Entry::Keyframe(keyframe) => self.keyframe(keyframe).map(|()| None),
-            Entry::Sample { scan, sample, steering } => Ok(self.sample(scan, sample, steering)),
+            Entry::Keyframe(keyframe) => self.keyframe(keyframe)?,
+            Entry::Sample { scan, sample, steering } => self.report = self.sample(scan, sample, steering),
             Entry::Silence { time, steering, .. } => {
                 self.passed_over += u64::from(self.state.is_none());
-                let Some(State { estimation, .. }) = &mut self.state else { return Ok(None) };
-                let report = estimation.silence(*time, steering);
-                Ok(Some(estimation.in_user_frame(&report)))
+                self.report = self.state.as_mut().map(|State { estimation, .. }| {
+                    let report = estimation.silence(*time, steering);
+                    estimation.in_user_frame(&report)
+                });
             }
-            Entry::Frame { .. } | Entry::Lock { .. } => Ok(None),
+            Entry::Frame { .. } | Entry::Lock { .. } => {}
         }
+        Ok(())
+    }
+
+    /// What came out of the last sample or silence, if it gave something, in the user's frame.
+    pub fn report(&self) -> Option<&PoseReport> {
+        self.report.as_ref()
     }
 
     /// Something is missing on record: nothing can be said before the next keyframe.
     pub fn hole(&mut self) {
-        self.state = None;
+        (self.state, self.report) = (None, None);
     }
 
     /// Begins without what estimation remembered then, where that cannot be read; goes on if it has begun.

@@ -84,7 +84,6 @@ struct Player<C, Publish, Means> {
     waits: Option<Entry>,
     engine: Engine,
     verdict: Verdict,
-    told: Option<PoseReport>,
     steering: LoopState,
     last: Option<PoseReport>,
     id: Option<u32>,
@@ -106,7 +105,6 @@ impl<C: Clock, Publish: FnMut(&Told), Means: FnMut(&Meaning)> Player<C, Publish,
             waits: None,
             engine: Engine::new(),
             verdict: Verdict::default(),
-            told: None,
             steering: LoopState::default(),
             last: None,
             id: None,
@@ -168,7 +166,6 @@ impl<C: Clock, Publish: FnMut(&Told), Means: FnMut(&Meaning)> Player<C, Publish,
                     tracing::warn!(%damage, "the recording is damaged");
                     self.engine.hole();
                     self.verdict.hole();
-                    self.told = None;
                 }
                 Some(Read::Foreign { meaning, source, why }) => {
                     if let Err(failure) = self.engine.cold(&meaning, source.as_ref()) {
@@ -206,27 +203,22 @@ impl<C: Clock, Publish: FnMut(&Told), Means: FnMut(&Meaning)> Player<C, Publish,
         if let Entry::Sample { steering, .. } | Entry::Silence { steering, .. } = entry {
             self.steering = *steering;
         }
-        let report = match self.engine.take(entry) {
-            Ok(report) => report,
-            Err(failure) => {
-                tracing::error!(%failure, "the recording cannot be replayed");
-                self.engine.hole();
-                return;
-            }
-        };
+        if let Err(failure) = self.engine.take(entry) {
+            tracing::error!(%failure, "the recording cannot be replayed");
+            return self.engine.hole();
+        }
         if let Entry::Keyframe(keyframe) = entry
             && self.id.replace(keyframe.meaning.id()) != Some(keyframe.meaning.id())
         {
             (self.means)(&keyframe.meaning);
         }
-        self.told = report.or(self.told);
         let different = self.verdict.other;
-        self.verdict.take(entry, report);
+        let pair = self.verdict.take(entry, self.engine.report()).is_some();
         if different == 0 && self.verdict.other == 1 {
             tracing::warn!(first = ?self.verdict.first, "poses are not those of the recording");
         }
         if let Entry::Frame { frame, .. } = entry
-            && let Some(report) = self.told.take()
+            && let Some(report) = self.engine.report().copied().filter(|_| pair)
         {
             self.tell(&report, frame.time_ns, !frame.status.has(Status::CLOCK_UNSYNCED));
         }

@@ -24,7 +24,8 @@ pub struct Verdict {
     pub unrepeated: u64,
     /// The first that differs.
     pub first: Option<Difference>,
-    told: Option<PoseReport>,
+    /// A report waits for its frame.
+    waits: bool,
 }
 
 /// A frame that came out differently.
@@ -44,15 +45,15 @@ pub struct Difference {
 
 /// A frame on record, and what came out.
 #[derive(Clone, Copy, Debug)]
-pub struct Pair {
+pub struct Pair<'a> {
     /// As it was published.
-    pub then: PoseFrame,
+    pub then: &'a PoseFrame,
     /// As it would be published now: at the same moment, in the same session, as the same number.
     pub now: PoseFrame,
     same: bool,
 }
 
-impl Pair {
+impl Pair<'_> {
     /// Whether they are the same, bit by bit.
     pub fn same(&self) -> bool {
         self.same
@@ -60,29 +61,35 @@ impl Pair {
 }
 
 impl Verdict {
-    /// Takes an entry and what came out of it; gives the pair when the entry is a frame that it belongs to.
-    pub fn take(&mut self, entry: &Entry, report: Option<PoseReport>) -> Option<Pair> {
-        if let Entry::Frame { frame, time, .. } = entry {
-            let Some(report) = self.told.take() else {
-                self.unrepeated += 1;
-                return None;
-            };
-            let pair = pair(frame, *time, &report);
-            self.count(&pair);
-            return Some(pair);
+    /// Takes an entry and [what came out last](super::Engine::report); gives the pair when the entry is the frame of
+    /// that.
+    pub fn take<'a>(&mut self, entry: &'a Entry, report: Option<&PoseReport>) -> Option<Pair<'a>> {
+        match entry {
+            Entry::Frame { frame, time, .. } => {
+                let waited = std::mem::take(&mut self.waits);
+                let Some(report) = report.filter(|_| waited) else {
+                    self.unrepeated += 1;
+                    return None;
+                };
+                let pair = pair(frame, *time, report);
+                self.count(&pair);
+                Some(pair)
+            }
+            Entry::Sample { .. } | Entry::Silence { .. } => {
+                self.unrecorded += u64::from(self.waits && report.is_some());
+                self.waits |= report.is_some();
+                None
+            }
+            Entry::Keyframe(_) | Entry::Lock { .. } => None,
         }
-        if let Some(report) = report {
-            self.unrecorded += u64::from(self.told.replace(report).is_some());
-        }
-        None
     }
 
     /// Something is missing on record.
     pub fn hole(&mut self) {
-        self.unrecorded += u64::from(self.told.take().is_some());
+        self.unrecorded += u64::from(std::mem::take(&mut self.waits));
     }
 
-    fn count(&mut self, pair: &Pair) {
+    fn count(&mut self, pair: &Pair<'_>) {
         if pair.same {
             self.same += 1;
             return;
@@ -94,7 +101,7 @@ impl Verdict {
     }
 }
 
-fn pair(then: &PoseFrame, time: Mono, report: &PoseReport) -> Pair {
+fn pair<'a>(then: &'a PoseFrame, time: Mono, report: &PoseReport) -> Pair<'a> {
     let stamp = Stamp {
         session: then.session,
         config: report.config,
@@ -107,7 +114,7 @@ fn pair(then: &PoseFrame, time: Mono, report: &PoseReport) -> Pair {
     let of_the_moment = |frame: &PoseFrame| frame.status.0 & OF_THE_MOMENT;
     now.status.0 = now.status.0 & !OF_THE_MOMENT | of_the_moment(then);
     (now.solve_delay_ns, now.send_delay_ns) = (then.solve_delay_ns, then.send_delay_ns);
-    Pair { then: *then, same: report.time == time && equal(then, &now), now }
+    Pair { then, same: report.time == time && equal(then, &now), now }
 }
 
 /// Whether two frames are equal bit by bit; what is not a number is the same nothing.
@@ -131,8 +138,8 @@ fn equal(a: &PoseFrame, b: &PoseFrame) -> bool {
     doubles(a) == doubles(b) && singles(a) == singles(b) && rest(a) == rest(b)
 }
 
-fn difference(pair: &Pair) -> Difference {
-    let (then, now) = (Columns::of(&pair.then), Columns::of(&pair.now));
+fn difference(pair: &Pair<'_>) -> Difference {
+    let (then, now) = (Columns::of(pair.then), Columns::of(&pair.now));
     let all = then.0.into_iter().zip(now.0).map(|((column, then), (_, now))| (column, then, now));
     let mut different: Vec<_> = all.filter(|(_, then, now)| !alike(then, now)).collect();
     different
@@ -143,7 +150,7 @@ fn difference(pair: &Pair) -> Difference {
         Value::Integer(pair.then.time_ns),
         Value::Text("another moment".into()),
     ));
-    let PoseFrame { time_ns, sample_index: index, .. } = pair.then;
+    let PoseFrame { time_ns, sample_index: index, .. } = *pair.then;
     Difference { time_ns, index, column, then, now }
 }
 

@@ -5,7 +5,6 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use trifacet::clock::Mono;
-use trifacet::estimation::PoseReport;
 use trifacet::exit::{self, Failure};
 use trifacet::publishing::columns::Columns;
 use trifacet::recording::Entry;
@@ -23,7 +22,7 @@ pub(super) struct Output {
 
 enum Form {
     Csv { to: BufWriter<File>, begun: bool },
-    Mcap { writer: Box<Writer<BufWriter<File>>>, encoder: Box<Encoder>, last: Option<Box<PoseReport>> },
+    Mcap { writer: Box<Writer<BufWriter<File>>>, encoder: Box<Encoder> },
 }
 
 /// What may go wrong with a message.
@@ -45,7 +44,7 @@ impl Output {
                 let to = BufWriter::new(new_file(path)?);
                 let writer = cannot_write(Writer::new(to, Some(mcap::Compression::Zstd)), path)?;
                 let encoder = Encoder::new((Mono(0), 0));
-                Form::Mcap { writer: Box::new(writer), encoder: Box::new(encoder), last: None }
+                Form::Mcap { writer: Box::new(writer), encoder: Box::new(encoder) }
             }
             _ => {
                 let why = format!("--output {}: allowed are names that end in .mcap or .csv", path.display());
@@ -59,8 +58,7 @@ impl Output {
     pub(super) fn take(
         &mut self,
         entry: &Entry,
-        report: Option<&PoseReport>,
-        pair: Option<&Pair>,
+        pair: Option<&Pair<'_>>,
         engine: &Engine,
     ) -> anyhow::Result<()> {
         match &mut self.form {
@@ -72,11 +70,8 @@ impl Output {
                 }
                 cannot_write(writeln!(to, "{}", columns.csv_line()), &self.path)
             }
-            Form::Mcap { writer, encoder, last } => {
-                if let Some(report) = report {
-                    *last = Some(Box::new(*report));
-                }
-                let Some(now) = now(entry, pair, last.as_deref(), engine) else { return Ok(()) };
+            Form::Mcap { writer, encoder } => {
+                let Some(now) = now(entry, pair, engine) else { return Ok(()) };
                 let put = |message: trifacet::recording::codec::Encoded<'_>| {
                     writer.put(message).map_err(Broken::from)
                 };
@@ -98,7 +93,7 @@ impl Output {
 }
 
 /// The entry as it would be recorded now.
-fn now(entry: &Entry, pair: Option<&Pair>, report: Option<&PoseReport>, engine: &Engine) -> Option<Entry> {
+fn now(entry: &Entry, pair: Option<&Pair<'_>>, engine: &Engine) -> Option<Entry> {
     Some(match entry {
         Entry::Keyframe(_) => Entry::Keyframe(Box::new(engine.now()?)),
         Entry::Sample { scan, steering, .. } => {
@@ -107,7 +102,7 @@ fn now(entry: &Entry, pair: Option<&Pair>, report: Option<&PoseReport>, engine: 
         Entry::Frame { time, .. } => Entry::Frame {
             frame: pair?.now,
             time: *time,
-            covariance: report.and_then(|report| report.covariance),
+            covariance: engine.report().and_then(|report| report.covariance),
         },
         Entry::Silence { .. } | Entry::Lock { .. } => entry.clone(),
     })

@@ -20,8 +20,8 @@ pub(super) struct Statistics {
 }
 
 impl Statistics {
-    pub(super) fn push(&mut self, pair: &Pair) {
-        match [&pair.then, &pair.now].map(|frame| !frame.pose[0].is_nan()) {
+    pub(super) fn push(&mut self, pair: &Pair<'_>) {
+        match [pair.then, &pair.now].map(|frame| !frame.pose[0].is_nan()) {
             [true, true] => {}
             [true, false] => return self.only_then += 1,
             [false, true] => return self.only_now += 1,

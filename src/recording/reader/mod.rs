@@ -10,7 +10,7 @@ pub mod damage;
 pub mod parts;
 pub mod tally;
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -63,7 +63,7 @@ pub struct Reader {
 
 /// The topics of the channels of a file.
 #[derive(Debug, Default)]
-struct Channels(HashMap<u16, Option<Topic>>);
+struct Channels(BTreeMap<u16, Option<Topic>>);
 
 /// What becomes of messages.
 #[derive(Debug)]
