@@ -6,7 +6,7 @@ use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::{Path, PathBuf};
 
 use jiff::Timestamp;
-use rustix::fs::statvfs;
+use rustix::fs::{Access, access, statvfs};
 
 /// Stands behind the name of a file that is not finished.
 pub const UNFINISHED: &str = "part";
@@ -26,6 +26,19 @@ pub struct Recording {
     pub bytes: u64,
 }
 
+impl Recording {
+    /// Whether it is not finished.
+    pub fn unfinished(&self) -> bool {
+        self.path.extension().is_some_and(|extension| extension == UNFINISHED)
+    }
+
+    /// Whether it is being written, by this process or another. What cannot be known counts as that.
+    pub fn in_use(&self) -> bool {
+        let locked = |file: File| file.try_lock().is_err();
+        self.unfinished() && OpenOptions::new().write(true).open(&self.path).map_or(true, locked)
+    }
+}
+
 impl Folder {
     /// Makes the folder, if only itself is missing.
     ///
@@ -38,7 +51,31 @@ impl Folder {
         }
     }
 
-    /// A new file for what begins at this moment, UTC.
+    /// Whether recordings can be made here, as far as can be seen without making any; or why not.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn usable(&self) -> Result<(), String> {
+        let parent = self.0.parent().filter(|parent| !parent.as_os_str().is_empty());
+        let parent = parent.unwrap_or(Path::new("."));
+        let there = match fs::metadata(&self.0) {
+            Ok(it) if it.is_dir() => &self.0,
+            Ok(_) => return Err("it is no folder".into()),
+            Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e.to_string()),
+            Err(_) if !parent.is_dir() => {
+                return Err(format!(
+                    "there is no folder {}, and only the last one is made",
+                    parent.display()
+                ));
+            }
+            Err(_) => parent,
+        };
+        let may = access(there, Access::WRITE_OK | Access::EXEC_OK);
+        may.map_err(|e| format!("cannot write in {}: {}", there.display(), io::Error::from(e)))
+    }
+
+    /// A new file for what begins at this moment, UTC. As long as it is open it is locked: nobody who asks
+    /// [`Recording::in_use`] takes it for left over.
     ///
     /// # Errors
     /// It cannot be made.
@@ -50,7 +87,12 @@ impl Folder {
                 let unfinished = unfinished(&path);
                 match OpenOptions::new().write(true).create_new(true).mode(MODE).open(&unfinished) {
                     Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {}
-                    made => return made.map(|file| (file, unfinished)),
+                    Err(e) => return Err(e),
+                    Ok(file) => {
+                        // A file system without locks has none that is free either: nothing there is left over.
+                        let _ = file.try_lock();
+                        return Ok((file, unfinished));
+                    }
                 }
             }
             time_ns += 1_000_000;
@@ -85,8 +127,8 @@ impl Folder {
         Ok(recordings)
     }
 
-    /// Deletes the oldest recordings until all of them take so many bytes less than the budget. Gives those
-    /// that are deleted.
+    /// Deletes the oldest recordings until all of them take so many bytes less than the budget, but none that
+    /// is being written. Gives those that are deleted.
     ///
     /// # Errors
     /// The folder cannot be read.
@@ -98,11 +140,16 @@ impl Folder {
             if taken + wanted <= budget {
                 break;
             }
+            if recording.in_use() {
+                continue;
+            }
             match fs::remove_file(&recording.path) {
                 Ok(()) => {
                     taken -= recording.bytes;
                     deleted.push(recording);
                 }
+                // Finished or deleted by somebody else meanwhile.
+                Err(e) if e.kind() == io::ErrorKind::NotFound => {}
                 Err(e) => tracing::warn!(
                     file = %recording.path.display(),
                     "an old recording cannot be deleted, to keep recording.budget_gb: {e}"
@@ -158,17 +205,25 @@ mod tests {
         let folder = Folder(dir.path().to_owned());
         let foreign = dir.path().join("aaa.mcap");
         fs::write(&foreign, [0; 1000]).unwrap();
-        for second in 0..4 {
+        let mut open = Vec::new();
+        for second in 0..5 {
             let (file, path) = folder.create(second * 1_000_000_000).unwrap();
             file.set_len(100).unwrap();
             assert!(path.to_str().unwrap().ends_with(".mcap.part"));
+            open.push(file);
         }
-        let (_, other) = folder.create(0).unwrap();
+        let (_open, other) = folder.create(0).unwrap();
         assert!(other.to_str().unwrap().contains("000000.001Z"), "no file is written over");
+        assert!(folder.make_room(350, 100).unwrap().is_empty(), "all but one are being written");
+        open.drain(1..);
         let deleted = folder.make_room(350, 100).unwrap();
         assert_eq!(deleted.len(), 3, "{deleted:?}");
-        let left: Vec<u64> = folder.list().unwrap().iter().map(|r| r.bytes).collect();
-        assert_eq!(left, [100, 100]);
+        let left: Vec<String> = folder.list().unwrap().iter().map(|r| r.path.display().to_string()).collect();
+        let names = ["000000.000Z", "000000.001Z", "000004.000Z"];
+        assert!(
+            left.len() == 3 && left.iter().zip(names).all(|(path, name)| path.contains(name)),
+            "{left:?}"
+        );
         assert!(foreign.exists());
     }
 }
