@@ -1,5 +1,6 @@
 //! `[recording]`: what is written to files.
 
+use std::ops::{RangeBounds as _, RangeInclusive};
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
@@ -40,6 +41,12 @@ pub enum Compression {
     /// Smaller.
     Zstd,
 }
+
+/// Files that the budget must hold: one that is being finished, one that is being written, and one to keep.
+const FILES: f64 = 3.0;
+/// Sizes that a file may have, MB, and the largest budget, GB.
+const ROTATE_MB: RangeInclusive<f64> = 1.0..=100_000.0;
+const BUDGET_GB: f64 = 100_000.0;
 
 /// `[recording]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -83,13 +90,16 @@ impl RecordingConfig {
         let folder = self.folder.display();
         let fine = !self.folder.as_os_str().is_empty();
         at.demand(fine, "folder", format!("{folder:?}"), "the path of a folder");
-        at.number("rotate_mb", self.rotate_mb, 1.0..=100_000.0);
+        at.number("rotate_mb", self.rotate_mb, ROTATE_MB);
         at.number("rotate_min", self.rotate_min, 0.05..=1440.0);
-        at.number("budget_gb", self.budget_gb, above_zero(100_000.0));
+        at.number("budget_gb", self.budget_gb, above_zero(BUDGET_GB));
         at.number("before_s", self.before_s, 0.0..=300.0);
         at.number("after_s", self.after_s, 0.5..=3600.0);
-        let least = 2.0 * self.rotate_mb / 1000.0;
-        let allowed = format!("at least two files of recording.rotate_mb: {least} GB");
-        at.demand(self.budget_gb >= least, "budget_gb", self.budget_gb, allowed);
+        let (rotate_mb, budget_gb) = (self.rotate_mb, self.budget_gb);
+        let least = FILES * rotate_mb / 1000.0;
+        let allowed = format!("at least {least}: {FILES} files of recording.rotate_mb = {rotate_mb}");
+        // What is wrong by itself is said already.
+        let sane = ROTATE_MB.contains(&rotate_mb) && above_zero(BUDGET_GB).contains(&budget_gb);
+        at.demand(!sane || budget_gb >= least, "budget_gb", budget_gb, allowed);
     }
 }
