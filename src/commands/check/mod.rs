@@ -1,5 +1,6 @@
 //! `trifacet check`: what a configuration means.
 
+mod recording;
 mod steering;
 
 use std::fmt::Write as _;
@@ -35,8 +36,10 @@ pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
     estimation(&config, &mut lines)?;
     frames(&config, &mut lines);
     publishing(&config, &mut lines);
+    recording::recording(&config, &mut lines);
     machine(&config, &mut lines);
     notes(&config, &mut lines);
+    recording::note(&config, &mut lines);
     written(std::io::stdout().write_all(lines.0.as_bytes()))
 }
 
