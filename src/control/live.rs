@@ -141,8 +141,7 @@ impl Live {
     }
 
     async fn record(&self, wish: Wish) -> Result<Value, Failure> {
-        let done = ask(&self.recording.wishes, PATIENCE, |reply| (wish, reply)).await?;
-        done.map_err(|why| Failure::new(exit::IO, why))?;
+        ask(&self.recording.wishes, PATIENCE, |reply| (wish, reply)).await??;
         Ok(json!({ "recording": self.recording.state.tell() }))
     }
 

@@ -1,197 +1,36 @@
-//! A file on the disk, and the thread that waits for the disk.
+//! The thread that waits for the disk, so that nothing else has to.
 
 use std::fs::{self, File};
-use std::io::{self, Write};
+use std::io;
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::sync::{Arc, mpsc};
 use std::thread::JoinHandle;
-
-use super::Topic;
-use super::codec::Encoded;
-use super::folder::{Folder, UNFINISHED};
-use super::writer::{RecordError, Writer};
-use crate::clock::Mono;
-
-/// A recording in the making.
-pub struct Output {
-    writer: Writer<Tail>,
-    file: Arc<File>,
-    /// Where it stands until it is finished.
-    pub path: PathBuf,
-    /// When it began.
-    pub since: Mono,
-    written: Arc<AtomicU64>,
-    failed: Arc<AtomicBool>,
-    told: AtomicU64,
-    /// Bytes of it that make whole chunks, and those before the first message.
-    whole: u64,
-    head: u64,
-    /// Configuration and source that were written last, without their stamps.
-    standing: [Vec<u8>; 2],
-}
-
-/// Where the bytes go. After an error, nowhere: what follows a torn chunk would hide it.
-struct Tail {
-    file: Arc<File>,
-    written: Arc<AtomicU64>,
-    failed: Arc<AtomicBool>,
-}
-
-impl Write for Tail {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        if self.failed.load(Ordering::Relaxed) {
-            return Err(io::Error::other("the recording has failed"));
-        }
-        match (&*self.file).write(bytes) {
-            Err(e) if e.kind() != io::ErrorKind::Interrupted => {
-                self.failed.store(true, Ordering::Relaxed);
-                Err(e)
-            }
-            done => {
-                self.written.fetch_add(*done.as_ref().unwrap_or(&0) as u64, Ordering::Relaxed);
-                done
-            }
-        }
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
-impl Output {
-    /// Begins a file at this moment, UTC.
-    ///
-    /// # Errors
-    /// It cannot be made.
-    pub fn begin(
-        folder: &Folder,
-        time_ns: i64,
-        since: Mono,
-        compression: Option<mcap::Compression>,
-    ) -> Result<Self, RecordError> {
-        let (file, path) = folder.create(time_ns).map_err(mcap::McapError::from)?;
-        let file = Arc::new(file);
-        let (written, failed) = (Arc::default(), Arc::default());
-        let tail =
-            Tail { file: Arc::clone(&file), written: Arc::clone(&written), failed: Arc::clone(&failed) };
-        let begun = Writer::new(tail, compression).and_then(|mut writer| writer.flush().map(|()| writer));
-        let writer = begun.inspect_err(|_| remove(&path))?;
-        let whole = written.load(Ordering::Relaxed);
-        Ok(Self {
-            writer,
-            file,
-            path,
-            since,
-            written,
-            failed,
-            told: AtomicU64::new(0),
-            whole,
-            head: whole,
-            standing: Default::default(),
-        })
-    }
-
-    /// Bytes since this was last asked.
-    pub fn news(&self) -> u64 {
-        let bytes = self.bytes();
-        bytes - self.told.swap(bytes, Ordering::Relaxed)
-    }
-
-    /// Bytes so far.
-    pub fn bytes(&self) -> u64 {
-        self.written.load(Ordering::Relaxed)
-    }
-
-    /// Takes a message; false if it says again what stands already.
-    ///
-    /// # Errors
-    /// It cannot be written.
-    pub fn put(&mut self, message: Encoded<'_>) -> Result<bool, RecordError> {
-        let standing = match message.topic {
-            Topic::Config => Some(&mut self.standing[0]),
-            Topic::Source => Some(&mut self.standing[1]),
-            _ => None,
-        };
-        if let Some(standing) = standing {
-            // Behind the encapsulation and the stamp.
-            let text = message.data.get(12..).unwrap_or_default();
-            if standing == text {
-                return Ok(false);
-            }
-            text.clone_into(standing);
-        }
-        self.writer.put(message)?;
-        Ok(true)
-    }
-
-    /// Hands over to the system what there is.
-    ///
-    /// # Errors
-    /// It cannot be written.
-    pub fn flush(&mut self) -> Result<(), RecordError> {
-        self.writer.flush()?;
-        self.whole = self.bytes();
-        Ok(())
-    }
-
-    /// Asks for it to be on the disk.
-    pub fn sync(&self, disk: &Disk) {
-        disk.sync(&self.file);
-    }
-
-    /// Writes the index, and gives the file its name as soon as it is on the disk.
-    ///
-    /// # Errors
-    /// It cannot be written.
-    pub fn finish(self, disk: &Disk) -> Result<(), RecordError> {
-        let Self { writer, file, path, whole, .. } = self;
-        if let Err(e) = writer.finish() {
-            cut(&file, whole);
-            return Err(e.into());
-        }
-        disk.close(file, path);
-        Ok(())
-    }
-
-    /// Leaves it unfinished, cut to what is whole; gives where it is, if there is anything in it.
-    pub fn abandon(self) -> Option<PathBuf> {
-        let Self { writer, file, path, whole, head, failed, .. } = self;
-        failed.store(true, Ordering::Relaxed);
-        drop(writer); // it would finish the file
-        if whole > head {
-            cut(&file, whole);
-            Some(path)
-        } else {
-            remove(&path);
-            None
-        }
-    }
-}
-
-/// Cuts off what is torn. Where that is not possible either, whoever reads it finds it torn.
-fn cut(file: &File, whole: u64) {
-    let _ = file.set_len(whole);
-}
-
-fn remove(path: &Path) {
-    // It has nothing in it; if it cannot be removed, it does no harm.
-    let _ = fs::remove_file(path);
-}
 
 /// What is to be done on the disk.
 enum Job {
-    Sync(Arc<File>),
+    Sync(Arc<File>, PathBuf),
     Close(Arc<File>, PathBuf),
 }
 
-/// The thread that waits for the disk, so that nothing else has to.
+/// What came of it.
+pub struct Done {
+    /// The file, by the name that it had when this was asked.
+    pub path: PathBuf,
+    /// It was to be finished. Else it was brought to the disk, and goes on.
+    pub close: bool,
+    /// Its name now and its size in bytes, or what is wrong.
+    pub result: Result<(PathBuf, u64), String>,
+}
+
+/// The thread.
 pub struct Disk {
     jobs: Option<mpsc::Sender<Job>>,
+    done: mpsc::Receiver<Done>,
     thread: Option<JoinHandle<()>>,
-    busy: Arc<AtomicBool>,
-    error: Arc<Mutex<Option<String>>>,
+    /// Whether a file is being brought to the disk, and how many are being finished.
+    syncing: bool,
+    closing: u32,
 }
 
 impl Disk {
@@ -201,40 +40,50 @@ impl Disk {
     /// No thread can be had.
     pub fn start() -> io::Result<Self> {
         let (jobs, todo) = mpsc::channel();
-        let (busy, error) = <(Arc<AtomicBool>, Arc<Mutex<Option<String>>>)>::default();
-        let (idle, failed) = (Arc::clone(&busy), Arc::clone(&error));
+        let (tell, done) = mpsc::channel();
         let work = move || {
-            for job in todo {
-                let (what, done) = match job {
-                    Job::Sync(file) => {
-                        let done = file.sync_data();
-                        idle.store(false, Ordering::Release);
-                        ("cannot bring the recording to the disk", done)
-                    }
-                    Job::Close(file, path) => ("cannot finish the recording", close(&file, &path)),
-                };
-                if let Err(e) = done {
-                    *failed.lock().unwrap_or_else(PoisonError::into_inner) = Some(format!("{what}: {e}"));
-                }
-            }
+            // Who does not listen any more does not need it.
+            let _ = todo.into_iter().try_for_each(|job| tell.send(work(job)));
         };
         let thread = std::thread::Builder::new().name("disk".into()).spawn(work)?;
-        Ok(Self { jobs: Some(jobs), thread: Some(thread), busy, error })
+        Ok(Self { jobs: Some(jobs), done, thread: Some(thread), syncing: false, closing: 0 })
     }
 
-    /// What went wrong since the last time.
-    pub fn error(&self) -> Option<String> {
-        self.error.lock().unwrap_or_else(PoisonError::into_inner).take()
+    /// What came of a job since the last time.
+    pub fn done(&mut self) -> Option<Done> {
+        let done = self.done.try_recv().ok()?;
+        if done.close {
+            self.closing -= 1;
+        } else {
+            self.syncing = false;
+        }
+        Some(done)
     }
 
-    fn sync(&self, file: &Arc<File>) {
-        // One that has not yet come back will not be made faster by another.
-        if !self.busy.swap(true, Ordering::Acquire) {
-            self.give(Job::Sync(Arc::clone(file)));
+    /// Whether files are being finished.
+    pub fn closing(&self) -> bool {
+        self.closing > 0
+    }
+
+    /// Waits for all that is still to be done; nothing can be asked of it after that.
+    pub fn wait(&mut self) {
+        self.jobs = None;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
         }
     }
 
-    fn close(&self, file: Arc<File>, path: PathBuf) {
+    /// Brings a file to the disk, and looks whether it is still where it should be.
+    pub fn sync(&mut self, file: &Arc<File>, path: &Path) {
+        // One that has not yet come back will not be made faster by another.
+        if !std::mem::replace(&mut self.syncing, true) {
+            self.give(Job::Sync(Arc::clone(file), path.to_owned()));
+        }
+    }
+
+    /// Brings a file to the disk, and gives it the name of one that is finished.
+    pub fn close(&mut self, file: Arc<File>, path: PathBuf) {
+        self.closing += 1;
         self.give(Job::Close(file, path));
     }
 
@@ -246,21 +95,102 @@ impl Disk {
     }
 }
 
-/// Waits for what is still to be done.
 impl Drop for Disk {
     fn drop(&mut self) {
-        self.jobs = None;
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
+        self.wait();
     }
 }
 
-/// First the data, then the name that says they are all there.
-fn close(file: &File, path: &Path) -> io::Result<()> {
-    file.sync_all()?;
-    if path.extension().is_some_and(|extension| extension == UNFINISHED) {
-        fs::rename(path, path.with_extension(""))?;
+fn work(job: Job) -> Done {
+    let (path, close, result) = match job {
+        Job::Sync(file, path) => {
+            let result = sync(&file, &path).map(|bytes| (path.clone(), bytes));
+            (path, false, result)
+        }
+        Job::Close(file, path) => {
+            let result = close(&file, &path);
+            (path, true, result)
+        }
+    };
+    Done { path, close, result }
+}
+
+/// The data on the disk, in the file that people will find; gives its size.
+fn sync(file: &File, path: &Path) -> Result<u64, String> {
+    let failed = |e: io::Error| format!("cannot bring {} to the disk: {e}", path.display());
+    file.sync_data().map_err(failed)?;
+    if !leads_to(path, file).map_err(failed)? {
+        return Err(format!("{} is gone: it, or its folder, was moved or deleted", path.display()));
     }
-    File::open(path.parent().unwrap_or(Path::new(".")))?.sync_all()
+    file.metadata().map(|it| it.len()).map_err(failed)
+}
+
+/// First the data, then the name that says they are all there.
+fn close(file: &File, path: &Path) -> Result<(PathBuf, u64), String> {
+    let bytes = sync(file, path)?;
+    let finished = path.with_extension("");
+    let folder = path.parent().unwrap_or(Path::new("."));
+    fs::rename(path, &finished)
+        .and_then(|()| File::open(folder)?.sync_all())
+        .map_err(|e| format!("cannot finish {}: {e}", path.display()))?;
+    Ok((finished, bytes))
+}
+
+/// Whether this path leads to this very file.
+///
+/// # Errors
+/// The system does not say.
+pub fn leads_to(path: &Path, file: &File) -> io::Result<bool> {
+    let there = match fs::metadata(path) {
+        Err(e) if matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => {
+            return Ok(false);
+        }
+        there => there?,
+    };
+    let file = file.metadata()?;
+    Ok((there.dev(), there.ino()) == (file.dev(), file.ino()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn wait(disk: &mut Disk) -> Done {
+        loop {
+            match disk.done() {
+                Some(done) => return done,
+                None => std::thread::yield_now(),
+            }
+        }
+    }
+
+    #[test]
+    fn a_disk_that_fails_late_is_told_with_the_file() {
+        let mut disk = Disk::start().unwrap();
+        // What has no disk behind it cannot be brought there.
+        let path = Path::new("/dev/null");
+        disk.sync(&Arc::new(File::open(path).unwrap()), path);
+        let done = wait(&mut disk);
+        let reason = done.result.unwrap_err();
+        assert!(!done.close && done.path == path && reason.contains("cannot bring /dev/null"), "{reason}");
+    }
+
+    #[test]
+    fn only_the_very_file_that_was_written_is_finished() {
+        let folder = tempfile::tempdir().unwrap();
+        let [path, away] = ["a.mcap.part", "away"].map(|name| folder.path().join(name));
+        let mut disk = Disk::start().unwrap();
+        let file = Arc::new(File::create(&path).unwrap());
+        file.set_len(7).unwrap();
+        fs::rename(&path, &away).unwrap();
+        File::create(&path).unwrap(); // somebody else's, of the same name
+        disk.close(Arc::clone(&file), path.clone());
+        assert!(disk.closing());
+        let reason = wait(&mut disk).result.unwrap_err();
+        assert!(!disk.closing() && path.exists() && reason.contains("is gone"), "{reason}");
+        fs::rename(&away, &path).unwrap();
+        disk.close(file, path.clone());
+        assert_eq!(wait(&mut disk).result.unwrap(), (path.with_extension(""), 7));
+        assert!(!path.exists());
+    }
 }

@@ -65,6 +65,17 @@ pub enum Entry {
     },
 }
 
+impl Entry {
+    /// When it happened. A keyframe stands between two moments.
+    pub fn time(&self) -> Option<Mono> {
+        match self {
+            Entry::Keyframe(_) => None,
+            Entry::Sample { scan, .. } => Some(scan.time),
+            Entry::Silence { time, .. } | Entry::Frame { time, .. } | Entry::Lock { time, .. } => Some(*time),
+        }
+    }
+}
+
 /// The state of channel map and estimation between two samples: what comes after it can be replayed without
 /// what was before.
 #[derive(Clone, Debug)]
@@ -88,6 +99,7 @@ pub struct Tap(Option<Feed>);
 struct Feed {
     to: mpsc::Sender<Entry>,
     open: Arc<AtomicBool>,
+    keyframe: Arc<AtomicBool>,
     counters: Arc<Counters>,
 }
 
@@ -99,19 +111,29 @@ pub struct Outflow {
     pub entries: mpsc::Receiver<Entry>,
     /// Whether entries are wanted.
     pub open: Arc<AtomicBool>,
+    /// Whether a keyframe is wanted before its time: a file can begin, and the one before end, only there.
+    pub keyframe: Arc<AtomicBool>,
 }
 
 impl Tap {
     /// A tap, closed for now, and its other end. What does not fit is counted.
     pub fn new(counters: Arc<Counters>) -> (Self, Outflow) {
         let (to, entries) = mpsc::channel(QUEUE);
-        let open = Arc::new(AtomicBool::new(false));
-        (Self(Some(Feed { to, open: Arc::clone(&open), counters })), Outflow { entries, open })
+        let (open, keyframe) = <(Arc<AtomicBool>, Arc<AtomicBool>)>::default();
+        let feed = Feed { to, open: Arc::clone(&open), keyframe: Arc::clone(&keyframe), counters };
+        (Self(Some(feed)), Outflow { entries, open, keyframe })
     }
 
     /// Whether entries are wanted.
     pub fn open(&self) -> bool {
         self.0.as_ref().is_some_and(|feed| feed.open.load(Ordering::Relaxed))
+    }
+
+    /// Whether a keyframe is wanted before its time: said once.
+    pub fn wants_keyframe(&self) -> bool {
+        self.0.as_ref().is_some_and(|feed| {
+            feed.keyframe.load(Ordering::Relaxed) && feed.keyframe.swap(false, Ordering::Relaxed)
+        })
     }
 
     /// Hands an entry over, if it is wanted; false if it was and there was no room. Never waits.

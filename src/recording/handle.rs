@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 use tokio::sync::{mpsc, oneshot};
 
 use crate::config::RecordingMode;
+use crate::exit::Failure;
 
 /// What may be asked of the recorder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,7 +36,7 @@ impl Wish {
 }
 
 /// A wish with the way back: done, or why not.
-pub type Asked = (Wish, oneshot::Sender<Result<(), String>>);
+pub type Asked = (Wish, oneshot::Sender<Result<(), Failure>>);
 
 /// What holds at present.
 #[derive(Debug)]

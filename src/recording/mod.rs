@@ -4,7 +4,7 @@
 //! - [`witness`]: what estimation says for the record, with a keyframe every second.
 //! - [`schema`], [`message`]: topics and messages, as tools for ROS 2 know them. [`codec`]: entries to messages and back.
 //! - [`reader`]: a file to entries, past every damage.
-//! - [`writer`]: messages to a file. [`ring`]: the last seconds in memory. [`folder`], `disk`: where files are.
+//! - [`writer`]: messages to a file. [`ring`]: the last seconds in memory. [`folder`], `output`, `disk`: where files are.
 //! - [`recorder`]: the thread that does it. [`trigger`]: when. [`handle`]: what others see of it.
 
 pub mod codec;
@@ -13,6 +13,7 @@ pub mod entry;
 pub mod folder;
 pub mod handle;
 pub mod message;
+mod output;
 pub mod reader;
 pub mod recorder;
 pub mod ring;

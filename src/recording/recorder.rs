@@ -5,10 +5,17 @@
 //!                └─(on-fault)──> ring ──(fault)──> file
 //! ```
 //!
+//! A file begins at a keyframe, and ends at the next one's: where it ends, the next file or the ring goes on with
+//! that very keyframe, and nothing is lost in between. Where that is to be soon, a keyframe is asked for.
+//!
 //! Nothing that happens to it reaches the measurement: what cannot be written is lost, counted, told in
 //! the log, in every frame (RECORDING_FAULT), and in the next file.
 
+mod faults;
 mod files;
+mod orders;
+#[cfg(test)]
+mod tests;
 mod thread;
 
 use std::sync::Arc;
@@ -19,15 +26,18 @@ use tokio::sync::mpsc::{self, error::TryRecvError};
 
 use super::Entry;
 use super::codec::Encoder;
-use super::disk::{Disk, Output};
+use super::disk::Disk;
 use super::entry::Outflow;
 use super::folder::Folder;
-use super::handle::{Asked, State, Wish};
+use super::handle::{Asked, State};
+use super::output::Output;
 use super::ring::Ring;
 use super::trigger::Trigger;
 use crate::clock::{Clock, Mono, NS_PER_S, SystemClock, utc};
 use crate::config::{Compression, RecordingConfig, RecordingMode};
 use crate::monitor::Counters;
+use faults::Fault;
+use orders::Stopping;
 
 pub use thread::{Thread, start};
 
@@ -41,14 +51,6 @@ const FLUSH_NS: i64 = NS_PER_S / 2;
 const SECOND_NS: i64 = NS_PER_S;
 /// Room that there must be to begin a recording, bytes.
 const ROOM: u64 = 4 << 20;
-
-/// What went wrong, and what it costs.
-struct Fault {
-    reason: String,
-    lost: u64,
-    /// When it is tried again.
-    retry: Mono,
-}
 
 struct Recorder {
     config: RecordingConfig,
@@ -66,15 +68,20 @@ struct Recorder {
     trigger: Option<Trigger>,
     /// A recording is wanted.
     wanted: bool,
-    /// Until then, if it began with a fault.
+    /// Until then, if it began with a fault or somebody has ended it.
     until: Option<Mono>,
+    /// The last moment that was told.
+    latest: Mono,
+    /// Somebody waits for the end of the file.
+    stopping: Option<Stopping>,
     fault: Option<Fault>,
-    /// Entries that did not fit into the queue, so far; and those that no file has been told of.
+    /// What went wrong with something that is over, and until when the frames tell of it.
+    mishap: Option<(Mono, String)>,
+    /// Entries that did not fit into the queue, so far.
     overflows: u64,
-    untold: u64,
-    /// Until when the frames tell of them.
-    overflowing: Option<Mono>,
-    /// Nothing is written before the next keyframe.
+    /// Entries that no file has been told of, and why they are missing.
+    untold: Option<(u64, String)>,
+    /// Nothing makes sense before the next keyframe.
     fresh: bool,
     stop: Arc<AtomicBool>,
     flushed: Mono,
@@ -111,10 +118,12 @@ impl Recorder {
             trigger: on_fault.then(|| Trigger::new(config.after_s)),
             wanted: config.mode == RecordingMode::Always,
             until: None,
+            latest: now,
+            stopping: None,
             fault: None,
+            mishap: None,
             overflows: 0,
-            untold: 0,
-            overflowing: None,
+            untold: None,
             fresh: true,
             stop: Arc::default(),
             flushed: now,
@@ -139,28 +148,8 @@ impl Recorder {
         }
         self.empty_ring();
         self.end();
-        // Now the disk is waited for: by its drop.
-    }
-
-    fn obey(&mut self) {
-        while let Ok((wish, reply)) = self.asked.try_recv() {
-            let done = match wish {
-                Wish::Start => self.begin(None).map(|()| self.until = None),
-                Wish::Stop => {
-                    (self.wanted, self.until) = (false, None);
-                    self.empty_ring();
-                    self.end();
-                    self.well();
-                    Ok(())
-                }
-                Wish::Trigger if self.trigger.is_some() => self.triggered("asked for"),
-                Wish::Trigger => {
-                    Err("only with recording.mode = \"on-fault\"; to record from now on: start".into())
-                }
-            };
-            // Who does not wait any more does not need it.
-            let _ = reply.send(done);
-        }
+        self.disk.wait();
+        self.hear_disk();
     }
 
     /// Takes what is there; true at the end.
@@ -180,14 +169,17 @@ impl Recorder {
     }
 
     fn take(&mut self, entry: &Entry, now: Mono) {
+        self.latest = entry.time().unwrap_or(self.latest);
         if let Some(why) = self.trigger.as_mut().and_then(|trigger| trigger.see(entry)) {
             // What goes wrong with it is told there.
             let _ = self.triggered(why);
         }
         if matches!(entry, Entry::Keyframe(_)) {
+            self.wake();
+            self.fresh = false;
             self.cut(now);
         }
-        let filling = self.output.is_some();
+        let filling = self.filling();
         if let Some(ring) = &mut self.ring {
             if let Err(e) = ring.put(&mut self.encoder, entry, now, !filling) {
                 tracing::warn!("the ring of the recorder begins anew: {e}");
@@ -196,13 +188,13 @@ impl Recorder {
             return;
         }
         if self.output.is_none() {
+            self.fresh = true;
             self.lose(1);
             return;
         }
-        if self.fresh && !matches!(entry, Entry::Keyframe(_)) {
+        if self.fresh {
             return; // nothing that could be understood
         }
-        self.fresh = false;
         let Self { encoder, output: Some(output), counters, .. } = self else { return };
         let done = encoder.encode(entry, |message| {
             counters.recording_messages.add(output.put(message)?.into());
@@ -213,61 +205,21 @@ impl Recorder {
         }
     }
 
-    /// At a keyframe: the place for a new file, and to say what is missing.
-    fn cut(&mut self, now: Mono) {
-        let old = |output: &Output| {
-            output.bytes() as f64 >= self.config.rotate_mb * 1e6
-                || now.seconds_since(output.since) >= self.config.rotate_min * 60.0
-        };
-        if self.output.as_ref().is_some_and(old) {
-            self.end();
+    /// If nothing has told the encoder the time lately, it reads the clocks.
+    fn wake(&mut self) {
+        if self.fresh {
+            self.encoder = Encoder::new(utc::read_clocks());
         }
-        let due = self.fault.as_ref().is_none_or(|fault| now >= fault.retry);
-        if self.wanted && self.output.is_none() && due {
-            if let Err(reason) = self.open() {
-                self.suffer(reason);
-            } else if let Some(fault) = self.fault.take() {
-                tracing::info!(lost = fault.lost, after = fault.reason, "recording goes on in a new file");
-                self.untold += fault.lost;
-                self.state.fault(None);
-            }
-        }
-        self.tell_gap();
     }
 
-    /// Wants a recording, until then.
-    fn begin(&mut self, until: Option<Mono>) -> Result<(), String> {
-        if self.output.is_none() && self.fault.is_none() {
-            self.open()?;
-        }
-        (self.wanted, self.until) = (true, until);
-        Ok(())
-    }
-
-    fn triggered(&mut self, why: &str) -> Result<(), String> {
-        if self.wanted {
-            return Ok(()); // it is recorded anyway
-        }
-        tracing::info!(why, "a recording begins, with what was before");
-        let until = Some(SystemClock.now() + (self.config.after_s * NS_PER_S as f64) as i64);
-        let begun = self.begin(until);
-        if let Err(reason) = &begun {
-            // Until then it is tried again.
-            (self.wanted, self.until) = (true, until);
-            self.suffer(reason.clone());
-        }
-        begun
+    /// The file is still being filled from the ring.
+    fn filling(&self) -> bool {
+        self.ring.is_some() && self.output.is_some()
     }
 
     /// What is to be done now and then.
     fn mind(&mut self, now: Mono) {
         self.watch_overflows(now);
-        let filling = self.ring.is_some() && self.output.is_some();
-        if self.until.is_some_and(|until| now >= until) && !filling {
-            (self.wanted, self.until) = (false, None);
-            self.end();
-            self.well();
-        }
         if now - self.flushed >= FLUSH_NS {
             self.flushed = now;
             if let Some(Err(e)) = self.output.as_mut().map(Output::flush) {
@@ -277,37 +229,19 @@ impl Recorder {
         if now - self.synced >= SECOND_NS {
             self.synced = now;
             if let Some(output) = &self.output {
-                output.sync(&self.disk);
+                output.sync(&mut self.disk);
             }
             self.state.free.store(self.folder.free().unwrap_or(u64::MAX), Ordering::Relaxed);
         }
-        if let Some(reason) = self.disk.error() {
-            self.broken(reason);
+        self.hear_disk();
+        if self.waits_for_keyframe(now) {
+            self.outflow.keyframe.store(true, Ordering::Relaxed);
         }
+        self.answer(now);
+        self.mishap.take_if(|(until, _)| now >= *until);
+        self.show();
         let ring = self.ring.as_ref().map_or(0, Ring::bytes);
         self.state.ring.store(ring as u64, Ordering::Relaxed);
         self.count_bytes();
-    }
-
-    /// What did not fit into the queue is lost as well.
-    fn watch_overflows(&mut self, now: Mono) {
-        let overflows = self.counters.recording_overflows.get();
-        let more = overflows - std::mem::replace(&mut self.overflows, overflows);
-        if more > 0 {
-            self.untold += more;
-            if self.overflowing.is_none() {
-                tracing::warn!(
-                    entries = more,
-                    "the recorder is behind, and has lost data: is the disk too slow?"
-                );
-            }
-            self.overflowing = Some(now + SECOND_NS);
-            self.state.fault(Some("the recorder is behind: is the disk too slow?".into()));
-        } else if self.overflowing.is_some_and(|until| now >= until) {
-            self.overflowing = None;
-            if self.fault.is_none() {
-                self.state.fault(None);
-            }
-        }
     }
 }

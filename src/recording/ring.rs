@@ -69,6 +69,15 @@ impl Ring {
         encoder.encode(entry, |message| writer.put(message).map_err(RecordError::from))
     }
 
+    /// Says what is missing before what comes next.
+    ///
+    /// # Errors
+    /// It cannot be encoded.
+    pub fn gap(&mut self, encoder: &mut Encoder, entries: u64, why: &str) -> Result<(), RecordError> {
+        let Some((_, writer)) = &mut self.open else { return Ok(()) };
+        encoder.gap(entries, why, |message| writer.put(message).map_err(RecordError::from))
+    }
+
     /// Ends the stretch in the making.
     ///
     /// # Errors

@@ -55,7 +55,7 @@ impl Witness {
     fn keyframe(&mut self, now: Mono, memory: &Memory) {
         if !self.tap.open() {
             self.due = None;
-        } else if self.due.is_none_or(|due| now >= due) {
+        } else if self.tap.wants_keyframe() || self.due.is_none_or(|due| now >= due) {
             self.due = Some(now + KEYFRAME_NS);
             let Self { meaning, source, last, .. } = self;
             let (meaning, source, last) = (Arc::clone(meaning), source.clone(), *last);

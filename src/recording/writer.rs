@@ -19,9 +19,22 @@ pub enum RecordError {
     /// It cannot be encoded.
     #[error("{0}")]
     Encode(#[from] EncodeError),
+    /// The system does not take it.
+    #[error("{0}")]
+    Io(#[from] std::io::Error),
     /// It cannot be written.
     #[error("{0}")]
-    File(#[from] McapError),
+    File(McapError),
+}
+
+/// What the system says is the reason, whatever was being written.
+impl From<McapError> for RecordError {
+    fn from(e: McapError) -> Self {
+        match e {
+            McapError::Io(e) => Self::Io(e),
+            e => Self::File(e),
+        }
+    }
 }
 
 /// Writes one file, or what will be one.

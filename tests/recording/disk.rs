@@ -56,7 +56,10 @@ fn a_folder_that_cannot_be_made_is_told_and_used_once_it_can() {
     );
     daemon.waits("with the fault", |frame| frame.status.has(Status::RECORDING_FAULT));
     let (code, _, error) = daemon.ctl(&["record", "start"]);
-    assert_eq!(code, 0, "it is wanted already: {error}");
+    assert!(
+        code == 74 && error.contains("missing/recordings"),
+        "it is wanted already, and cannot be: {error}"
+    );
     std::fs::create_dir(daemon.home.path().join("missing")).unwrap();
     daemon.waits("without the fault", |frame| !frame.status.has(Status::RECORDING_FAULT));
     daemon.runs_for(0.7);
@@ -71,11 +74,73 @@ fn a_start_that_cannot_be_is_refused_with_the_reason() {
     let daemon = Daemon::start("acquisition.rate_hz = 200\nrecording.folder = \"/proc/recordings\"");
     daemon.runs_for(0.2);
     let (code, answer, error) = daemon.ctl(&["record", "start"]);
-    assert!(code != 0 && error.contains("/proc/recordings"), "{answer} {error}");
+    assert!(code == 74 && error.contains("/proc/recordings"), "{answer} {error}");
     assert!(!daemon.waits("at all", |_| true).status.has(Status::RECORDING_FAULT), "nobody expects a file");
     // Nor is it tried behind everybody's back.
     let (_, status, _) = daemon.ctl(&["record", "status"]);
     assert_eq!(status["recording"], false);
     let check = Command::new("ls").arg("/proc/recordings").output().unwrap();
     assert!(!check.status.success());
+}
+
+#[test]
+fn a_folder_that_is_moved_away_is_noticed_and_made_anew() {
+    let mut daemon = Daemon::start("acquisition.rate_hz = 500\nrecording.mode = \"always\"");
+    daemon.runs_for(0.8);
+    let moved = daemon.home.path().join("moved");
+    std::fs::rename(daemon.folder(), &moved).unwrap();
+    daemon.waits("with the fault", |frame| frame.status.has(Status::RECORDING_FAULT));
+    let error = daemon.says("nothing is recorded");
+    assert!(error["message"].as_str().unwrap().contains("moved"), "{error}");
+    daemon.waits("without the fault", |frame| !frame.status.has(Status::RECORDING_FAULT));
+    daemon.runs_for(0.7);
+    daemon.stop();
+    let [old, new] = [moved, daemon.folder()].map(|folder| recordings(&folder));
+    let ([old], [new]) = (old.as_slice(), new.as_slice()) else { panic!("{old:?} {new:?}") };
+    assert!(!Content::read(old).frames().is_empty());
+    let new = Content::read(new);
+    assert!(new.whole && new.gaps == 1, "the second says what is missing");
+}
+
+#[test]
+fn a_file_that_was_deleted_is_not_said_to_be_recorded() {
+    let mut daemon = Daemon::start("acquisition.rate_hz = 500");
+    daemon.runs_for(0.2);
+    assert_eq!(daemon.ctl(&["record", "start"]).0, 0);
+    daemon.runs_for(0.2);
+    let [file] = &recordings(&daemon.folder())[..] else { panic!("no file") };
+    std::fs::remove_file(file).unwrap();
+    let (code, answer, error) = daemon.ctl(&["record", "stop"]);
+    assert!(code == 74 && error.contains("deleted"), "{answer} {error}");
+    daemon.stop();
+    assert!(!daemon.log.iter().any(|line| line["message"] == "recorded"), "{:#?}", daemon.log);
+    assert!(recordings(&daemon.folder()).is_empty());
+}
+
+/// A write that fails late: at a limit of the system for the size of a file.
+#[test]
+fn a_write_that_fails_is_told_with_its_reason_and_the_next_file_says_what_is_missing() {
+    let script = "trap '' XFSZ; ulimit -f 3000; exec \"$@\"";
+    let mut daemon = Daemon::start_in(
+        tempfile::tempdir().unwrap(),
+        "acquisition.rate_hz = 1000\nrecording.mode = \"always\"\nrecording.compression = \"none\"",
+        &["sh", "-c", script, "sh"],
+    );
+    let error = daemon.says("nothing is recorded");
+    assert!(error["message"].as_str().unwrap().contains("File too large"), "{error}");
+    daemon.says("recording goes on");
+    let lost: u64 = daemon.stop().iter().map(|frame| u64::from(frame.lost)).sum();
+    assert_eq!(lost, 0, "the stream goes on");
+    let files = recordings(&daemon.folder());
+    assert!(files.len() >= 2, "{files:?}");
+    let [first, second] = [&files[0], &files[1]].map(|file| Content::read(file));
+    assert_eq!((first.gaps, second.gaps), (0, 1));
+    let [end, begin] = [first.sample_indices(), second.sample_indices()];
+    let missing = begin[0] - end.last().unwrap() - 1;
+    // Of each sample, itself and its frame; the keyframes between.
+    assert!(
+        (2 * missing..2 * missing + 10).contains(&second.missing),
+        "{missing} samples: {}",
+        second.missing
+    );
 }

@@ -14,7 +14,8 @@ use mcap::{MessageStream, read::Options};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use trifacet::client::PoseFrame;
-use trifacet::recording::{Entry, Topic, codec::Decoder};
+use trifacet::recording::codec::{Decoder, read};
+use trifacet::recording::{Entry, Topic, message::Gap};
 
 /// Longer than anything here takes on the slowest machine.
 pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
@@ -180,6 +181,8 @@ pub(crate) fn recordings(folder: &Path) -> Vec<PathBuf> {
 pub(crate) struct Content {
     pub(crate) entries: Vec<Entry>,
     pub(crate) gaps: u64,
+    /// Entries that are missing by those gaps.
+    pub(crate) missing: u64,
     pub(crate) whole: bool,
 }
 
@@ -192,7 +195,10 @@ impl Content {
         for message in MessageStream::new_with_options(&bytes, options).unwrap() {
             let Ok(message) = message else { return content };
             let topic = Topic::of(&message.channel.topic).unwrap();
-            content.gaps += u64::from(topic == Topic::Gap);
+            if topic == Topic::Gap {
+                content.gaps += 1;
+                content.missing += read::<Gap>(topic, &message.data).unwrap().entries;
+            }
             content.entries.extend(decoder.decode(topic, &message.data).unwrap());
         }
         content.whole = mcap::Summary::read(&bytes).is_ok_and(|summary| summary.is_some());

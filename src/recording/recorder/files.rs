@@ -2,14 +2,12 @@
 
 use std::sync::atomic::Ordering;
 
-use super::{Fault, ROOM, Recorder, SECOND_NS};
+use super::{ROOM, Recorder};
 use crate::clock::{Clock, Mono, SystemClock};
 use crate::config::RecordingMode;
 use crate::recording::codec::Encoded;
-use crate::recording::disk::Output;
-use crate::recording::folder::{Recording, UNFINISHED};
+use crate::recording::output::Output;
 use crate::recording::ring::Ring;
-use crate::recording::writer::RecordError;
 
 impl Recorder {
     /// What is left of another time.
@@ -20,8 +18,8 @@ impl Recorder {
         if let Err(e) = self.folder.make() {
             tracing::warn!(folder = %self.folder.0.display(), "recording.folder cannot be made: {e}");
         }
-        let unfinished = |r: &Recording| r.path.extension().is_some_and(|e| e == UNFINISHED);
-        for left in self.folder.list().unwrap_or_default().iter().filter(|r| unfinished(r)) {
+        let all = self.folder.list().unwrap_or_default();
+        for left in all.iter().filter(|recording| recording.unfinished() && !recording.in_use()) {
             tracing::warn!(
                 file = %left.path.display(),
                 "a recording was not finished: trifacet recover FILE makes a whole one of it"
@@ -29,8 +27,63 @@ impl Recorder {
         }
     }
 
+    /// Whether a keyframe is wanted before its time: a file is to begin, or to end.
+    pub(super) fn waits_for_keyframe(&self, now: Mono) -> bool {
+        let begins = self.fresh && self.output.is_some();
+        begins || self.over() || self.full(now) || self.due(now)
+    }
+
+    /// The recording has come to its end.
+    fn over(&self) -> bool {
+        self.until.is_some_and(|until| self.latest >= until) && !self.filling()
+    }
+
+    /// The file is as large or as old as it may be.
+    fn full(&self, now: Mono) -> bool {
+        self.output.as_ref().is_some_and(|output| {
+            output.bytes() as f64 >= self.config.rotate_mb * 1e6
+                || now.seconds_since(output.since) >= self.config.rotate_min * 60.0
+        })
+    }
+
+    /// A file is wanted, and it is time to try.
+    fn due(&self, now: Mono) -> bool {
+        let time = self.fault.as_ref().is_none_or(|fault| now >= fault.retry);
+        self.wanted && self.output.is_none() && time
+    }
+
+    /// At a keyframe: the place where a file may end and the next one begin, and to say what is missing.
+    pub(super) fn cut(&mut self, now: Mono) {
+        self.tell_gap();
+        if self.over() {
+            (self.wanted, self.until) = (false, None);
+            self.end();
+            self.well();
+        } else if self.full(now) {
+            self.end();
+        }
+        if self.due(now)
+            && let Err(reason) = self.resume()
+        {
+            self.suffer(reason);
+        }
+        self.tell_gap();
+    }
+
+    /// Goes on in a new file.
+    pub(super) fn resume(&mut self) -> Result<(), String> {
+        self.open()?;
+        if let Some(fault) = self.fault.take() {
+            tracing::info!(lost = fault.lost, after = fault.reason, "recording goes on in a new file");
+            self.miss(fault.lost, &fault.reason);
+            self.show();
+        }
+        Ok(())
+    }
+
     /// Opens a file, after there is room for it.
-    pub(super) fn open(&mut self) -> Result<(), String> {
+    fn open(&mut self) -> Result<(), String> {
+        self.wake();
         let folder = self.folder.0.display();
         let within =
             |what: &str, e: &dyn std::fmt::Display| format!("{what} in recording.folder, {folder}: {e}");
@@ -56,20 +109,21 @@ impl Recorder {
         self.counters.recording_files.one();
         self.state.file(Some(output.path.clone()));
         self.encoder.restart();
-        (self.output, self.fresh) = (Some(output), true);
+        self.output = Some(output);
         Ok(())
     }
 
-    /// Says in the file what is missing before this.
-    pub(super) fn tell_gap(&mut self) {
-        let Self { encoder, output: Some(output), untold, .. } = self else { return };
-        if *untold > 0 {
-            let reason = "not recorded: the disk was full, failed, or too slow";
-            let told = encoder.gap(*untold, reason, |message| output.put(message).map(|_| ()));
-            *untold = 0;
-            if let Err(e) = told {
-                self.fail(&e);
-            }
+    /// Says, where the entries go, what is missing before this.
+    fn tell_gap(&mut self) {
+        let Self { encoder, output, ring, untold, .. } = self;
+        let Some((entries, why)) = untold.take_if(|(entries, _)| *entries > 0) else { return };
+        let told = match (ring, output) {
+            (Some(ring), _) => ring.gap(encoder, entries, &why),
+            (None, Some(output)) => encoder.gap(entries, &why, |message| output.put(message).map(|_| ())),
+            (None, None) => return *untold = Some((entries, why)),
+        };
+        if let Err(e) = told {
+            self.fail(&e);
         }
     }
 
@@ -113,66 +167,24 @@ impl Recorder {
             return self.fail(&e);
         }
         let Some(output) = self.output.take() else { return };
-        tracing::info!(file = %output.path.display(), bytes = output.bytes(), "recorded");
         self.counters.recording_bytes.add(output.news());
         self.state.file(None);
-        if let Err(e) = output.finish(&self.disk) {
-            self.suffer(e.to_string());
-        }
-        if self.config.mode == RecordingMode::OnFault && !self.wanted {
-            self.ring = Some(Ring::new(self.config.before_s, self.compression));
+        let path = output.path.display().to_string();
+        match output.finish(&mut self.disk) {
+            Ok(true) => {}
+            Ok(false) => tracing::info!("nothing was recorded: no sample came. The file is not kept"),
+            Err(e) => {
+                self.suffer(format!("cannot finish {path}, trifacet recover makes a whole one of it: {e}"));
+            }
         }
     }
 
     /// Nothing is wanted, so nothing is wrong.
-    pub(super) fn well(&mut self) {
-        self.fault = None;
-        self.untold = 0;
-        self.state.fault(None);
+    fn well(&mut self) {
+        (self.fault, self.untold) = (None, None);
+        self.show();
         if self.config.mode == RecordingMode::OnFault && self.ring.is_none() {
             self.ring = Some(Ring::new(self.config.before_s, self.compression));
-        }
-    }
-
-    pub(super) fn fail(&mut self, error: &RecordError) {
-        self.broken(format!("cannot write in recording.folder, {}: {error}", self.folder.0.display()));
-    }
-
-    /// The file cannot go on.
-    pub(super) fn broken(&mut self, reason: String) {
-        if let Some(output) = self.output.take() {
-            self.counters.recording_bytes.add(output.news());
-            self.state.file(None);
-            if let Some(path) = output.abandon() {
-                tracing::warn!(
-                    file = %path.display(),
-                    "the recording ends here: trifacet recover FILE makes a whole one of it"
-                );
-            }
-        }
-        if self.wanted {
-            self.ring = None;
-        }
-        self.suffer(reason);
-    }
-
-    /// Says what is wrong, once, and when it is tried again.
-    pub(super) fn suffer(&mut self, reason: String) {
-        let retry = SystemClock.now() + SECOND_NS;
-        if let Some(fault) = &mut self.fault {
-            fault.retry = retry;
-            return;
-        }
-        self.counters.recording_faults.one();
-        tracing::error!("nothing is recorded, the stream goes on; tried again each second: {reason}");
-        self.state.fault(Some(reason.clone()));
-        self.fault = Some(Fault { reason, lost: 0, retry });
-    }
-
-    pub(super) fn lose(&mut self, entries: u64) {
-        if let Some(fault) = &mut self.fault {
-            fault.lost += entries;
-            self.counters.recording_lost.add(entries);
         }
     }
 }

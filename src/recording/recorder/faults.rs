@@ -1,0 +1,113 @@
+//! What goes wrong, what it costs, and who is told.
+
+use super::{Recorder, SECOND_NS};
+use crate::clock::{Clock, Mono, SystemClock};
+use crate::recording::writer::RecordError;
+
+/// Nothing can be recorded, and what that costs.
+pub(super) struct Fault {
+    pub reason: String,
+    pub lost: u64,
+    /// When it is tried again.
+    pub retry: Mono,
+}
+
+impl Recorder {
+    /// What came of what the disk was to do.
+    pub(super) fn hear_disk(&mut self) {
+        while let Some(done) = self.disk.done() {
+            let current = self.output.as_ref().is_some_and(|output| output.path == done.path);
+            match done.result {
+                Ok((file, bytes)) if done.close => tracing::info!(file = %file.display(), bytes, "recorded"),
+                Ok(_) => {}
+                Err(reason) if current => self.broken(reason),
+                Err(reason) => self.mishap(reason),
+            }
+        }
+    }
+
+    /// What did not fit into the queue is lost as well.
+    pub(super) fn watch_overflows(&mut self, now: Mono) {
+        const WHY: &str = "the recorder is behind: is the disk too slow?";
+        let overflows = self.counters.recording_overflows.get();
+        let more = overflows - std::mem::replace(&mut self.overflows, overflows);
+        if more > 0 {
+            self.miss(more, WHY);
+            if self.mishap.is_none() {
+                tracing::warn!(entries = more, "data are lost: {WHY}");
+            }
+            self.mishap = Some((now + SECOND_NS, WHY.into()));
+        }
+    }
+
+    pub(super) fn fail(&mut self, error: &RecordError) {
+        self.broken(format!("cannot write in recording.folder, {}: {error}", self.folder.0.display()));
+    }
+
+    /// The file cannot go on.
+    pub(super) fn broken(&mut self, reason: String) {
+        let mut torn = 0;
+        if let Some(output) = self.output.take() {
+            torn = output.torn();
+            self.counters.recording_bytes.add(output.news());
+            self.state.file(None);
+            if let Some(path) = output.abandon() {
+                tracing::warn!(
+                    file = %path.display(),
+                    "the recording ends here: trifacet recover FILE makes a whole one of it"
+                );
+            }
+        }
+        if self.wanted {
+            self.ring = None;
+        }
+        self.suffer(reason);
+        self.lose(torn);
+    }
+
+    /// Says what is wrong, once, and when it is tried again.
+    pub(super) fn suffer(&mut self, reason: String) {
+        if !self.wanted {
+            return self.mishap(reason);
+        }
+        let retry = SystemClock.now() + SECOND_NS;
+        if let Some(fault) = &mut self.fault {
+            fault.retry = retry;
+            return;
+        }
+        self.counters.recording_faults.one();
+        tracing::error!("nothing is recorded, the stream goes on; tried again each second: {reason}");
+        self.fault = Some(Fault { reason, lost: 0, retry });
+        self.show();
+    }
+
+    /// Something went wrong with a file that has ended.
+    fn mishap(&mut self, reason: String) {
+        self.counters.recording_faults.one();
+        tracing::error!("a recording has not been finished: {reason}");
+        if let Some(stopping) = &mut self.stopping {
+            stopping.failed = Some(reason.clone());
+        }
+        self.mishap = Some((SystemClock.now() + SECOND_NS, reason));
+        self.show();
+    }
+
+    /// Tells the frames, and who asks.
+    pub(super) fn show(&self) {
+        let fault = self.fault.as_ref().map(|fault| &fault.reason);
+        self.state.fault(fault.or(self.mishap.as_ref().map(|(_, why)| why)).cloned());
+    }
+
+    pub(super) fn lose(&mut self, entries: u64) {
+        if let Some(fault) = &mut self.fault {
+            fault.lost += entries;
+            self.counters.recording_lost.add(entries);
+        }
+    }
+
+    /// So many entries are missing, which the next file, or the next place in this one, is to say.
+    pub(super) fn miss(&mut self, entries: u64, why: &str) {
+        let (so_far, why) = self.untold.take().unwrap_or_else(|| (0, why.to_owned()));
+        self.untold = Some((so_far + entries, why));
+    }
+}

@@ -1,0 +1,112 @@
+//! What no daemon of a test can be brought to do.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use tokio::sync::mpsc;
+
+use super::Recorder;
+use crate::centering::LoopState;
+use crate::clock::{Clock, Mono, SystemClock};
+use crate::config::{Config, Meaning, RecordingConfig, RecordingMode, Tables};
+use crate::estimation::{Estimation, Memory, Settings};
+use crate::monitor::Counters;
+use crate::recording::disk::Disk;
+use crate::recording::handle::State;
+use crate::recording::reader::Read;
+use crate::recording::{Entry, Reader, Tap, Witness};
+
+/// The fast side: it says nothing but that nothing comes.
+struct Silent {
+    witness: Witness,
+    memory: Memory,
+    time: Mono,
+}
+
+impl Silent {
+    fn says(&mut self) {
+        self.time = self.time + 1_000_000;
+        self.witness.silence(self.time, &LoopState::default(), None, &self.memory);
+    }
+}
+
+fn recorder(folder: &Path, mode: RecordingMode) -> (Recorder, Silent) {
+    let counters = Arc::new(Counters::default());
+    let (tap, outflow) = Tap::new(Arc::clone(&counters));
+    let config = Config::default();
+    let memory = Estimation::new(Settings::new(&config, true, 3).unwrap()).memory().clone();
+    let meaning = Arc::new(Meaning { config, tables: Tables::default() });
+    let config = RecordingConfig { folder: folder.to_owned(), mode, ..Default::default() };
+    let state = Arc::new(State::new(config.mode));
+    let (_, asked) = mpsc::channel(1);
+    let recorder = Recorder::new(config, outflow, asked, Disk::start().unwrap(), state, counters);
+    (recorder, Silent { witness: Witness::new(tap, meaning), memory, time: SystemClock.now() })
+}
+
+/// Entries before the gap, what it says, and entries after it.
+fn content(path: &Path) -> (usize, Vec<(u64, String)>, usize) {
+    let mut reader = Reader::open(path, Reader::REPLAY).unwrap();
+    let (mut before, mut told, mut after) = (0, Vec::new(), 0);
+    while let Some(read) = reader.read().unwrap() {
+        match read {
+            Read::Gap { entries, reason } => told.push((entries, reason)),
+            Read::Entry(Entry::Silence { .. }) if told.is_empty() => before += 1,
+            Read::Entry(Entry::Silence { .. }) => after += 1,
+            _ => {}
+        }
+    }
+    (before, told, after)
+}
+
+#[test]
+fn what_does_not_fit_into_the_queue_is_counted_and_told_where_it_is_missing() {
+    for mode in [RecordingMode::Always, RecordingMode::OnFault] {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut recorder, mut fast) = recorder(folder.path(), mode);
+        recorder.drain();
+        let lost = loop {
+            fast.says(); // and the recorder does not look
+            let lost = recorder.counters.recording_overflows.get();
+            if lost > 500 {
+                break lost;
+            }
+        };
+        while !recorder.outflow.entries.is_empty() {
+            recorder.drain();
+        }
+        recorder.mind(SystemClock.now());
+        assert!(recorder.state.fault.load(Ordering::Relaxed));
+        fast.says();
+        recorder.drain();
+        if mode == RecordingMode::OnFault {
+            recorder.triggered("asked for").unwrap();
+            recorder.empty_ring();
+        }
+        recorder.output.as_mut().unwrap().flush().unwrap();
+        let (before, told, after) = content(&recorder.output.as_ref().unwrap().path);
+        let [(entries, reason)] = told.as_slice() else { panic!("{told:?}") };
+        assert!(*entries == lost && reason.contains("behind"), "{entries} of {lost}: {reason}");
+        assert!(before > 1000 && after == 1, "{before} before, {after} after");
+    }
+}
+
+#[test]
+fn a_failed_end_of_an_old_file_is_told_and_the_new_one_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut recorder, mut fast) = recorder(folder.path(), RecordingMode::Always);
+    recorder.drain();
+    fast.says();
+    recorder.drain();
+    let old = recorder.output.as_ref().unwrap().path.clone();
+    // As when the next file begins before the disk has the end of this one.
+    let file = Arc::new(std::fs::File::open("/dev/null").unwrap());
+    recorder.disk.close(file, old.with_extension("other"));
+    recorder.disk.wait();
+    recorder.hear_disk();
+    assert!(recorder.output.is_some() && recorder.fault.is_none());
+    assert!(recorder.state.fault.load(Ordering::Relaxed), "the frames tell for a while");
+    let later = SystemClock.now() + 2 * super::SECOND_NS;
+    recorder.mind(later);
+    assert!(!recorder.state.fault.load(Ordering::Relaxed));
+}
