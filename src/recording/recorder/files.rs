@@ -33,7 +33,7 @@ impl Recorder {
         begins || self.over() || self.full(now) || self.due(now)
     }
 
-    /// The recording has come to its end.
+    /// The recording has come to its end, with everything that was before in it.
     fn over(&self) -> bool {
         self.until.is_some_and(|until| self.latest >= until) && !self.filling()
     }

@@ -28,7 +28,6 @@ impl Recorder {
             let done = match wish {
                 Wish::Start => self.begin(None).map_err(cannot),
                 Wish::Stop if self.wanted => {
-                    self.empty_ring();
                     self.until = Some(self.latest);
                     let deadline = SystemClock.now() + PATIENCE_NS;
                     self.stopping = Some(Stopping { reply, deadline, failed: None });
@@ -59,7 +58,7 @@ impl Recorder {
                 Err(Failure::new(exit::DATA, why))
             }
             _ if now >= stopping.deadline => {
-                Err(Failure::new(exit::IO, "the end of the recording is not yet on the disk: it is too slow"))
+                Err(Failure::new(exit::IO, "the recording is being ended, but is not yet on the disk"))
             }
             _ => return,
         };

@@ -4,16 +4,17 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot};
 
 use super::Recorder;
 use crate::centering::LoopState;
 use crate::clock::{Clock, Mono, SystemClock};
 use crate::config::{Config, Meaning, RecordingConfig, RecordingMode, Tables};
 use crate::estimation::{Estimation, Memory, Settings};
+use crate::exit;
 use crate::monitor::Counters;
 use crate::recording::disk::Disk;
-use crate::recording::handle::State;
+use crate::recording::handle::{Asked, State, Wish};
 use crate::recording::reader::Read;
 use crate::recording::{Entry, Reader, Tap, Witness};
 
@@ -31,7 +32,7 @@ impl Silent {
     }
 }
 
-fn recorder(folder: &Path, mode: RecordingMode) -> (Recorder, Silent) {
+fn recorder(folder: &Path, mode: RecordingMode) -> (Recorder, Silent, mpsc::Sender<Asked>) {
     let counters = Arc::new(Counters::default());
     let (tap, outflow) = Tap::new(Arc::clone(&counters));
     let config = Config::default();
@@ -39,9 +40,10 @@ fn recorder(folder: &Path, mode: RecordingMode) -> (Recorder, Silent) {
     let meaning = Arc::new(Meaning { config, tables: Tables::default() });
     let config = RecordingConfig { folder: folder.to_owned(), mode, ..Default::default() };
     let state = Arc::new(State::new(config.mode));
-    let (_, asked) = mpsc::channel(1);
+    let (wishes, asked) = mpsc::channel(1);
     let recorder = Recorder::new(config, outflow, asked, Disk::start().unwrap(), state, counters);
-    (recorder, Silent { witness: Witness::new(tap, meaning), memory, time: SystemClock.now() })
+    let fast = Silent { witness: Witness::new(tap, meaning), memory, time: SystemClock.now() };
+    (recorder, fast, wishes)
 }
 
 /// Entries before the gap, what it says, and entries after it.
@@ -63,7 +65,7 @@ fn content(path: &Path) -> (usize, Vec<(u64, String)>, usize) {
 fn what_does_not_fit_into_the_queue_is_counted_and_told_where_it_is_missing() {
     for mode in [RecordingMode::Always, RecordingMode::OnFault] {
         let folder = tempfile::tempdir().unwrap();
-        let (mut recorder, mut fast) = recorder(folder.path(), mode);
+        let (mut recorder, mut fast, _) = recorder(folder.path(), mode);
         recorder.drain();
         let lost = loop {
             fast.says(); // and the recorder does not look
@@ -94,7 +96,7 @@ fn what_does_not_fit_into_the_queue_is_counted_and_told_where_it_is_missing() {
 #[test]
 fn a_failed_end_of_an_old_file_is_told_and_the_new_one_goes_on() {
     let folder = tempfile::tempdir().unwrap();
-    let (mut recorder, mut fast) = recorder(folder.path(), RecordingMode::Always);
+    let (mut recorder, mut fast, _) = recorder(folder.path(), RecordingMode::Always);
     recorder.drain();
     fast.says();
     recorder.drain();
@@ -109,4 +111,38 @@ fn a_failed_end_of_an_old_file_is_told_and_the_new_one_goes_on() {
     let later = SystemClock.now() + 2 * super::SECOND_NS;
     recorder.mind(later);
     assert!(!recorder.state.fault.load(Ordering::Relaxed));
+}
+
+#[test]
+fn a_stop_waits_for_the_disk_and_a_fault_that_overtakes_it_is_recorded() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut recorder, mut fast, wishes) = recorder(folder.path(), RecordingMode::OnFault);
+    let stop = |recorder: &mut Recorder| {
+        let (reply, answer) = oneshot::channel();
+        wishes.try_send((Wish::Stop, reply)).unwrap();
+        recorder.obey();
+        answer
+    };
+    recorder.drain();
+    fast.says();
+    recorder.drain();
+    recorder.triggered("a fault").unwrap();
+    recorder.empty_ring();
+    let mut answer = stop(&mut recorder);
+    recorder.triggered("another one").unwrap();
+    recorder.mind(SystemClock.now());
+    assert_eq!(answer.try_recv().unwrap().unwrap_err().code, exit::DATA);
+    assert!(recorder.output.is_some(), "it goes on");
+    let mut answer = stop(&mut recorder);
+    recorder.mind(SystemClock.now());
+    assert!(answer.try_recv().is_err() && recorder.output.is_some(), "not before the next keyframe");
+    fast.says();
+    recorder.drain();
+    let begins = recorder.ring.as_ref().and_then(super::Ring::begin_ns);
+    assert!(recorder.output.is_none() && begins.is_some(), "the ring goes on with that very keyframe");
+    recorder.disk.wait();
+    recorder.mind(SystemClock.now());
+    // Only silence was recorded, and that is nothing.
+    answer.try_recv().unwrap().unwrap();
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
