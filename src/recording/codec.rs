@@ -18,7 +18,7 @@ pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// Keyframes after which configuration and source are written again: damage where they stand costs no more of the
 /// replay than that.
-const AGAIN: u32 = 10;
+pub(super) const AGAIN: u32 = 10;
 
 /// Stands before each message: plain CDR, little-endian.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];

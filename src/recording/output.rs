@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use super::Topic;
-use super::codec::Encoded;
+use super::codec::{AGAIN, Encoded};
 use super::disk::{Disk, leads_to};
 use super::folder::Folder;
 use super::writer::{RecordError, Writer};
@@ -33,6 +33,7 @@ pub struct Output {
     any: bool,
     /// Configuration and source that were written last, without their stamps.
     standing: [Vec<u8>; 2],
+    keyframes: u32,
 }
 
 /// Where the bytes go. After an error, nowhere: what follows a torn chunk would hide it.
@@ -96,6 +97,7 @@ impl Output {
             torn: 0,
             any: false,
             standing: Default::default(),
+            keyframes: 0,
         })
     }
 
@@ -110,7 +112,7 @@ impl Output {
         self.written.load(Ordering::Relaxed)
     }
 
-    /// Takes a message; false if it says again what stands already.
+    /// Takes a message; false if it says again what stands already, and not long before.
     ///
     /// # Errors
     /// It cannot be written.
@@ -132,6 +134,10 @@ impl Output {
             text.clone_into(standing);
         }
         self.writer.put(message)?;
+        self.keyframes += u32::from(message.topic == Topic::Keyframe);
+        if self.keyframes == AGAIN {
+            (self.standing, self.keyframes) = Default::default();
+        }
         Ok(true)
     }
 
@@ -197,4 +203,22 @@ fn cut(file: &File, whole: u64) {
 fn remove(path: &Path) {
     // It has nothing in it; if it cannot be removed, it does no harm.
     let _ = fs::remove_file(path);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_the_keyframes_rest_on_stands_in_it_again_now_and_then() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut output = Output::begin(&Folder(dir.path().to_owned()), 0, Mono(0), None).unwrap();
+        let mut put = |topic| output.put(Encoded { topic, time_ns: 0, data: &[0; 20] }).unwrap();
+        for _ in 0..3 {
+            assert!(put(Topic::Config) && !put(Topic::Config));
+            for _ in 0..AGAIN {
+                assert!(put(Topic::Keyframe));
+            }
+        }
+    }
 }
