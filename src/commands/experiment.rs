@@ -37,8 +37,8 @@ pub(crate) struct ExperimentArgs {
     /// Take readings from a running daemon, point by point, with a person at the stage
     #[arg(long, value_name = "HOST:PORT", value_parser = choices::endpoint, conflicts_with_all = ["config", "seed", "paper_only"])]
     connect: Option<Endpoint>,
-    /// Go on with the readings in --out
-    #[arg(long, requires = "connect")]
+    /// Go on with the readings in --out; with --connect only: the twin begins anew in a second
+    #[arg(long)]
     resume: bool,
     /// Make the report anew from stored readings
     #[arg(long, value_name = "READINGS.csv", conflicts_with_all = [
@@ -74,6 +74,11 @@ pub(crate) struct ExperimentArgs {
 
 /// Measures, or takes what was measured, and writes the report.
 pub(crate) fn experiment(args: &ExperimentArgs) -> anyhow::Result<()> {
+    if args.resume && args.connect.is_none() {
+        let message = "--resume goes on with readings of a running daemon, and needs --connect HOST:PORT; \
+            the twin begins anew, and the same seed gives the same readings";
+        return Err(Failure::new(exit::USAGE, message).into());
+    }
     let new = !args.out.exists();
     let done = claimed(&args.out).and_then(|_claim| made(args));
     if new && done.is_err() {
@@ -203,6 +208,9 @@ fn keep(record: &Record, out: &Path) -> anyhow::Result<()> {
         to.sync_all()?;
         fs::rename(&new, &file)
     });
+    if kept.is_err() {
+        let _ = fs::remove_file(&new); // it may not have come that far
+    }
     kept.with_context(|| format!("cannot write {}", file.display()))
 }
 

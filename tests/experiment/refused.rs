@@ -32,7 +32,10 @@ fn wrong_options_are_named() {
         (&["--connect", "udp://127.0.0.1:7362"], "HOST:PORT"),
         (&["--connect", "127.0.0.1:1", "--seed", "1"], "cannot be used with"),
         (&["--from", "a.csv", "--points", "5"], "cannot be used with"),
-        (&["--resume"], "--connect"),
+        (&["--resume"], "needs --connect HOST:PORT"),
+        (&["--resume", "--seed", "1"], "needs --connect HOST:PORT"),
+        (&["--resume", "--paper-only"], "needs --connect HOST:PORT"),
+        (&["--resume", "--from", "a.csv"], "needs --connect HOST:PORT"),
     ] {
         refuses(arguments, 64, &[told]);
     }
@@ -52,6 +55,22 @@ fn a_folder_with_something_in_it_is_left_alone() {
     );
     assert_eq!(fs::read_to_string(&precious).unwrap(), "mine");
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn a_full_disk_leaves_nothing_hidden() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    // Files may not grow beyond 100 kB in this shell: writing fails as on a full disk.
+    let script = "ulimit -f 100; trap '' XFSZ; exec \"$@\"";
+    let output = std::process::Command::new("bash")
+        .args(["-c", script, "-", env!("CARGO_BIN_EXE_trifacet"), "experiment", "--paper-only", "--out"])
+        .arg(&out)
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(74), "{}", said(&output));
+    assert!(said(&output).contains("cannot write") && said(&output).contains("readings.csv"));
+    assert!(!out.exists(), "the folder was new, and nothing is in it");
 }
 
 fn file(folder: &Path, text: &str) -> String {
