@@ -7,7 +7,7 @@ use std::{fmt::Display, io};
 pub const DIFFERENT: u8 = 1;
 /// The command line is wrong.
 pub const USAGE: u8 = 64;
-/// Some rows of the input could not be worked on; the rest were.
+/// Some of the input could not be worked on, rows or parts of a recording; the rest was. Or the input is something else.
 pub const DATA: u8 = 65;
 /// The other side is not there: nothing listens, or no frame came.
 pub const UNAVAILABLE: u8 = 69;

@@ -6,7 +6,7 @@ use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
-use trifacet::{config::ConfigError, exit};
+use trifacet::{config::ConfigError, exit, recording::reader::ReadError};
 
 /// Six degrees of freedom from a three-facet mirror, a laser and three position-sensitive detectors.
 #[derive(Debug, Parser)]
@@ -16,7 +16,7 @@ struct Cli {
     command: Command,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 fine, 1 a replay that differs, 64 wrong command line, 65 bad rows in the data, \
+const EXIT_CODES: &str = "Exit codes: 0 fine, 1 a replay that differs, 64 wrong command line, 65 bad data (rows, or a recording with holes), \
     69 nothing there to talk to, 70 a defect, 74 a file or socket failed, 75 in use by another process, \
     78 wrong configuration, 130 interrupted.";
 
@@ -109,6 +109,8 @@ fn report(error: &anyhow::Error) -> ExitCode {
 fn code(error: &anyhow::Error) -> u8 {
     if let Some(failure) = error.downcast_ref::<exit::Failure>() {
         failure.code
+    } else if let Some(unread) = error.downcast_ref::<ReadError>() {
+        unread.code()
     } else if error.is::<ConfigError>() {
         exit::CONFIG
     } else if error.chain().any(<dyn std::error::Error>::is::<std::io::Error>) {

@@ -156,3 +156,11 @@ pub struct Sample {
     /// As in [`Scan::output_railed`].
     pub output_railed: bool,
 }
+
+impl Sample {
+    /// Whether this one comes after the one with that index, all that is known as lost counted.
+    pub fn follows(&self, index: u64) -> bool {
+        let between = self.index.checked_sub(index).and_then(|steps| steps.checked_sub(1));
+        between.is_some_and(|between| u32::try_from(between).unwrap_or(u32::MAX) == self.lost)
+    }
+}

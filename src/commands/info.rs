@@ -4,11 +4,11 @@ use std::fmt::Write as _;
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
-use serde_json::{Value, json};
+use serde_json::json;
 use trifacet::exit::{self, Failure};
 use trifacet::publishing::columns::rfc3339;
-use trifacet::recording::reader::Tally;
-use trifacet::recording::{Reader, Topic};
+use trifacet::recording::reader::{Read, ReadError, Tally};
+use trifacet::recording::{Entry, Reader, Topic};
 
 use super::written;
 
@@ -25,41 +25,53 @@ pub(crate) struct InfoArgs {
 
 /// Says what is in each file; fails if one is not whole.
 pub(crate) fn info(args: &InfoArgs) -> anyhow::Result<()> {
-    let mut text = String::new();
+    let mut worst = None;
     let mut broken = 0;
     for file in &args.files {
-        let (tally, rate_hz) = look(file)?;
-        broken += u32::from(!tally.whole());
-        if args.json {
-            let _ = writeln!(text, "{}", object(file, &tally, rate_hz)); // a String takes everything
-        } else {
-            text.push_str(&lines(file, &tally, rate_hz));
-        }
+        let (text, code) = match look(file) {
+            Ok((tally, rate_hz)) => {
+                let text =
+                    if args.json { object(file, &tally, rate_hz) } else { lines(file, &tally, rate_hz) };
+                (text, (!tally.whole()).then_some(exit::DATA))
+            }
+            Err(error) => {
+                eprintln!("trifacet: {error}");
+                let text = if args.json { unread(file, &error) } else { String::new() };
+                (text, Some(error.code()))
+            }
+        };
+        written(io::stdout().write_all(text.as_bytes()))?;
+        broken += u32::from(code.is_some());
+        worst = worst.max(code);
     }
-    written(io::stdout().write_all(text.as_bytes()))?;
-    match broken {
-        0 => Ok(()),
-        n => Err(Failure::new(exit::DATA, format!("{n} of {} files not whole", args.files.len())).into()),
+    match worst {
+        None => Ok(()),
+        Some(code) => {
+            Err(Failure::new(code, format!("{broken} of {} files not whole", args.files.len())).into())
+        }
     }
 }
 
-fn look(file: &Path) -> anyhow::Result<(Tally, Option<f64>)> {
+fn look(file: &Path) -> Result<(Tally, Option<f64>), ReadError> {
     let mut reader = Reader::open(file, Reader::REPLAY)?;
     let mut rate_hz = None;
     while let Some(read) = reader.read()? {
-        if let trifacet::recording::reader::Read::Entry(trifacet::recording::Entry::Keyframe(keyframe)) = read
-        {
+        if let Read::Entry(Entry::Keyframe(keyframe)) = read {
             rate_hz = keyframe.source.as_ref().map(|source| source.rate_hz).or(rate_hz);
         }
     }
     Ok((reader.tally().clone(), rate_hz))
 }
 
-fn object(file: &Path, tally: &Tally, rate_hz: Option<f64>) -> Value {
+fn unread(file: &Path, error: &ReadError) -> String {
+    format!("{}\n", json!({ "file": file, "whole": false, "error": error.to_string() }))
+}
+
+fn object(file: &Path, tally: &Tally, rate_hz: Option<f64>) -> String {
     let messages: serde_json::Map<_, _> =
         Topic::ALL.iter().map(|topic| (topic.name().to_owned(), tally.of(*topic).into())).collect();
     let time = tally.time_ns.map(|times| times.map(rfc3339));
-    json!({
+    let object = json!({
         "file": file,
         "bytes": tally.size,
         "whole": tally.whole(),
@@ -74,11 +86,14 @@ fn object(file: &Path, tally: &Tally, rate_hz: Option<f64>) -> Value {
         "configs": tally.configs.iter().map(|id| format!("{id:08x}")).collect::<Vec<_>>(),
         "lost_samples": tally.lost,
         "lock": tally.locks,
-        "gaps": tally.gaps.iter().map(|(entries, why)| json!({ "entries": entries, "reason": why })).collect::<Vec<_>>(),
+        "gaps": tally.gaps.iter()
+            .map(|gap| json!({ "entries": gap.entries, "reason": gap.reason }))
+            .collect::<Vec<_>>(),
         "damage": tally.damages.iter()
             .map(|d| json!({ "at": d.at, "bytes": d.bytes, "what": d.what }))
             .collect::<Vec<_>>(),
-    })
+    });
+    format!("{object}\n")
 }
 
 fn lines(file: &Path, tally: &Tally, rate_hz: Option<f64>) -> String {
@@ -109,24 +124,12 @@ fn lines(file: &Path, tally: &Tally, rate_hz: Option<f64>) -> String {
     for change in &tally.locks {
         say("lock", change.clone());
     }
-    for (entries, why) in &tally.gaps {
-        say("gap", format!("{entries} entries were not recorded: {why}"));
+    for gap in &tally.gaps {
+        say("gap", gap.to_string());
     }
     for damage in &tally.damages {
         say("damage", damage.to_string());
     }
-    say("end", end(tally));
+    say("end", tally.unfinished().unwrap_or_else(|| "closed as it should be".into()));
     text
-}
-
-/// How the file ends.
-fn end(tally: &Tally) -> String {
-    match (tally.finished, tally.torn) {
-        (true, _) => "closed as it should be".into(),
-        (false, 0) => "not closed: the recorder was stopped, or still writes".into(),
-        (false, torn) => format!(
-            "not closed: the recorder was stopped, or still writes; {torn} bytes at the end are no whole chunk, \
-             which is up to a second"
-        ),
-    }
 }

@@ -102,6 +102,11 @@ impl Encoder {
         Self { offset_ns, latest, meaning: None, source: None, keyframes: 0, bytes: Vec::new() }
     }
 
+    /// The time by both clocks, for entries that come before the frame that tells it.
+    pub fn clocks(&mut self, (time, utc_ns): Reading) {
+        (self.offset_ns, self.latest) = (utc_ns - time.0, time);
+    }
+
     /// A new file begins: configuration and source are written again.
     pub fn restart(&mut self) {
         (self.meaning, self.source, self.keyframes) = (None, None, 0);
@@ -237,6 +242,11 @@ impl Decoder {
     /// The last source that was read.
     pub fn source(&self) -> Option<&Arc<Identity>> {
         self.source.as_ref()
+    }
+
+    /// Configuration and source are not those in force: keyframes make no sense before they come again.
+    pub fn forget(&mut self) {
+        *self = Self::default();
     }
 
     /// Takes the next message; gives an entry, if it is one by itself. Of a frame, the covariance is not

@@ -130,6 +130,10 @@ impl Engine {
     }
 
     fn sample(&mut self, scan: &Scan, then: &Sample, steering: &LoopState) -> Option<PoseReport> {
+        let last = self.state.as_ref().and_then(|state| state.last);
+        if last.is_some_and(|last| !then.follows(last.index)) {
+            self.hole(); // that nobody told of: a file that was cut, or put together
+        }
         let state = self.state.as_mut().filter(|state| state.map.is_some());
         self.passed_over += u64::from(state.is_none());
         let State { map, last, sample: made, estimation, .. } = state?;

@@ -68,3 +68,16 @@ fn every_frame_comes_out_as_it_was() {
         assert_eq!((engine.taken_up, engine.passed_over), (1, 0), "{text}: it goes on by itself");
     }
 }
+
+#[test]
+fn nothing_is_computed_across_a_hole_that_nobody_told_of() {
+    let entries = recorded(&config("twin.channel_skew_us = 20"), 3000);
+    let sample =
+        |from: usize| (from..entries.len()).find(|i| matches!(entries[*i], Entry::Sample { .. })).unwrap();
+    let (from, to) = (sample(1000), sample(1500));
+    let cut = [&entries[..from], &entries[to..]].concat();
+    let (engine, verdict) = replayed(&cut);
+    assert_eq!(verdict.other, 0, "{:?}", verdict.first);
+    assert!(verdict.unrepeated > 0 && verdict.same > 2000, "{verdict:?}");
+    assert_eq!((engine.taken_up, engine.passed_over), (2, verdict.unrepeated));
+}

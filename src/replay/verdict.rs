@@ -67,7 +67,8 @@ impl Verdict {
         match entry {
             Entry::Frame { frame, time, .. } => {
                 let waited = std::mem::take(&mut self.waits);
-                let Some(report) = report.filter(|_| waited) else {
+                let Some(report) = report.filter(|report| waited && of(report, frame, *time)) else {
+                    self.unrecorded += u64::from(waited);
                     self.unrepeated += 1;
                     return None;
                 };
@@ -99,6 +100,11 @@ impl Verdict {
             self.first = Some(difference(pair));
         }
     }
+}
+
+/// Whether a frame is of this report, not of one that is missing on record.
+fn of(report: &PoseReport, frame: &PoseFrame, time: Mono) -> bool {
+    report.index == frame.sample_index || report.time == time
 }
 
 fn pair<'a>(then: &'a PoseFrame, time: Mono, report: &PoseReport) -> Pair<'a> {

@@ -1,7 +1,9 @@
 //! What is wrong with a file, and where.
 
-use std::fmt;
 use std::path::PathBuf;
+use std::{fmt, io};
+
+use crate::exit;
 
 /// A place in a file that cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -24,14 +26,32 @@ impl fmt::Display for Damage {
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
     /// The system says no.
-    #[error("cannot read {}: {source}", path.display())]
+    #[error("cannot read {}: {why}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
         /// Why.
-        source: std::io::Error,
+        why: io::Error,
+    },
+    /// A pipe or a device: it has no length, and may never end.
+    #[error("{} is {what}: a recording is a file", path.display())]
+    NoFile {
+        /// Its name.
+        path: PathBuf,
+        /// What it is.
+        what: &'static str,
     },
     /// It is something else.
     #[error("{} is not an MCAP file", .0.display())]
     NotMcap(PathBuf),
+}
+
+impl ReadError {
+    /// The exit code that tells its kind.
+    pub fn code(&self) -> u8 {
+        match self {
+            Self::Io { .. } => exit::IO,
+            Self::NoFile { .. } | Self::NotMcap(_) => exit::DATA,
+        }
+    }
 }

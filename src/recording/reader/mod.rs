@@ -2,11 +2,12 @@
 //! the reader panic, or take more memory than a chunk may have.
 //!
 //! - [`parts`]: a file to chunks, past every damage. [`chunk`]: unpacked, and held against their checksum.
-//! - [`tally`]: what was in it.
+//! - [`order`]: whether one sample follows the other. [`tally`]: what was in it.
 
 mod bytes;
 pub mod chunk;
 pub mod damage;
+mod order;
 pub mod parts;
 pub mod tally;
 
@@ -17,8 +18,9 @@ use std::sync::Arc;
 use bytes::Bytes;
 use chunk::Chunk;
 pub use damage::{Damage, ReadError};
+use order::Order;
 use parts::{Part, Parts};
-pub use tally::Tally;
+pub use tally::{Gap, Tally};
 
 use super::codec::{self, DecodeError, Decoder};
 use super::{Entry, Topic, message};
@@ -71,6 +73,7 @@ struct Desk {
     decoder: Decoder,
     wanted: Vec<Topic>,
     ready: VecDeque<Read>,
+    order: Order,
     tally: Tally,
 }
 
@@ -94,8 +97,8 @@ impl Reader {
     pub fn open(path: &Path, wanted: &[Topic]) -> Result<Self, ReadError> {
         let parts = Parts::open(path)?;
         let tally = Tally { size: parts.size(), ..Tally::default() };
-        let (decoder, ready) = <(Decoder, VecDeque<Read>)>::default();
-        let desk = Desk { decoder, wanted: wanted.to_vec(), ready, tally };
+        let (decoder, ready, order) = <(Decoder, VecDeque<Read>, Order)>::default();
+        let desk = Desk { decoder, wanted: wanted.to_vec(), ready, order, tally };
         Ok(Self { parts, chunk: None, channels: Channels::default(), desk })
     }
 
@@ -169,7 +172,9 @@ impl Reader {
     fn part(&mut self) -> Result<Option<Part>, ReadError> {
         let part = self.parts.take()?;
         if part.is_none() {
-            (self.desk.tally.finished, self.desk.tally.torn) = (self.parts.finished, self.parts.torn);
+            let Parts { finished, indexed, torn, .. } = self.parts;
+            let tally = &mut self.desk.tally;
+            (tally.finished, tally.indexed, tally.torn) = (finished, indexed, torn);
         }
         Ok(part)
     }
@@ -217,6 +222,7 @@ impl Channels {
 
 impl Desk {
     fn damaged(&mut self, damage: Damage) {
+        self.order.hole();
         self.tally.damages.push(damage.clone());
         self.ready.push_back(Read::Damage(damage));
     }
@@ -224,22 +230,30 @@ impl Desk {
     fn message(&mut self, topic: Option<Topic>, time_ns: i64, data: &[u8], at: u64) {
         self.tally.message(topic, time_ns);
         let Some(topic) = topic.filter(|topic| self.wanted.contains(topic)) else { return };
-        if let Err(error) = self.decode(topic, data) {
+        if let Err(error) = self.decode(topic, data, at) {
             let what = format!("in the chunk before, {error}");
             self.damaged(Damage { at, bytes: 0, what });
         }
     }
 
-    fn decode(&mut self, topic: Topic, data: &[u8]) -> Result<(), DecodeError> {
+    fn decode(&mut self, topic: Topic, data: &[u8], at: u64) -> Result<(), DecodeError> {
         if topic == Topic::Gap {
             let message::Gap { entries, reason, .. } = codec::read(topic, data)?;
-            self.tally.gaps.push((entries, reason.clone()));
+            self.order.gap(entries);
+            self.tally.gaps.push(Gap { entries, reason: reason.clone() });
             self.ready.push_back(Read::Gap { entries, reason });
             return Ok(());
         }
         match self.decoder.decode(topic, data) {
             Ok(Some(entry)) => {
                 self.tally.entry(&entry);
+                if let Some(what) = self.order.wrong(&entry) {
+                    if matches!(entry, Entry::Frame { .. }) {
+                        self.decoder.forget();
+                    }
+                    self.damaged(Damage { at, bytes: 0, what });
+                }
+                self.order.take(&entry);
                 self.ready.push_back(Read::Entry(entry));
             }
             Ok(None) => {}
@@ -249,6 +263,8 @@ impl Desk {
                 self.tally.config(&meaning);
                 self.ready.push_back(Read::Foreign { meaning, source, why: error.to_string() });
             }
+            // The configuration was in a place of which that is told: the places behind it are not damaged.
+            Err(DecodeError::Order) if self.tally.incomplete() => self.tally.unfounded += 1,
             Err(error) => return Err(error),
         }
         Ok(())

@@ -1,8 +1,8 @@
 //! A file to chunks. No length in it is believed before it was held against the size of the file.
 
-use std::fs::File;
+use std::fs::{File, FileType};
 use std::io;
-use std::os::unix::fs::FileExt;
+use std::os::unix::fs::{FileExt, FileTypeExt};
 use std::path::{Path, PathBuf};
 
 use super::bytes::Bytes;
@@ -53,6 +53,8 @@ pub struct Parts {
     ended: bool,
     /// It was closed as it should be.
     pub finished: bool,
+    /// The data are at their end: what comes is their index.
+    pub indexed: bool,
     /// Bytes at the end that are no whole record: the file was being written.
     pub torn: u64,
 }
@@ -63,12 +65,13 @@ impl Parts {
     /// # Errors
     /// It cannot be read, or is something else.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
-        let io = |source| ReadError::Io { path: path.to_owned(), source };
-        let file = File::open(path).map_err(io)?;
-        let about = file.metadata().map_err(io)?;
-        if about.is_dir() {
-            return Err(io(io::Error::from(io::ErrorKind::IsADirectory)));
+        let io = |why| ReadError::Io { path: path.to_owned(), why };
+        // Before it is opened: to open a pipe is to wait for who writes into it.
+        let about = std::fs::metadata(path).map_err(io)?;
+        if let Some(what) = no_file(about.file_type()) {
+            return Err(ReadError::NoFile { path: path.to_owned(), what });
         }
+        let file = File::open(path).map_err(io)?;
         let mut parts = Self {
             file,
             path: path.to_owned(),
@@ -77,6 +80,7 @@ impl Parts {
             chunks: 0,
             ended: false,
             finished: false,
+            indexed: false,
             torn: 0,
         };
         if parts.magic(0).map_err(io)? {
@@ -102,7 +106,7 @@ impl Parts {
     /// # Errors
     /// The system says no.
     pub fn take(&mut self) -> Result<Option<Part>, ReadError> {
-        self.part().map_err(|source| ReadError::Io { path: self.path.clone(), source })
+        self.part().map_err(|why| ReadError::Io { path: self.path.clone(), why })
     }
 
     fn part(&mut self) -> io::Result<Option<Part>> {
@@ -184,6 +188,7 @@ impl Parts {
         let at = self.at;
         self.at += PREFIX + body.len() as u64;
         match opcode {
+            op::DATA_END => self.indexed = true,
             op::STATISTICS => {
                 let counted = Bytes(body.get(22..).unwrap_or_default()).u32();
                 if counted.map(u64::from) != Some(self.chunks) {
@@ -195,18 +200,23 @@ impl Parts {
                     return Ok(Some(Part::Damage(Damage { at, bytes: 0, what })));
                 }
             }
-            op::FOOTER => {
-                self.ended = true;
-                self.finished = self.magic(self.at)? && self.size == self.at + 8;
-                if !self.finished {
-                    let what = "the file does not end as an MCAP file".into();
-                    let bytes = self.size - self.at;
-                    return Ok(Some(Part::Damage(Damage { at: self.at, bytes, what })));
-                }
-                self.at = self.size;
-            }
+            op::FOOTER => return self.end(),
             _ => {}
         }
+        Ok(None)
+    }
+
+    /// Behind the footer.
+    fn end(&mut self) -> io::Result<Option<Part>> {
+        let magic = MAGIC.len() as u64;
+        let (at, closed) = (self.at, self.magic(self.at)?);
+        let (left, behind) = (self.size - at, at + magic);
+        (self.ended, self.finished, self.at) = (true, closed, self.size);
+        if left > magic {
+            let what = "something else stands behind the end of the recording".into();
+            return Ok(Some(Part::Damage(Damage { at: behind, bytes: left - magic, what })));
+        }
+        self.torn = if closed { 0 } else { left };
         Ok(None)
     }
 
@@ -234,6 +244,17 @@ impl Parts {
             start += window.len() as u64;
         }
         Ok(None)
+    }
+}
+
+/// What it is, if it is no file.
+fn no_file(kind: FileType) -> Option<&'static str> {
+    match kind {
+        kind if kind.is_file() => None,
+        kind if kind.is_dir() => Some("a folder"),
+        kind if kind.is_fifo() => Some("a pipe"),
+        kind if kind.is_socket() => Some("a socket"),
+        _ => Some("a device"),
     }
 }
 

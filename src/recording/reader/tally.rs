@@ -1,8 +1,28 @@
 //! What a file holds.
 
+use std::fmt;
+
 use super::Damage;
 use crate::config::Meaning;
 use crate::recording::{Entry, Topic};
+
+/// Something that was left out, as the file itself tells.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Gap {
+    /// So many samples, frames and changes; 0: not known.
+    pub entries: u64,
+    /// Why.
+    pub reason: String,
+}
+
+impl fmt::Display for Gap {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.entries {
+            0 => write!(f, "{}", self.reason),
+            n => write!(f, "{n} entries were not recorded: {}", self.reason),
+        }
+    }
+}
 
 /// Counts of what was read.
 #[derive(Clone, Debug, Default)]
@@ -21,12 +41,20 @@ pub struct Tally {
     pub locks: Vec<String>,
     /// Fingerprints of the configurations, in the order in which they came into force.
     pub configs: Vec<u32>,
-    /// What the recorder had to leave out, and why.
-    pub gaps: Vec<(u64, String)>,
+    /// Index of the first sample, with what was lost just before it, and of the last.
+    pub samples: Option<[u64; 2]>,
+    /// Runs of the daemon that the frames are of, in their order.
+    pub sessions: Vec<u32>,
+    /// What had to be left out.
+    pub gaps: Vec<Gap>,
     /// What cannot be read.
     pub damages: Vec<Damage>,
+    /// Keyframes whose configuration was in a place that cannot be read.
+    pub unfounded: u64,
     /// The file was closed as it should be.
     pub finished: bool,
+    /// All data were read, up to the index behind them.
+    pub indexed: bool,
     /// Bytes at the end that are no whole record.
     pub torn: u64,
 }
@@ -44,7 +72,27 @@ impl Tally {
 
     /// Nothing is missing, and nothing is damaged.
     pub fn whole(&self) -> bool {
-        self.finished && self.damages.is_empty() && self.gaps.is_empty()
+        self.finished && !self.incomplete()
+    }
+
+    /// Something is missing before the end.
+    pub fn incomplete(&self) -> bool {
+        !self.damages.is_empty() || !self.gaps.is_empty()
+    }
+
+    /// How a file ends that was not closed as it should be.
+    pub fn unfinished(&self) -> Option<String> {
+        match (self.finished, self.indexed, self.torn) {
+            (true, ..) => None,
+            (false, true, torn) => Some(format!(
+                "the index behind the data is damaged, {torn} bytes; no data are missing by that"
+            )),
+            (false, false, 0) => Some("not closed: the recorder was stopped, or still writes".into()),
+            (false, false, torn) => Some(format!(
+                "not closed: the recorder was stopped, or still writes; {torn} bytes at the end are no whole chunk, \
+                 which is up to a second"
+            )),
+        }
     }
 
     pub(super) fn message(&mut self, topic: Option<Topic>, time_ns: i64) {
@@ -59,12 +107,21 @@ impl Tally {
 
     pub(super) fn entry(&mut self, entry: &Entry) {
         match entry {
-            Entry::Sample { sample, .. } => self.lost += u64::from(sample.lost),
+            Entry::Sample { sample, .. } => {
+                self.lost += u64::from(sample.lost);
+                let first = sample.index.saturating_sub(sample.lost.into());
+                self.samples = Some([self.samples.map_or(first, |[first, _]| first), sample.index]);
+            }
+            Entry::Frame { frame, .. } => {
+                if self.sessions.last() != Some(&frame.session) {
+                    self.sessions.push(frame.session);
+                }
+            }
             Entry::Lock { before, after, cause, .. } => {
                 self.locks.push(format!("{} -> {}: {cause}", before.name(), after.name()));
             }
             Entry::Keyframe(keyframe) => self.config(&keyframe.meaning),
-            Entry::Silence { .. } | Entry::Frame { .. } => {}
+            Entry::Silence { .. } => {}
         }
     }
 
