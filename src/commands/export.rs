@@ -5,17 +5,17 @@ mod csv;
 mod parquet;
 mod samples;
 
-use std::fs::{self, File};
-use std::io::BufWriter;
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use trifacet::exit::{self, Failure};
 use trifacet::publishing::columns::{Columns, Value};
-use trifacet::recording::reader::Read;
+use trifacet::recording::reader::{Read, Tally};
 use trifacet::recording::{Entry, Reader, Topic};
 
-use super::replay::{cannot_write, new_file};
+use super::OutputClosed;
+use super::new_file::{NewFile, cannot_write};
 
 /// Arguments of `export`.
 #[derive(Debug, clap::Args)]
@@ -28,7 +28,7 @@ pub(crate) struct ExportArgs {
     /// What makes a row
     #[arg(long, value_enum, default_value_t = What::Frames)]
     what: What,
-    /// The new file; by default beside the recording, with the ending of its form
+    /// The new file, or - for standard output (csv); by default beside the recording, with the ending of its form
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
 }
@@ -60,42 +60,66 @@ trait Table {
 
 /// Writes the table, and says what of the recording is missing in it.
 pub(crate) fn export(args: &ExportArgs) -> anyhow::Result<()> {
-    let ending = match (args.format, args.what) {
-        (Format::Csv, What::Frames) => "csv",
-        (Format::Csv, What::Samples) => "samples.csv",
-        (Format::Parquet, What::Frames) => "parquet",
-        (Format::Parquet, What::Samples) => "samples.parquet",
-    };
-    let output = args.output.clone().unwrap_or_else(|| args.file.with_extension(ending));
+    let output = output(args)?;
     let topic = if args.what == What::Frames { Topic::Frame } else { Topic::Sample };
-    let mut reader = Reader::open(&args.file, &[topic])?;
-    let file = new_file(&output)?;
-    let rows = match write(&mut reader, file, args.format, &output) {
-        Ok(rows) => rows,
-        Err(error) => {
-            let _ = fs::remove_file(&output); // half a table is none
-            return Err(error);
+    let mut reader = Reader::open(&args.file, &[topic, Topic::Gap])?;
+    let rows = if output == Path::new("-") {
+        match write(&mut reader, io::stdout(), args.format, Path::new("standard output")) {
+            Err(error) if closed(&error) => return Err(OutputClosed.into()),
+            rows => rows?,
         }
+    } else {
+        let new = NewFile::create(&output, args.file.metadata().ok().as_ref())?;
+        let rows = write(&mut reader, new.writer()?, args.format, &output)?;
+        new.keep()?;
+        rows
     };
-    let tally = reader.tally();
+    told(reader.tally(), rows, &output)
+}
+
+/// Where the table goes.
+fn output(args: &ExportArgs) -> Result<PathBuf, Failure> {
+    let (format, other) = match args.format {
+        Format::Csv => ("csv", "parquet"),
+        Format::Parquet => ("parquet", "csv"),
+    };
+    let Some(output) = args.output.clone() else {
+        let what = if args.what == What::Samples { "samples." } else { "" };
+        return Ok(args.file.with_extension(format!("{what}{format}")));
+    };
+    if output.extension().is_some_and(|ending| ending == other) {
+        let why = format!("--output {}: with --format {format} it is no .{other}", output.display());
+        return Err(Failure::new(exit::USAGE, why));
+    }
+    if output == Path::new("-") && matches!(args.format, Format::Parquet) {
+        return Err(Failure::new(exit::USAGE, "--output -: standard output takes --format csv only"));
+    }
+    Ok(output)
+}
+
+fn closed(error: &anyhow::Error) -> bool {
+    error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
+}
+
+fn told(tally: &Tally, rows: u64, output: &Path) -> anyhow::Result<()> {
     for damage in &tally.damages {
         eprintln!("trifacet: missing in the table: {damage}");
     }
-    if !tally.finished {
-        eprintln!(
-            "trifacet: the recording was not closed; {} bytes at its end are no whole chunk",
-            tally.torn
-        );
+    for gap in &tally.gaps {
+        eprintln!("trifacet: missing in the table: {gap}");
+    }
+    if let Some(end) = tally.unfinished() {
+        eprintln!("trifacet: {end}");
     }
     eprintln!("{rows} rows in {}", output.display());
-    match tally.damages.len() {
+    match tally.damages.len() + tally.gaps.len() {
         0 => Ok(()),
-        n => Err(Failure::new(exit::DATA, format!("{n} places of the recording cannot be read")).into()),
+        n => Err(Failure::new(exit::DATA, format!("the recording has holes, in {n} places")).into()),
     }
 }
 
-fn write(reader: &mut Reader, file: File, format: Format, output: &Path) -> anyhow::Result<u64> {
-    let to = BufWriter::new(file);
+fn write(reader: &mut Reader, to: impl Write + Send, format: Format, output: &Path) -> anyhow::Result<u64> {
+    let to = BufWriter::new(to);
     let mut table: Box<dyn Table> = match format {
         Format::Csv => Box::new(csv::Csv::new(to)),
         #[cfg(feature = "parquet")]

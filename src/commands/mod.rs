@@ -15,6 +15,7 @@ mod experiment;
 mod export;
 mod generate;
 mod info;
+mod new_file;
 mod park;
 mod recover;
 mod replay;

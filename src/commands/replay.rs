@@ -1,24 +1,24 @@
 //! `trifacet replay`: recorded samples through the same code once more.
 
+mod ending;
 mod output;
 mod statistics;
 
-use std::path::{Path, PathBuf};
+use std::io::{self, Write};
+use std::path::PathBuf;
 use std::thread::sleep;
 use std::time::Duration;
 
-use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
 use trifacet::clock::{Clock, Mono, NS_PER_S, SystemClock};
 use trifacet::config::{self, Meaning};
 use trifacet::exit::{self, Failure};
-use trifacet::publishing::columns::{Value, rfc3339};
-use trifacet::recording::Entry;
-use trifacet::recording::reader::{Read, Tally};
+use trifacet::recording::reader::{Gap, Read, Tally};
+use trifacet::recording::{Entry, Keyframe};
 use trifacet::replay::feed::{self, News};
-use trifacet::replay::verdict::Difference;
 use trifacet::replay::{Engine, Verdict};
 
+use super::written;
 use output::Output;
 use statistics::Statistics;
 
@@ -49,7 +49,8 @@ pub(crate) fn replay(args: &ReplayArgs) -> anyhow::Result<()> {
         None => Engine::new(),
         Some(file) => Engine::with(Meaning::read(config::load(Some(file))?)?),
     };
-    let output = args.output.as_deref().map(Output::create).transpose()?;
+    let source = args.files.first().and_then(|file| file.metadata().ok());
+    let output = args.output.as_deref().map(|path| Output::create(path, source.as_ref())).transpose()?;
     let size = args.files.iter().filter_map(|file| file.metadata().ok()).map(|about| about.len()).sum();
     let mut run = Run {
         engine,
@@ -58,6 +59,7 @@ pub(crate) fn replay(args: &ReplayArgs) -> anyhow::Result<()> {
         pace: args.speed.map(Pace::new),
         output,
         cold: false,
+        next_file: false,
     };
     let bar = bar(size);
     let mut tallies = Vec::new();
@@ -70,7 +72,10 @@ pub(crate) fn replay(args: &ReplayArgs) -> anyhow::Result<()> {
                     run.take(read)?;
                 }
             }
-            News::End(file, tally) => tallies.push((file, tally)),
+            News::End(file, tally) => {
+                run.next_file = true;
+                tallies.push((file, tally));
+            }
             News::Failed(error) => {
                 bar.0.finish_and_clear();
                 return Err(error.into());
@@ -99,7 +104,7 @@ impl Bar {
     fn suspend_if(&self, read: &Read) {
         let line = match read {
             Read::Damage(damage) => format!("damage {damage}"),
-            Read::Gap { entries, reason } => format!("gap: {entries} entries were not recorded: {reason}"),
+            Read::Gap { entries, reason } => format!("gap: {}", gap(*entries, reason)),
             Read::Foreign { .. } | Read::Entry(_) => return,
         };
         self.0.suspend(|| eprintln!("trifacet: {line}"));
@@ -145,27 +150,34 @@ struct Run {
     output: Option<Output>,
     /// Another version wrote the state.
     cold: bool,
+    /// Another file has begun, and its first keyframe has not come.
+    next_file: bool,
 }
 
 impl Run {
     fn take(&mut self, read: &Read) -> anyhow::Result<()> {
-        let entry = match read {
-            Read::Entry(entry) => entry,
-            Read::Gap { .. } => return Ok(()),
+        match read {
+            Read::Entry(entry) => self.entry(entry)?,
+            Read::Gap { entries, reason } => self.hole(gap(*entries, reason)),
+            Read::Damage(damage) => {
+                self.hole(gap(0, &format!("damaged in the recording of then: {damage}")));
+            }
             Read::Foreign { meaning, source, why } => {
                 if !std::mem::replace(&mut self.cold, true) {
                     eprintln!(
                         "trifacet: {why}: the replay begins without it, and is not the same bit by bit"
                     );
                 }
-                return Ok(self.engine.cold(meaning, source.as_ref())?);
+                self.engine.cold(meaning, source.as_ref())?;
             }
-            Read::Damage(_) => {
-                self.engine.hole();
-                self.verdict.hole();
-                return Ok(());
-            }
-        };
+        }
+        Ok(())
+    }
+
+    fn entry(&mut self, entry: &Entry) -> anyhow::Result<()> {
+        if let Entry::Keyframe(keyframe) = entry {
+            self.seam(keyframe);
+        }
         if let Some(pace) = &mut self.pace {
             pace.wait(entry);
         }
@@ -180,85 +192,48 @@ impl Run {
         }
     }
 
-    fn end(mut self, tallies: &[(PathBuf, Box<Tally>)]) -> anyhow::Result<()> {
-        if let Some(output) = self.output.take() {
+    /// Where one file follows the other, it may not be the next.
+    fn seam(&mut self, keyframe: &Keyframe) {
+        if std::mem::take(&mut self.next_file)
+            && let Some(now) = self.engine.now()
+            && now.last.map(|scan| scan.index) != keyframe.last.map(|scan| scan.index)
+        {
+            self.hole(gap(0, "another file begins here, which does not follow the one before"));
+        }
+    }
+
+    /// Something is missing: what comes can be computed again from the next keyframe on.
+    fn hole(&mut self, gap: Gap) {
+        self.engine.hole();
+        self.verdict.hole();
+        if let Some(output) = &mut self.output {
+            output.gap(gap);
+        }
+    }
+
+    fn end(self, tallies: &[(PathBuf, Box<Tally>)]) -> anyhow::Result<()> {
+        ending::told(tallies);
+        let compared = self.verdict.same + self.verdict.other;
+        if compared == 0 {
+            return Err(ending::nothing(tallies).into());
+        }
+        if let Some(output) = self.output {
             output.finish()?;
         }
-        for (file, tally) in tallies {
-            unfinished(file, tally);
+        let text = match &self.statistics {
+            Some(statistics) => statistics.text(self.verdict.same),
+            None => ending::text(&self.verdict, &self.engine),
+        };
+        written(io::stdout().write_all(text.as_bytes()))?;
+        let first = self.verdict.first.filter(|_| self.statistics.is_none() && !self.cold);
+        if let Some(difference) = first {
+            return Err(ending::different(&difference).into());
         }
-        let Verdict { same, other, unrecorded, unrepeated, first, .. } = &self.verdict;
-        if same + other == 0 {
-            return Err(Failure::new(
-                exit::DATA,
-                "no frame can be computed again: is this a recording of trifacet?",
-            )
-            .into());
-        }
-        if let Some(statistics) = &self.statistics {
-            print!("{}", statistics.text(*same));
-            return Ok(());
-        }
-        println!("{same} of {} frames are identical, bit by bit", same + other);
-        if unrecorded + unrepeated > 0 {
-            println!(
-                "{unrecorded} reports have no frame on record, {unrepeated} frames have nothing on record to compute them from"
-            );
-        }
-        println!(
-            "the state was taken from {} keyframes, in between it went on by itself",
-            self.engine.taken_up
-        );
-        match first {
-            None => Ok(()),
-            Some(_) if self.cold => Ok(()),
-            Some(difference) => Err(Failure::new(exit::DIFFERENT, first_difference(difference)).into()),
-        }
+        let passed_over = if self.statistics.is_some() { 0 } else { self.verdict.unrepeated };
+        ending::holes(tallies, passed_over).map_err(Into::into)
     }
 }
 
-fn unfinished(file: &Path, tally: &Tally) {
-    if !tally.finished {
-        eprintln!(
-            "trifacet: {} was not closed; {} bytes at its end are no whole chunk",
-            file.display(),
-            tally.torn
-        );
-    }
-}
-
-fn first_difference(difference: &Difference) -> String {
-    let Difference { time_ns, index, column, then, now } = difference;
-    let by = match (then, now) {
-        (Value::Number(then), Value::Number(now)) => format!(", by {:e}", now - then),
-        _ => String::new(),
-    };
-    format!(
-        "the first difference is at {}, sample {index}: {column} was {}, and is {}{by}",
-        rfc3339(*time_ns),
-        then.csv(),
-        now.csv()
-    )
-}
-
-/// A file that is not there yet.
-pub(crate) fn new_file(path: &Path) -> anyhow::Result<std::fs::File> {
-    std::fs::OpenOptions::new().write(true).create_new(true).open(path).map_err(|e| {
-        if e.kind() == std::io::ErrorKind::AlreadyExists {
-            anyhow::Error::from(Failure::new(
-                exit::IO,
-                format!("{} exists already: name another file", path.display()),
-            ))
-        } else {
-            anyhow::Error::from(e).context(format!("cannot write {}", path.display()))
-        }
-    })
-}
-
-/// The same as a context.
-pub(crate) fn cannot_write<T, E>(result: Result<T, E>, path: &Path) -> anyhow::Result<T>
-where
-    Result<T, E>: Context<T, E>,
-{
-    result.with_context(|| format!("cannot write {}", path.display()))
+fn gap(entries: u64, reason: &str) -> Gap {
+    Gap { entries, reason: reason.to_owned() }
 }

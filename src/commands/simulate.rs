@@ -18,7 +18,7 @@ use trifacet::{
     twin::{Twin, TwinScan},
 };
 
-use super::replay::{cannot_write, new_file};
+use super::new_file::{NewFile, cannot_write};
 use super::table::digits;
 use super::trace::{POSE, POWERS, SPOTS};
 use super::{ConfigArg, written};
@@ -59,7 +59,8 @@ pub(crate) fn simulate(args: &SimulateArgs) -> anyhow::Result<()> {
 /// What the twin's scans lead to, as a recording.
 fn record(config: &Config, samples: u64, file: &Path) -> anyhow::Result<()> {
     let (mut rig, mut outflow) = Rig::recorded(config)?;
-    let to = BufWriter::new(new_file(file)?);
+    let new = NewFile::create(file, None)?;
+    let to = BufWriter::new(new.writer()?);
     let mut writer = cannot_write(Writer::new(to, Some(mcap::Compression::Zstd)), file)?;
     let mut encoder = Encoder::new((Mono(0), 0));
     for _ in 0..samples {
@@ -70,7 +71,8 @@ fn record(config: &Config, samples: u64, file: &Path) -> anyhow::Result<()> {
         }
     }
     let mut to = cannot_write(writer.finish(), file)?;
-    cannot_write(to.flush(), file)
+    cannot_write(to.flush(), file)?;
+    new.keep()
 }
 
 const TRUTH: [&str; 8] = [

@@ -15,7 +15,7 @@ fn every_frame_is_identical_and_the_code_says_so() {
         let frames: Vec<u64> =
             done.out.split_ascii_whitespace().filter_map(|word| word.parse().ok()).take(2).collect();
         assert!(frames[0] == frames[1] && frames[0] > 800, "{}", done.out);
-        assert!(done.out.contains("from 1 keyframes"), "it goes on by itself: {}", done.out);
+        assert!(done.out.contains("from 1 keyframe,"), "it goes on by itself: {}", done.out);
     }
 }
 
@@ -39,6 +39,11 @@ fn another_configuration_gives_statistics_and_a_recording_of_its_own() {
     let same = lab.write("same.toml", "");
     let done = run(trifacet(&["replay", "--config"]).arg(&same).arg(&file));
     assert!(done.out.contains("3000 are identical"), "{}", done.out);
+    // One that blinds it says why there is no pose.
+    let blind = lab.write("blind.toml", "channels.sum_threshold_v = 50.0");
+    let done = run(trifacet(&["replay", "--config"]).arg(&blind).arg(&file));
+    assert!(done.code == 0 && done.out.contains("3000 say PSD_A_LOW PSD_B_LOW PSD_C_LOW"), "{}", done.out);
+    assert!(!done.out.contains("now minus then"), "{}", done.out);
 }
 
 #[test]
@@ -71,7 +76,7 @@ fn files_of_a_rotated_recording_follow_each_other_and_each_stands_alone() {
     }
     let done = run(trifacet(&["replay"]).args([&first, &second]));
     assert_eq!(done.code, 0, "{}", done.err);
-    assert!(done.out.contains("from 1 keyframes"), "{}", done.out);
+    assert!(done.out.contains("from 1 keyframe,"), "{}", done.out);
 }
 
 #[test]

@@ -5,7 +5,9 @@
 mod daemon;
 mod damage;
 mod export;
+mod files;
 mod fixture;
+mod holes;
 mod identity;
 #[cfg(feature = "parquet")]
 mod pandas;

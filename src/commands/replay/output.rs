@@ -1,6 +1,6 @@
 //! What comes out of a replay, as a file.
 
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
@@ -8,50 +8,59 @@ use trifacet::clock::Mono;
 use trifacet::exit::{self, Failure};
 use trifacet::publishing::columns::Columns;
 use trifacet::recording::Entry;
-use trifacet::recording::codec::{EncodeError, Encoder};
-use trifacet::recording::writer::Writer;
+use trifacet::recording::codec::Encoder;
+use trifacet::recording::reader::Gap;
+use trifacet::recording::writer::{RecordError, Writer};
 use trifacet::replay::{Engine, verdict::Pair};
 
-use super::{cannot_write, new_file};
+use crate::commands::new_file::{NewFile, cannot_write};
+
+/// Entries that may wait for the frame that tells their time: a block of samples.
+const HELD: usize = 20_000;
 
 /// A file that is being written.
 pub(super) struct Output {
     path: PathBuf,
+    new: NewFile,
     form: Form,
 }
 
 enum Form {
     Csv { to: BufWriter<File>, begun: bool },
-    Mcap { writer: Box<Writer<BufWriter<File>>>, encoder: Box<Encoder> },
+    Mcap(Box<Mcap>),
 }
 
-/// What may go wrong with a message.
-#[derive(Debug, thiserror::Error)]
-enum Broken {
-    #[error(transparent)]
-    Encode(#[from] EncodeError),
-    #[error(transparent)]
-    File(#[from] mcap::McapError),
+/// What comes out, as a recording.
+struct Mcap {
+    writer: Writer<BufWriter<File>>,
+    encoder: Encoder,
+    held: Vec<Held>,
+}
+
+/// What waits for the time.
+#[expect(clippy::large_enum_variant, reason = "entries are the rule")]
+enum Held {
+    Entry(Entry),
+    Gap(Gap),
 }
 
 impl Output {
     /// A new file; its form is in its name.
-    pub(super) fn create(path: &Path) -> anyhow::Result<Self> {
+    pub(super) fn create(path: &Path, source: Option<&Metadata>) -> anyhow::Result<Self> {
         let extension = path.extension().and_then(|e| e.to_str());
-        let form = match extension {
-            Some("csv") => Form::Csv { to: BufWriter::new(new_file(path)?), begun: false },
-            Some("mcap") => {
-                let to = BufWriter::new(new_file(path)?);
-                let writer = cannot_write(Writer::new(to, Some(mcap::Compression::Zstd)), path)?;
-                let encoder = Encoder::new((Mono(0), 0));
-                Form::Mcap { writer: Box::new(writer), encoder: Box::new(encoder) }
-            }
-            _ => {
-                let why = format!("--output {}: allowed are names that end in .mcap or .csv", path.display());
-                return Err(Failure::new(exit::USAGE, why).into());
-            }
+        if !matches!(extension, Some("csv" | "mcap")) {
+            let why = format!("--output {}: allowed are names that end in .mcap or .csv", path.display());
+            return Err(Failure::new(exit::USAGE, why).into());
+        }
+        let new = NewFile::create(path, source)?;
+        let to = BufWriter::new(new.writer()?);
+        let form = if extension == Some("csv") {
+            Form::Csv { to, begun: false }
+        } else {
+            let writer = cannot_write(Writer::new(to, Some(mcap::Compression::Zstd)), path)?;
+            Form::Mcap(Box::new(Mcap { writer, encoder: Encoder::new((Mono(0), 0)), held: Vec::new() }))
         };
-        Ok(Self { path: path.to_owned(), form })
+        Ok(Self { path: path.to_owned(), new, form })
     }
 
     /// Takes an entry of the recording with what came out of it.
@@ -70,25 +79,62 @@ impl Output {
                 }
                 cannot_write(writeln!(to, "{}", columns.csv_line()), &self.path)
             }
-            Form::Mcap { writer, encoder } => {
-                let Some(now) = now(entry, pair, engine) else { return Ok(()) };
-                let put = |message: trifacet::recording::codec::Encoded<'_>| {
-                    writer.put(message).map_err(Broken::from)
-                };
-                cannot_write(encoder.encode(&now, put), &self.path)
-            }
+            Form::Mcap(mcap) => match now(entry, pair, engine) {
+                Some(now) => cannot_write(mcap.take(now), &self.path),
+                None => Ok(()),
+            },
+        }
+    }
+
+    /// Something is missing here.
+    pub(super) fn gap(&mut self, gap: Gap) {
+        if let Form::Mcap(mcap) = &mut self.form {
+            mcap.held.push(Held::Gap(gap));
         }
     }
 
     /// Closes the file.
     pub(super) fn finish(self) -> anyhow::Result<()> {
-        match self.form {
-            Form::Csv { mut to, .. } => cannot_write(to.flush(), &self.path),
-            Form::Mcap { writer, .. } => {
-                let mut to = cannot_write(writer.finish(), &self.path)?;
-                cannot_write(to.flush(), &self.path)
+        let mut to = match self.form {
+            Form::Csv { to, .. } => to,
+            Form::Mcap(mut mcap) => {
+                cannot_write(mcap.flush(), &self.path)?;
+                cannot_write(mcap.writer.finish(), &self.path)?
+            }
+        };
+        cannot_write(to.flush(), &self.path)?;
+        self.new.keep()
+    }
+}
+
+impl Mcap {
+    fn take(&mut self, entry: Entry) -> Result<(), RecordError> {
+        if let Entry::Frame { frame, time, .. } = &entry {
+            self.encoder.clocks((*time, frame.time_ns));
+        } else if self.held.len() < HELD {
+            self.held.push(Held::Entry(entry));
+            return Ok(());
+        }
+        self.flush()?;
+        self.put(&entry)
+    }
+
+    fn flush(&mut self) -> Result<(), RecordError> {
+        for held in std::mem::take(&mut self.held) {
+            match held {
+                Held::Entry(entry) => self.put(&entry)?,
+                Held::Gap(Gap { entries, reason }) => {
+                    let Self { encoder, writer, .. } = self;
+                    encoder.gap(entries, &reason, |gap| Ok::<_, RecordError>(writer.put(gap)?))?;
+                }
             }
         }
+        Ok(())
+    }
+
+    fn put(&mut self, entry: &Entry) -> Result<(), RecordError> {
+        let Self { encoder, writer, .. } = self;
+        encoder.encode(entry, |message| Ok(writer.put(message)?))
     }
 }
 

@@ -1,7 +1,9 @@
 //! By how much poses differ with another configuration.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
+use trifacet::estimation::Status;
 use trifacet::replay::verdict::Pair;
 
 const AXES: [(&str, &str); 6] =
@@ -17,13 +19,18 @@ pub(super) struct Statistics {
     sum: [f64; 6],
     squares: [f64; 6],
     most: [f64; 6],
+    /// Frames that have lost their pose, by the bits that say why.
+    why: BTreeMap<u32, u64>,
 }
 
 impl Statistics {
     pub(super) fn push(&mut self, pair: &Pair<'_>) {
         match [pair.then, &pair.now].map(|frame| !frame.pose[0].is_nan()) {
             [true, true] => {}
-            [true, false] => return self.only_then += 1,
+            [true, false] => {
+                *self.why.entry(pair.now.status.0 & Status::FATAL.0).or_default() += 1;
+                return self.only_then += 1;
+            }
             [false, true] => return self.only_now += 1,
             [false, false] => return self.neither += 1,
         }
@@ -41,9 +48,14 @@ impl Statistics {
         let Self { both, only_then, only_now, neither, .. } = self;
         let mut text = format!(
             "{both} frames have a pose then and now, {only_then} only then, {only_now} only now, {neither} neither; \
-             {same} are identical, bit by bit\nnow minus then:\n"
+             {same} are identical, bit by bit\n"
         );
+        if let Some((bits, n)) = self.why.iter().max_by_key(|(_, n)| **n) {
+            let names: Vec<_> = Status(*bits).names().collect();
+            let _ = writeln!(text, "of those without a pose now, {n} say {}", names.join(" "));
+        }
         if *both > 0 {
+            text.push_str("now minus then:\n");
             let n = *both as f64;
             for (i, (axis, unit)) in AXES.into_iter().enumerate() {
                 let [mean, rms, most] =

@@ -1,0 +1,119 @@
+//! What a replay says at its end.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use trifacet::exit::{self, Failure};
+use trifacet::publishing::columns::{Value, rfc3339};
+use trifacet::recording::reader::Tally;
+use trifacet::replay::verdict::Difference;
+use trifacet::replay::{Engine, Verdict};
+
+/// A file with what was in it.
+type Read = (PathBuf, Box<Tally>);
+
+/// Says what is odd about the files.
+pub(super) fn told(files: &[Read]) {
+    for (file, tally) in files {
+        let file = file.display();
+        if tally.unfounded > 0 {
+            let n = count(tally.unfounded, "keyframe");
+            eprintln!("trifacet: {file}: {n} cannot be used: the configuration before them cannot be read");
+        }
+        if let Some(end) = tally.unfinished() {
+            eprintln!("trifacet: {file}: {end}");
+        }
+    }
+    for odd in files.windows(2).filter_map(|pair| seam(&pair[0], &pair[1])) {
+        eprintln!("trifacet: {odd}");
+    }
+}
+
+/// What is odd where one file follows the other.
+fn seam((a, before): &Read, (b, after): &Read) -> Option<String> {
+    let [a, b] = [a, b].map(|file: &PathBuf| Path::display(file));
+    let (before_session, after_session) = (before.sessions.last(), after.sessions.first());
+    if before_session.zip(after_session).is_some_and(|(before, after)| before != after) {
+        return Some(format!("{b} is of another run of the daemon than {a}"));
+    }
+    let ([_, last], [first, _]) = before.samples.zip(after.samples)?;
+    if first <= last {
+        return Some(format!(
+            "{b} begins with sample {first}, and {a} before it ends with sample {last}: are they in their order, each once?"
+        ));
+    }
+    let missing = first - last - 1;
+    (missing > 0).then(|| format!("between {a} and {b} {} missing", are(missing, "sample")))
+}
+
+/// Why no frame was computed.
+pub(super) fn nothing(files: &[Read]) -> Failure {
+    let none = |of: fn(&Tally) -> bool| files.iter().all(|(_, tally)| of(tally));
+    let why = if none(|tally| tally.time_ns.is_none()) {
+        "nothing of trifacet is in it: is this a recording of trifacet?"
+    } else if none(|tally| tally.configs.is_empty()) && files.iter().any(|(_, tally)| tally.incomplete()) {
+        "the configuration is in none of what can be read"
+    } else if none(|tally| tally.configs.is_empty()) {
+        "no configuration is in it"
+    } else if none(|tally| tally.sessions.is_empty()) {
+        "no frames are in it to compare with"
+    } else {
+        "no frame is behind a keyframe and its sample"
+    };
+    Failure::new(exit::DATA, format!("no frame can be computed again: {why}"))
+}
+
+/// The verdict, for a person.
+pub(super) fn text(verdict: &Verdict, engine: &Engine) -> String {
+    let Verdict { same, other, unrecorded, unrepeated, .. } = verdict;
+    let mut text = format!("{same} of {} frames are identical, bit by bit\n", same + other);
+    let mut say = |line: String| {
+        let _ = writeln!(text, "{line}"); // a String takes everything
+    };
+    if *unrecorded > 0 {
+        say(format!("of {} the frame is not on record", count(*unrecorded, "report")));
+    }
+    if *unrepeated > 0 {
+        say(format!("{} not computed: what they rest on is not on record", are(*unrepeated, "frame")));
+    }
+    say(format!(
+        "the state was taken from {}, and went on by itself from there",
+        count(engine.taken_up, "keyframe")
+    ));
+    text
+}
+
+/// Frames came out differently.
+pub(super) fn different(difference: &Difference) -> Failure {
+    let Difference { time_ns, index, column, then, now } = difference;
+    let by = match (then, now) {
+        (Value::Number(then), Value::Number(now)) => format!(", by {:e}", now - then),
+        _ => String::new(),
+    };
+    let what = format!(
+        "the first difference is at {}, sample {index}: {column} was {}, and is {}{by}",
+        rfc3339(*time_ns),
+        then.csv(),
+        now.csv()
+    );
+    Failure::new(exit::DIFFERENT, what)
+}
+
+/// Fails if something could not be compared.
+pub(super) fn holes(files: &[Read], passed_over: u64) -> Result<(), Failure> {
+    let damages: usize = files.iter().map(|(_, tally)| tally.damages.len()).sum();
+    let why = match (damages, passed_over) {
+        (0, 0) => return Ok(()),
+        (0, frames) => format!("{} not compared", are(frames, "frame")),
+        (places, _) => format!("not all is compared: {} cannot be read", count(places as u64, "place")),
+    };
+    Err(Failure::new(exit::DATA, why))
+}
+
+fn count(n: u64, what: &str) -> String {
+    format!("{n} {what}{}", if n == 1 { "" } else { "s" })
+}
+
+fn are(n: u64, what: &str) -> String {
+    format!("{} {}", count(n, what), if n == 1 { "is" } else { "are" })
+}
