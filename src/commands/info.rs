@@ -130,6 +130,9 @@ fn lines(file: &Path, tally: &Tally, rate_hz: Option<f64>) -> String {
     for damage in &tally.damages {
         say("damage", damage.to_string());
     }
+    if let Some(cost) = tally.without_config() {
+        say("damage", cost);
+    }
     say("end", tally.unfinished().unwrap_or_else(|| "closed as it should be".into()));
     text
 }

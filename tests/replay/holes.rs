@@ -99,6 +99,36 @@ fn a_hole_that_nobody_told_of_is_found() {
 }
 
 #[test]
+fn of_what_the_recorder_left_out_further_on_nothing_is_computed_and_one_gap_is_enough() {
+    let lab = Lab::new();
+    let all = entries(&lab.record("a.mcap", "", 5000));
+    let keyframe = |from: usize| (from..all.len()).find(|i| matches!(all[*i], Entry::Keyframe(_))).unwrap();
+    let (early, to) = (keyframe(2000), keyframe(6000));
+    let file = lab.path("behind.mcap");
+    let mut writer = Writer::new(File::create_new(&file).unwrap(), None).unwrap();
+    let mut encoder = Encoder::new((Mono(0), 0));
+    // The queue was full while much of it still waited: the gap comes first, and the hole behind it.
+    for (i, entry) in all.iter().enumerate().filter(|(i, _)| !(4500..to).contains(i)) {
+        if i == early {
+            let told = encoder.gap(1000, "too slow", |message| writer.put(message).map_err(Broken::from));
+            told.unwrap();
+        }
+        encoder.encode(entry, |message| writer.put(message).map_err(Broken::from)).unwrap();
+    }
+    writer.finish().unwrap();
+    let info = on(&["info"], &file);
+    let told = info.out.contains("gap        1000 entries were not recorded: too slow");
+    assert!(told && !info.out.contains("damage"), "{}", info.out);
+    let done = on(&["replay"], &file);
+    assert!(
+        !done.err.contains("difference") && done.out.contains("from 2 keyframes"),
+        "{} {}",
+        done.out,
+        done.err
+    );
+}
+
+#[test]
 fn a_configuration_that_changed_in_a_damaged_place_is_waited_for() {
     let lab = Lab::new();
     let before = entries(&lab.record("a.mcap", "", 30_000));

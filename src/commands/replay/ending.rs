@@ -16,12 +16,8 @@ type Read = (PathBuf, Box<Tally>);
 pub(super) fn told(files: &[Read]) {
     for (file, tally) in files {
         let file = file.display();
-        if tally.unfounded > 0 {
-            let n = count(tally.unfounded, "keyframe");
-            eprintln!("trifacet: {file}: {n} cannot be used: the configuration before them cannot be read");
-        }
-        if let Some(end) = tally.unfinished() {
-            eprintln!("trifacet: {file}: {end}");
+        for odd in tally.without_config().into_iter().chain(tally.unfinished()) {
+            eprintln!("trifacet: {file}: {odd}");
         }
     }
     for odd in files.windows(2).filter_map(|pair| seam(&pair[0], &pair[1])) {

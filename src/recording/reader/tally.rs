@@ -80,6 +80,17 @@ impl Tally {
         !self.damages.is_empty() || !self.gaps.is_empty()
     }
 
+    /// What damage of the configuration costs.
+    pub fn without_config(&self) -> Option<String> {
+        let keyframes = if self.unfounded == 1 { "keyframe" } else { "keyframes" };
+        (self.unfounded > 0).then(|| {
+            format!(
+                "{} {keyframes} cannot be used: the configuration before them cannot be read",
+                self.unfounded
+            )
+        })
+    }
+
     /// How a file ends that was not closed as it should be.
     pub fn unfinished(&self) -> Option<String> {
         match (self.finished, self.indexed, self.torn) {
