@@ -121,7 +121,7 @@ fn of_what_the_recorder_left_out_further_on_nothing_is_computed_and_one_gap_is_e
     assert!(told && !info.out.contains("damage"), "{}", info.out);
     let done = on(&["replay"], &file);
     assert!(
-        !done.err.contains("difference") && done.out.contains("from 2 keyframes"),
+        !done.err.contains("difference") && done.out.contains("from 3 keyframes"),
         "{} {}",
         done.out,
         done.err
