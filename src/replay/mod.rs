@@ -2,15 +2,20 @@
 //!
 //! - [`engine`]: what was on record goes in, reports come out; pure.
 //! - [`feed`]: files, read ahead.
-//! - [`task`]: a daemon whose source is a recording.
+//! - [`task`]: a daemon whose source is a recording. [`beginning`]: what that says before all; [`tape`]: its entries,
+//!   as often as they are wanted; [`pace`]: when they are due.
 //! - [`verdict`]: whether they are what was published then, bit by bit, or by how much they differ.
 
+pub mod beginning;
 pub mod engine;
 pub mod feed;
+pub mod pace;
+pub mod tape;
 pub mod task;
 #[cfg(test)]
 mod tests;
 pub mod verdict;
 
+pub use beginning::Beginning;
 pub use engine::Engine;
 pub use verdict::Verdict;
