@@ -6,6 +6,7 @@ mod daemon;
 mod damage;
 mod export;
 mod fixture;
+mod hole;
 mod identity;
 #[cfg(feature = "parquet")]
 mod pandas;
