@@ -369,7 +369,7 @@ async fn replayed(parts: Parts) -> anyhow::Result<()> {
     let Parts { config, estimation, mut publisher, counters, glance, turns, .. } = parts;
     let Parts { control, stop, descriptor, beginning, .. } = parts;
     let beginning = beginning.context("there is no recording")?;
-    let publish = move |told: &replay::task::Told| {
+    let publish = move |told: &replay::teller::Told| {
         publisher.publish_of(&told.report, told.time_ns, told.synced);
         glance.at(&told.report);
     };
