@@ -46,7 +46,7 @@ use crate::publishing::{
 };
 use crate::realtime;
 use crate::recording::{self, Entry, Tap, Witness};
-use crate::replay;
+use crate::replay::{self, Beginning};
 use crate::service::{Notify, Service};
 use crate::steering::{self, Gcs, Outputs, Stage, gcs};
 use crate::twin::{Twin, TwinSource};
@@ -65,7 +65,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let counters = Arc::new(Counters::default());
     let (turns, glance) = <(Arc<Turns>, Arc<Glance>)>::default();
     let service = Service::new(&config.realtime, Arc::clone(&turns), Arc::clone(&glance));
-    let (config, meaning) = &meaning_of(config)?;
+    let (config, meaning, beginning) = &holding(config)?;
     let channels = Channels::new(config, &meaning.tables)?;
     let id = StreamId::new(meaning.id());
     let facts = StreamFacts {
@@ -80,7 +80,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let hangup = main.block_on(async { signal(SignalKind::hangup()) }).context("cannot listen for SIGHUP")?;
     let socket = main.block_on(async { Socket::open(&config.control) })?;
     let (to_fast, at_fast) = control::ways();
-    let (descriptor, descriptor_now) = watch::channel(Descriptor::new(facts));
+    let (descriptor, descriptor_now) = watch::channel(described(facts, config, beginning.as_ref()));
     let (steering, steering_now) = watch::channel(config.steering.clone());
     let (gcs, gcs_task) = gcs::pair(config, steering_now).unzip();
     let (to_tcp, frames) = mpsc::channel(TO_MAIN);
@@ -115,7 +115,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         stop: CancellationToken::new(),
         tap,
         meaning: Arc::clone(meaning),
-        facts,
+        beginning: beginning.clone(),
         descriptor: descriptor.clone(),
         control: at_fast,
         config: config.clone(),
@@ -177,16 +177,18 @@ async fn listeners(config: &Config) -> anyhow::Result<[Option<tokio::net::TcpLis
     Ok([server, monitor])
 }
 
-/// The configuration and what poses mean by it; of a recording, what they mean at its beginning.
-fn meaning_of(config: &Config) -> anyhow::Result<(Config, Arc<Meaning>)> {
-    if config.acquisition.source != SourceKind::Replay {
-        return Ok((config.clone(), Arc::new(Meaning::read(config.clone())?)));
-    }
-    let (then, rate_hz) = replay::task::beginning(&config.replay.file)?;
-    let Config { head, channels, estimation, frames, .. } = then.config.clone();
-    let mut config = Config { head, channels, estimation, frames, ..config.clone() };
-    config.acquisition.rate_hz = rate_hz;
-    Ok((config, then))
+/// The configuration that holds and what poses mean by it; of a recording, what they mean at its beginning.
+fn holding(config: &Config) -> anyhow::Result<(Config, Arc<Meaning>, Option<Beginning>)> {
+    Ok(match Beginning::of_source(config)? {
+        None => (config.clone(), Arc::new(Meaning::read(config.clone())?), None),
+        Some(then) => (then.holding(config), Arc::clone(&then.meaning), Some(then)),
+    })
+}
+
+/// What the stream says of itself; also what is replayed, if that is the source.
+fn described(facts: StreamFacts, config: &Config, beginning: Option<&Beginning>) -> Descriptor {
+    let replay = beginning.map(|then| then.told(&config.replay));
+    Descriptor { replay, ..Descriptor::new(facts) }
 }
 
 /// What the fast thread is made of.
@@ -203,7 +205,8 @@ struct Parts {
     glance: Arc<Glance>,
     control: AtFast,
     meaning: Arc<Meaning>,
-    facts: StreamFacts,
+    /// Of the recording, if that is the source.
+    beginning: Option<Beginning>,
     descriptor: watch::Sender<Descriptor>,
     tap: Tap,
     stop: CancellationToken,
@@ -363,17 +366,20 @@ async fn fast<S: Source + 'static>(
 
 /// One task in place of the three: a recording, at the pace at which it was made.
 async fn replayed(parts: Parts) -> anyhow::Result<()> {
-    let Parts { config, mut publisher, glance, turns, control, stop, mut facts, descriptor, .. } = parts;
-    let publish = move |told: &replay::task::Told| {
+    let Parts { config, estimation, mut publisher, counters, glance, turns, .. } = parts;
+    let Parts { control, stop, descriptor, beginning, .. } = parts;
+    let beginning = beginning.context("there is no recording")?;
+    let publish = move |told: &replay::teller::Told| {
         publisher.publish_of(&told.report, told.time_ns, told.synced);
         glance.at(&told.report);
     };
     let means = move |meaning: &Meaning| {
-        facts.id.config = meaning.id();
-        descriptor.send_replace(Descriptor::new(facts));
+        let corrected = meaning.tables.0.iter().all(Option::is_some);
+        descriptor.send_modify(|now| (now.config, now.calibrated) = (meaning.id(), corrected));
     };
     let edges = replay::task::Edges { control, publish, means };
-    let task = replay::task::run(config.replay, SystemClock, edges, stop);
+    let recording = replay::task::Recording { config: config.replay, beginning, estimation, counters };
+    let task = replay::task::run(recording, SystemClock, edges, stop);
     // It does the work of all three.
     let [acquisition, centering, estimation] = Task::ALL.map(|task| turns.of(task));
     Box::pin(counted(counted(counted(task, acquisition), centering), estimation)).await;

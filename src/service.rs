@@ -117,7 +117,8 @@ fn line((status, lock): (Status, LockState), stalled: &[Task]) -> String {
         reasons => format!("no pose: {reasons}"),
     };
     let simulated = if status.has(Status::SIMULATED) { " (simulated)" } else { "" };
-    let line = format!("{}, {poses}{simulated}", lock.name());
+    let replayed = if status.has(Status::REPLAYED) { " (replayed)" } else { "" };
+    let line = format!("{}, {poses}{simulated}{replayed}", lock.name());
     if stalled.is_empty() { line } else { format!("task {} stalls; before that: {line}", list(stalled)) }
 }
 
@@ -136,6 +137,8 @@ mod tests {
         assert_eq!(line(fine, &[]), "locked, poses are valid");
         let dark = (Status::PSD_A_LOW | Status::PSD_C_LOW | Status::SIMULATED, LockState::Lost);
         assert_eq!(line(dark, &[]), "lost, no pose: PSD_A_LOW PSD_C_LOW (simulated)");
+        let replayed = (fine.0 | Status::REPLAYED, fine.1);
+        assert_eq!(line(replayed, &[]), "locked, poses are valid (replayed)");
         let stalled = line(fine, &[Task::Centering]);
         assert_eq!(stalled, "task centering stalls; before that: locked, poses are valid");
     }

@@ -9,7 +9,7 @@ use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 
 use super::core::Centering;
-use super::lock::{LockState, Transition};
+use super::lock::Transition;
 use super::told::{LoopState, LoopView, TimedPose};
 use super::tuning::Tuning;
 use crate::acquisition::{Sample, task::Newest};
@@ -153,17 +153,7 @@ impl<D: Driver, C: Clock> Side<D, C> {
         let Transition { from, to, cause } = transition;
         self.tap.put(|| Entry::Lock { time, before: from, after: to, cause: cause.into() });
         tracing::info!(from = from.name(), to = to.name(), cause, "lock");
-        let counters = &self.counters;
-        let counter = match to {
-            LockState::Acquiring => &counters.lock_acquiring,
-            LockState::Locked => &counters.lock_locked,
-            LockState::Railed => &counters.lock_railed,
-            LockState::Held => &counters.lock_held,
-            LockState::Lost => &counters.lock_lost,
-            LockState::Searching => &counters.lock_searching,
-            LockState::Off | LockState::Manual => &counters.lock_released,
-        };
-        counter.one();
+        self.counters.lock(to).one();
     }
 
     fn send(&mut self, command: Option<Command>) {

@@ -107,14 +107,23 @@ fn serial_speed(config: &Config, at: &mut Checker<'_>) {
 fn replay(config: &Config, at: &mut Checker<'_>) {
     let source = "acquisition.source";
     let file = &config.replay.file;
-    let named = !file.as_os_str().is_empty();
     at.agree(
-        named,
+        !file.as_os_str().is_empty(),
         "replay.file",
         &[source],
-        format!("\"{}\"", file.display()),
+        "\"\"",
         "a recording, with acquisition.source = \"replay\"",
     );
+    // To open a pipe would wait for whoever fills it.
+    let wrong = match file.metadata() {
+        Ok(about) if about.is_file() => None,
+        Ok(_) => Some("not a regular file".to_owned()),
+        Err(error) => Some(error.to_string()),
+    };
+    if let Some(why) = wrong.filter(|_| !file.as_os_str().is_empty()) {
+        let allowed = format!("a recording, relative to this file: {}: {why}", file.display());
+        at.demand(false, "replay.file", format!("\"{}\"", file.display()), allowed);
+    }
     at.agree(
         config.steering.kind == SteeringKind::Outputs,
         "steering.kind",

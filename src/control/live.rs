@@ -24,7 +24,10 @@ use crate::logging::Logging;
 use crate::monitor::Counters;
 use crate::monitor::turns::{Drill, Task, Turns};
 use crate::optics::Pose;
-use crate::publishing::{Descriptor, descriptor::StreamFacts};
+use crate::publishing::{
+    Descriptor,
+    descriptor::{Replayed, StreamFacts},
+};
 use crate::recording::{Handle, Wish};
 use crate::steering::Xy;
 
@@ -71,7 +74,7 @@ impl Live {
     pub async fn obey(&mut self, command: Command) -> Value {
         if self.running.acquisition.source == SourceKind::Replay && command != Command::Status {
             let why = "a recording is replayed: nothing steers, and nothing about it can be changed";
-            return error(&Failure::new(exit::USAGE, why));
+            return error(&Failure::new(exit::DATA, why));
         }
         let answer = match command {
             Command::Status => self.status().await,
@@ -295,11 +298,13 @@ impl Live {
     async fn status(&self) -> Result<Value, Failure> {
         let last = ask(&self.fast.questions, PATIENCE, Question::Last).await?;
         let now = SystemClock.now();
+        let replay = self.replay();
         let pose = last.map(|report| {
             let numbers = report.pose.map(Pose::to_array);
             json!({
                 "valid": report.pose.is_some(),
-                "age_s": now.seconds_since(report.time),
+                // Of a replay the light was measured some time before that time.
+                "age_s": replay.is_none().then(|| now.seconds_since(report.time)),
                 "sample_index": report.index,
                 "status": report.status.names().collect::<Vec<_>>(),
                 "tx_ty_tz_m": numbers.as_ref().map(|n| &n[..3]),
@@ -315,11 +320,23 @@ impl Live {
             "file": self.file,
             "session": format!("{:08x}", self.facts.id.session),
             "config": self.id(),
+            "replay": replay,
             "loop": self.loop_now().await?,
             "pose": pose,
             "frames": self.running.frames,
             "recording": self.recording.state.tell(),
             "counters": counters,
+        }))
+    }
+
+    /// What is replayed, and whether that is over.
+    fn replay(&self) -> Option<Value> {
+        let told = self.descriptor.borrow().replay.clone()?;
+        let at_end = !told.repeat && self.counters.replay_ends.get() > 0;
+        let Replayed { recorded, speed, repeat, .. } = told;
+        let file = &self.running.replay.file;
+        Some(json!({
+            "file": file, "recorded": recorded, "speed": speed, "repeat": repeat, "at_end": at_end
         }))
     }
 

@@ -10,7 +10,7 @@ use crate::publishing::PoseFrame;
 /// What must hold before poses can be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Subject {
-    /// Samples come.
+    /// Samples come from a source, not from a recording.
     Samples,
     /// The light gives a pose.
     Optics,
@@ -33,7 +33,7 @@ impl Subject {
 
     fn holds(self, frame: &PoseFrame) -> bool {
         match self {
-            Subject::Samples => !frame.status.has(Status::SOURCE_DOWN),
+            Subject::Samples => Status(frame.status.0 & NO_SAMPLES.0) == Status::default(),
             Subject::Optics => frame.status.has(Status::POSE_VALID),
             Subject::Lock => frame.lock == LockState::Locked,
         }
@@ -42,15 +42,22 @@ impl Subject {
     /// Why it does not hold on this frame: status bits, or the lock state.
     fn reason(self, frame: &PoseFrame) -> String {
         match self {
-            Subject::Samples => "SOURCE_DOWN".into(),
+            Subject::Samples => names(frame.status, NO_SAMPLES),
             Subject::Optics => {
-                let fatal: Vec<_> = Status(frame.status.0 & Status::FATAL.0).names().collect();
+                let fatal = names(frame.status, Status::FATAL);
                 // Nothing else makes a frame invalid: a gap within an averaged block.
-                if fatal.is_empty() { "SAMPLE_GAP".into() } else { fatal.join(", ") }
+                if fatal.is_empty() { "SAMPLE_GAP".into() } else { fatal }
             }
             Subject::Lock => frame.lock.name().into(),
         }
     }
+}
+
+/// Bits of frames without samples of now.
+const NO_SAMPLES: Status = Status(Status::SOURCE_DOWN.0 | Status::REPLAYED.0);
+
+fn names(status: Status, of: Status) -> String {
+    Status(status.0 & of.0).names().collect::<Vec<_>>().join(", ")
 }
 
 /// A part of the daemon that stands still.
@@ -175,6 +182,18 @@ mod tests {
         let at = "1970-01-01T00:00:02Z";
         let dark = (false, at, "PSD_A_LOW, PSD_B_LOW");
         assert_eq!(told(&readiness), [(true, "1970-01-01T00:00:01Z", ""), dark, (false, at, "lost")]);
+    }
+
+    #[test]
+    fn a_replay_is_never_ready() {
+        let [good, ..] = frames();
+        let replayed = PoseFrame { status: good.status | Status::REPLAYED, ..good };
+        let mut checks = Checks::default();
+        checks.frame(&replayed);
+        let readiness = checks.readiness(Some(&replayed), None);
+        assert!(!readiness.ready);
+        let at = "1970-01-01T00:00:01Z";
+        assert_eq!(told(&readiness), [(false, at, "REPLAYED"), (true, at, ""), (true, at, "")]);
     }
 
     #[test]

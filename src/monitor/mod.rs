@@ -21,6 +21,8 @@ pub mod view;
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use crate::centering::LockState;
+
 macro_rules! counters {
     ($($(#[doc = $doc:literal])* $name:ident),* $(,)?) => {
         /// Every counter of the daemon. Shared, lock-free; each only ever grows.
@@ -60,6 +62,10 @@ counters! {
     leases_expired,
     /// Times the source went down.
     source_downs,
+    /// Times the recording that is replayed came to its end.
+    replay_ends,
+    /// Holes in the recording that is replayed: damage, or what was not recorded.
+    replay_holes,
     /// Steering commands given to the source.
     commands_sent,
     /// Steering commands that the board refused.
@@ -127,6 +133,21 @@ counters! {
     monitor_forbidden,
     /// Orders by HTTP that were refused: a wrong token, or monitor.control is off.
     monitor_denied,
+}
+
+impl Counters {
+    /// That of the times the loop came to this state.
+    pub fn lock(&self, state: LockState) -> &Counter {
+        match state {
+            LockState::Acquiring => &self.lock_acquiring,
+            LockState::Locked => &self.lock_locked,
+            LockState::Railed => &self.lock_railed,
+            LockState::Held => &self.lock_held,
+            LockState::Lost => &self.lock_lost,
+            LockState::Searching => &self.lock_searching,
+            LockState::Off | LockState::Manual => &self.lock_released,
+        }
+    }
 }
 
 /// A number that only grows.

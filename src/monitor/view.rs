@@ -130,7 +130,10 @@ impl View {
     /// Which parts of the daemon stand still, if some do.
     pub fn dead(&self) -> Option<Standstill> {
         let newest_ns = self.newest.borrow().map(|newest| newest.frame.time_ns);
-        let period_s = 1.0 / self.sources.descriptor.borrow().rate_hz;
+        let period_s = {
+            let told = self.sources.descriptor.borrow();
+            1.0 / (told.rate_hz * told.replay.as_ref().map_or(1.0, |replay| replay.speed))
+        };
         let books = self.books();
         let held_up_s = SystemClock.now().seconds_since(books.looked);
         let silent_s = books.looked.seconds_since(books.heard);

@@ -50,9 +50,25 @@ pub struct Descriptor {
     pub fields: Vec<FieldEntry>,
     /// The names of a frame's values in text (JSON, CSV).
     pub columns: Vec<String>,
+    /// The recording that is replayed; absent where the samples come from a source.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub replay: Option<Replayed>,
     /// What this client gets; absent where no stream was asked for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stream: Option<StreamForm>,
+}
+
+/// The recording that a daemon replays.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Replayed {
+    /// Name of the file.
+    pub file: String,
+    /// UTC of its first frame, as RFC 3339 has it.
+    pub recorded: String,
+    /// So many times as fast as it was recorded.
+    pub speed: f64,
+    /// Whether it begins again at its end.
+    pub repeat: bool,
 }
 
 /// The stream of one client, as it was asked for and is sent.
@@ -125,6 +141,7 @@ impl Descriptor {
             lock_states: LockState::ALL.iter().map(|l| l.name().to_owned()).collect(),
             fields: FIELDS.iter().map(FieldEntry::from).collect(),
             columns: columns::NAMES.map(str::to_owned).to_vec(),
+            replay: None,
             stream: None,
         }
     }

@@ -106,6 +106,11 @@ impl Engine {
         Some(Keyframe { meaning, source: source.clone(), last: *last, memory })
     }
 
+    /// Estimation as it is between the last sample and the next; none before the first keyframe.
+    pub fn estimation(&self) -> Option<&Estimation> {
+        self.state.as_ref().map(|state| &state.estimation)
+    }
+
     /// What the channel map made of the last scan.
     pub fn sample_now(&self) -> Option<Sample> {
         self.state.as_ref()?.sample

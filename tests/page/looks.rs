@@ -9,7 +9,7 @@ use std::{collections::BTreeSet, path::Path, time::Duration};
 use crate::{DESK, FINE, daemon, fixture::PATIENCE, page};
 
 /// Everything fits into the width of the window: nothing is cut off, and nothing lies over anything else.
-const MISFITS: &str = "(() => {
+pub(crate) const MISFITS: &str = "(() => {
     const wide = document.documentElement.scrollWidth > innerWidth ? ['the page is too wide'] : [];
     const boxes = [...document.querySelectorAll('section:not([hidden])')].map((s) => [s.id, s.getBoundingClientRect()]);
     for (const [id, box] of boxes) {
@@ -27,7 +27,7 @@ const MISFITS: &str = "(() => {
 })()";
 
 /// The least contrast of any text with what is behind it, with the text.
-const CONTRAST: &str = "(() => {
+pub(crate) const CONTRAST: &str = "(() => {
     const light = (c) => {
         const [r, g, b] = c.match(/[\\d.]+/g).slice(0, 3).map((x) => x / 255).map((x) => (x <= 0.04045 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4));
         return 0.2126 * r + 0.7152 * g + 0.0722 * b;

@@ -4,6 +4,7 @@
 
 mod browser;
 mod looks;
+mod replay;
 mod soak;
 mod socket;
 mod steering;

@@ -1,60 +1,92 @@
 //! A daemon whose source is a recording, and a recording of a daemon.
 
 use std::net::UdpSocket;
-use std::path::Path;
-use std::process::{Child, Stdio};
+use std::path::{Path, PathBuf};
+use std::process::Child;
 use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
 use trifacet::client::PoseFrame;
 use trifacet::clock::{Clock, SystemClock};
 use trifacet::estimation::Status;
 use trifacet::recording::reader::{Read, Reader};
 use trifacet::recording::{Entry, Topic};
 
-use crate::fixture::{Lab, on, run, trifacet};
+use crate::fixture::{Done, Lab, on, run, trifacet};
 
 const PATIENCE: Duration = Duration::from_mins(1);
 
 /// Killed when dropped.
-struct Daemon(Child, UdpSocket);
+pub(crate) struct Daemon {
+    child: Child,
+    udp: UdpSocket,
+    /// What it logs.
+    log: PathBuf,
+    socket: PathBuf,
+}
 
 impl Daemon {
-    fn start(lab: &Lab, config: &str) -> Self {
+    pub(crate) fn start(lab: &Lab, config: &str) -> Self {
         let udp = UdpSocket::bind("127.0.0.1:0").unwrap();
         udp.set_read_timeout(Some(PATIENCE)).unwrap();
         rustix::net::sockopt::set_socket_recv_buffer_size(&udp, 1 << 22).unwrap();
         let to = udp.local_addr().unwrap();
+        let (socket, log) = (lab.path("socket"), lab.path("log"));
         let text = format!(
-            "publishing = {{ tcp = \"off\", udp = [\"{to}\"] }}\nmonitor.listen = \"off\"\n\
-             control.socket = \"{}\"\n{config}\n",
-            lab.path("socket").display()
+            "publishing = {{ tcp = \"127.0.0.1:0\", udp = [\"{to}\"] }}\nmonitor.listen = \"127.0.0.1:0\"\n\
+             log.format = \"json\"\ncontrol.socket = \"{}\"\n{config}\n",
+            socket.display()
         );
         let file = lab.write("daemon.toml", text);
-        let child = trifacet(&["run", "--config"]).arg(file).stderr(Stdio::null()).spawn().unwrap();
-        Self(child, udp)
+        let to_log = std::fs::File::create(&log).unwrap();
+        let child = trifacet(&["run", "--config"]).arg(file).stderr(to_log).spawn().unwrap();
+        Self { child, udp, log, socket }
     }
 
-    fn frame(&self) -> PoseFrame {
+    pub(crate) fn frame(&self) -> PoseFrame {
         let mut bytes = [0; 300];
-        let n = self.1.recv(&mut bytes).unwrap();
+        let n = self.udp.recv(&mut bytes).unwrap();
         PoseFrame::decode(&bytes[..n]).unwrap()
     }
 
-    fn end(mut self) {
-        kill_process(Pid::from_child(&self.0), Signal::TERM).unwrap();
-        assert!(self.0.wait().unwrap().success());
+    /// The lines of the log with this message; at least one, by now.
+    pub(crate) fn said(&self, message: &str) -> Vec<Value> {
+        let log = std::fs::read_to_string(&self.log).unwrap();
+        let lines: Vec<Value> = log.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
+        let said: Vec<_> = lines.into_iter().filter(|line| line["message"] == message).collect();
+        assert!(!said.is_empty(), "never {message}: {log}");
+        said
+    }
+
+    /// Where TCP clients connect.
+    pub(crate) fn tcp(&self) -> String {
+        format!("tcp://{}", self.said("listening")[0]["address"].as_str().unwrap())
+    }
+
+    pub(crate) fn ctl(&self, order: &[&str]) -> Done {
+        run(trifacet(&["ctl", "--socket"]).arg(&self.socket).args(order))
+    }
+
+    /// What `ctl status` answers.
+    pub(crate) fn status(&self) -> Value {
+        serde_json::from_str(&self.ctl(&["status"]).out).unwrap()
+    }
+
+    pub(crate) fn end(mut self) {
+        kill_process(Pid::from_child(&self.child), Signal::TERM).unwrap();
+        assert!(self.child.wait().unwrap().success());
     }
 }
 
 impl Drop for Daemon {
     fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 }
 
-fn frames(file: &Path) -> Vec<PoseFrame> {
+pub(crate) fn frames(file: &Path) -> Vec<PoseFrame> {
     let mut reader = Reader::open(file, &[Topic::Frame]).unwrap();
     std::iter::from_fn(|| reader.read().unwrap())
         .map(|read| match read {
@@ -65,7 +97,7 @@ fn frames(file: &Path) -> Vec<PoseFrame> {
 }
 
 /// All that does not come from the moment of sending.
-fn bytes(mut frame: PoseFrame) -> Vec<u8> {
+pub(crate) fn bytes(mut frame: PoseFrame) -> Vec<u8> {
     (frame.session, frame.sequence, frame.solve_delay_ns, frame.send_delay_ns) = (0, 0, 0, 0);
     frame.status.0 &= !Status::REPLAYED.0;
     frame.encode().to_vec()
@@ -86,15 +118,10 @@ fn a_daemon_that_replays_sends_what_was_sent_then() {
     }
     assert!(SystemClock.now().seconds_since(start) > 1.99, "at the recorded pace");
     // Nothing steers, and that is said.
-    for order in [["loop", "on"], ["loop", "manual"]] {
-        let socket = lab.path("socket");
-        let done = run(trifacet(&["ctl", "--socket"]).arg(&socket).args(order));
-        assert!(
-            done.code == 64 && done.err.contains("a recording is replayed"),
-            "{} {}",
-            done.code,
-            done.err
-        );
+    for order in [&["loop", "on"] as &[_], &["park"], &["record", "start"], &["reload"]] {
+        let done = daemon.ctl(order);
+        let refused = done.err.contains("a recording is replayed");
+        assert!(done.code == 65 && refused, "{order:?}: {} {}", done.code, done.err);
     }
     let end = daemon.frame();
     assert!(end.status.has(Status::SOURCE_DOWN | Status::REPLAYED) && end.pose[0].is_nan(), "{end:?}");
@@ -112,6 +139,10 @@ fn it_can_begin_again_and_does_not_steer_a_real_stage() {
     let indices: Vec<u64> = (0..700).map(|_| daemon.frame().sample_index).collect();
     assert_eq!(indices[..300], indices[300..600]);
     assert_eq!(indices[0], then[0].sample_index);
+    assert_eq!(daemon.said("the recording begins again").len(), 1, "a log that is full of it helps nobody");
+    let status = daemon.status();
+    assert_eq!(status["replay"]["at_end"], false, "{status}");
+    assert!(status["counters"]["replay_ends"].as_u64() >= Some(2), "{status}");
     daemon.end();
     for (key, named) in
         [("steering.kind = 'gcs'", "steering.kind"), ("recording.mode = 'always'", "recording.mode")]
@@ -120,9 +151,54 @@ fn it_can_begin_again_and_does_not_steer_a_real_stage() {
         let done = on(&["check", "--config"], &lab.write("wrong.toml", text));
         assert!(done.code == 78 && done.err.contains(named), "{key}: {} {}", done.code, done.err);
     }
-    let nothing = lab.write("nothing.toml", "acquisition.source = 'replay'\nreplay.file = 'no.mcap'\n");
-    let done = on(&["run", "--config"], &nothing);
-    assert!(done.code == 74 && done.err.contains("no.mcap"), "{} {}", done.code, done.err);
+}
+
+#[test]
+fn what_is_no_recording_is_refused_before_the_daemon_runs() {
+    let lab = Lab::new();
+    lab.write("text.mcap", "not a recording");
+    lab.write("empty.mcap", "");
+    let file = lab.record("a.mcap", "", 10);
+    // Its entries are in its only chunk.
+    let bytes = std::fs::read(&file).unwrap();
+    lab.write("head.mcap", &bytes[..40]);
+    let fifo = lab.path("fifo.mcap");
+    assert!(std::process::Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+    for (name, why) in [
+        ("no.mcap", "No such file"),
+        ("text.mcap", "not an MCAP file"),
+        ("empty.mcap", "not an MCAP file"),
+        ("head.mcap", "nothing can be replayed"),
+        ("fifo.mcap", "not a regular file"),
+        ("/dev/zero", "not a regular file"),
+        (".", "not a regular file"),
+    ] {
+        let text = format!("acquisition.source = 'replay'\nreplay.file = '{name}'\nmonitor.listen = 'off'\n");
+        let config = lab.write("wrong.toml", text + "publishing.tcp = 'off'\n");
+        for command in ["check", "run"] {
+            let done = on(&[command, "--config"], &config);
+            let named = done.err.contains(why) && done.err.contains("replay.file");
+            assert!(done.code == 78 && named, "{command} {name}: {} {}", done.code, done.err);
+        }
+    }
+}
+
+#[test]
+fn check_says_what_holds_in_a_replay_and_nothing_else() {
+    let lab = Lab::new();
+    lab.record("a.mcap", "head.psd_distance_mm = 300", 300);
+    let config = lab.write("check.toml", "acquisition.source = 'replay'\nreplay.file = 'a.mcap'\n");
+    let done = on(&["check", "--config"], &config);
+    assert_eq!(done.code, 0, "{}", done.err);
+    assert!(
+        done.out.contains("PSDs of 13 mm at 300 mm") && done.out.contains("recorded 1970-01-01T"),
+        "{}",
+        done.out
+    );
+    assert!(!done.out.contains("Kp") && !done.out.contains("full scale"), "{}", done.out);
+    let id = on(&["info", "--json"], &lab.path("a.mcap")).out;
+    let word = done.out.split("id ").nth(1).unwrap().split_whitespace().next().unwrap();
+    assert!(id.contains(word), "{word}: {id}");
 }
 
 #[test]
@@ -133,7 +209,7 @@ fn what_a_daemon_has_recorded_is_computed_again_bit_by_bit() {
     let daemon = Daemon::start(&lab, config);
     let first = daemon.frame();
     while daemon.frame().time_ns - first.time_ns < 1_500_000_000 {}
-    let done = run(trifacet(&["ctl", "--socket"]).arg(lab.path("socket")).args(["tare"]));
+    let done = daemon.ctl(&["tare"]);
     assert_eq!(done.code, 0, "{}", done.err);
     while daemon.frame().time_ns - first.time_ns < 3_000_000_000 {}
     daemon.end();

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod daemon;
+mod daemon_hole;
 mod damage;
 mod export;
 mod files;

@@ -12,6 +12,8 @@ use trifacet::config::{
 };
 use trifacet::optics::covariance::deviations;
 use trifacet::optics::{Estimator, FACETS, Innovation, Model, Noise, Optics, Pose, Sighting, Signals, Vec2};
+use trifacet::publishing::columns::rfc3339;
+use trifacet::replay::Beginning;
 
 use super::{ConfigArg, written};
 
@@ -25,12 +27,30 @@ pub(crate) struct CheckArgs {
 /// Says what a configuration means, or fails with what is wrong with it.
 pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
-    Channels::load(&config)?; // the correction tables are part of it
+    let beginning = Beginning::of_source(&config)?;
+    let (config, id) = match &beginning {
+        None => {
+            Channels::load(&config)?; // the correction tables are part of it
+            let id = config.config_id()?;
+            (config, id)
+        }
+        Some(then) => {
+            Channels::new(&then.meaning.config, &then.meaning.tables)?;
+            (then.holding(&config), then.meaning.id())
+        }
+    };
     let mut lines = Lines::default();
     let name = args.config.config.as_ref().map_or("defaults".into(), |file| file.display().to_string());
-    lines.say("configuration", format!("{name}: fine, id {:08x}", config.config_id()?));
+    lines.say("configuration", format!("{name}: fine, id {id:08x}"));
     head(&config, &mut lines)?;
     source(&config, &mut lines);
+    if let Some(then) = &beginning {
+        lines.say(
+            "",
+            format!("recorded {}; id, head, channels, estimation and frames", rfc3339(then.first.1)),
+        );
+        lines.say("", "are those at its beginning, these sections of the file are not used");
+    }
     steering::centering(&config, &mut lines);
     steering::stage(&config, &mut lines);
     estimation(&config, &mut lines)?;
@@ -95,8 +115,7 @@ fn source(config: &Config, lines: &mut Lines) {
                 config.twin.seed
             ),
             SourceKind::Replay => format!(
-                "recording {}, {} times as fast as recorded{}; what poses mean is recorded there: the sections head, \
-                 channels, estimation and frames are not used, and nothing is steered",
+                "recording {}, {rate} Hz, {} times as fast as recorded{}",
                 config.replay.file.display(),
                 config.replay.speed,
                 if config.replay.repeat { ", again and again" } else { "" }

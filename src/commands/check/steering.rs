@@ -10,6 +10,9 @@ use super::Lines;
 
 pub(super) fn centering(config: &Config, lines: &mut Lines) {
     let centering = &config.centering;
+    if config.acquisition.source == SourceKind::Replay {
+        return lines.say("steering", "none: a recording is replayed, with what its loop did then");
+    }
     match centering.mode {
         LoopMode::Off => return lines.say("centering", "off: the laser stays where it is"),
         LoopMode::Manual => {
@@ -71,7 +74,7 @@ pub(super) fn stage(config: &Config, lines: &mut Lines) {
             let source = match config.acquisition.source {
                 SourceKind::Twin => "the twin's own stage",
                 SourceKind::Serial => "the board's two outputs",
-                SourceKind::Replay => "none, a recording is replayed",
+                SourceKind::Replay => return,
             };
             lines.say("steering", format!("{source}, full scale +-{full_scale_um} um, {limits}"));
             let on_lease = does(steering.on_lease);

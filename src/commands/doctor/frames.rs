@@ -4,6 +4,7 @@ use trifacet::{
     centering::LockState,
     client::{Descriptor, Heartbeat, Losses, PoseFrame},
     estimation::Status,
+    publishing::columns::rfc3339,
 };
 
 use super::Report;
@@ -59,8 +60,42 @@ impl Seen {
             self.frames, last.session, last.config
         ));
         self.losses(losses, report);
+        if self.replayed() {
+            self.replay(last, report);
+            return self.poses(last.lock, report); // the time is not that of now, which is no fault of a clock
+        }
         self.poses(last.lock, report);
         self.clock(report);
+    }
+
+    fn replayed(&self) -> bool {
+        (self.valid_bits | self.invalid_bits).has(Status::REPLAYED)
+    }
+
+    fn replay(&self, last: &PoseFrame, report: &mut Report) {
+        let told = self.descriptor.as_ref().and_then(|descriptor| descriptor.replay.as_ref());
+        let what = match told {
+            Some(replay) => format!("REPLAYED: a replay of {}, recorded {}", replay.file, replay.recorded),
+            None => format!("REPLAYED: the newest frame is of {}", rfc3339(last.time_ns)),
+        };
+        report.note(&what, "the poses are of the past: never steer a machine by them");
+    }
+
+    /// Why a replay gives no samples, and what to do.
+    fn nothing_due(&self) -> (&'static str, &'static str) {
+        let ends = self.heartbeat.as_ref().and_then(|heartbeat| heartbeat.counters.get("replay_ends"));
+        let told = self.descriptor.as_ref().and_then(|descriptor| descriptor.replay.as_ref());
+        match (told, ends) {
+            (Some(replay), Some(1..)) if !replay.repeat => (
+                "the recording is at its end",
+                "restart the daemon to see it again, or let it begin again by itself (replay.repeat = true)",
+            ),
+            (Some(_), Some(_)) => (
+                "the recording has a hole here",
+                "wait: it goes on behind it; trifacet info FILE says how large it is",
+            ),
+            _ => ("the recording gives no samples", "it is at its end, or has a hole here"),
+        }
     }
 
     fn losses(&self, losses: Losses, report: &mut Report) {
@@ -91,6 +126,11 @@ impl Seen {
             report.wrong("no light on any PSD", "is the laser on, the beam free, the amplifier powered?");
             bits = Status(bits.0 & !low.0);
         }
+        if bits.has(Status::SOURCE_DOWN) && self.replayed() {
+            let (what, advice) = self.nothing_due();
+            report.wrong(what, advice);
+            bits = Status(bits.0 & !Status::SOURCE_DOWN.0);
+        }
         for (bit, advice) in fatal(bits) {
             report.wrong(name(bit), advice);
         }
@@ -106,8 +146,12 @@ impl Seen {
 
     fn lock(&self, lock: LockState, report: &mut Report) {
         let bits = self.valid_bits | self.invalid_bits;
+        if self.replayed() && bits.has(Status::SOURCE_DOWN) {
+            return; // nothing is held
+        }
         if bits.has(Status::NOT_LOCKED) {
             let advice = match lock {
+                _ if self.replayed() => "nothing steers in a replay: so it was when it was recorded",
                 LockState::Off => "the centering loop is switched off: [centering] enabled",
                 LockState::Manual => "a person moves the laser",
                 LockState::Searching | LockState::Lost => "there is no light to centre: see above",
@@ -166,7 +210,7 @@ const FATAL: [(Status, &str); 10] = [
     (Status::OUT_OF_RANGE, "a spot is off its PSD, or the pose out of range: move the mirror back"),
 ];
 
-const WARNINGS: [(Status, &str); 11] = [
+const WARNINGS: [(Status, &str); 10] = [
     (Status::PSD_A_EDGE, EDGE),
     (Status::PSD_B_EDGE, EDGE),
     (Status::PSD_C_EDGE, EDGE),
@@ -180,5 +224,4 @@ const WARNINGS: [(Status, &str); 11] = [
     (Status::UNCALIBRATED, "errors up to 250 um on the spots: give [channels] correction tables"),
     (Status::INCONSISTENT, "steering and pose contradict each other: was the laser or the stage bumped?"),
     (Status::SIMULATED, "the light is computed: never steer a machine by it"),
-    (Status::REPLAYED, "the samples come from a recording: never steer a machine by it"),
 ];

@@ -8,8 +8,9 @@ use trifacet::estimation::Status;
 use super::Known;
 
 /// Counters of what got lost, or was refused.
-const LOSSES: [&str; 13] = [
+const LOSSES: [&str; 14] = [
     "scans_lost",
+    "replay_holes",
     "frames_corrupted",
     "frames_unknown",
     "board_errors",
@@ -29,6 +30,7 @@ const TOLD: Status = Status(Status::POSE_VALID.0 | Status::NOT_LOCKED.0 | Status
 /// The page, line by line.
 pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
     let mut lines = vec![head(source, known)];
+    lines.extend(replay(known).map(|what| row("replay", &what)));
     let Some(frame) = &known.frame else {
         lines.push(row("pose", "no frame came since the last look"));
         lines.push(row("losses", &losses(known)));
@@ -70,6 +72,15 @@ fn head(source: &str, known: &Known) -> String {
     row("trifacet", &parts.join("  "))
 }
 
+/// What is replayed. Without a descriptor, as over UDP, the bits say that it is.
+fn replay(known: &Known) -> Option<String> {
+    let replay = known.descriptor.as_ref()?.replay.as_ref()?;
+    let (file, recorded) = (&replay.file, replay.recorded.get(..19).unwrap_or_default().replace('T', " "));
+    let ends = known.heartbeat.as_ref().and_then(|heartbeat| heartbeat.counters.get("replay_ends"));
+    let over = !replay.repeat && ends.is_some_and(|n| *n > 0);
+    Some(format!("{file}, recorded {recorded} UTC{}", if over { ": at its end" } else { "" }))
+}
+
 fn duration(seconds: f64) -> String {
     let s = seconds.max(0.0) as u64;
     match s {
@@ -95,6 +106,9 @@ fn validity(frame: &PoseFrame, between: Status) -> String {
 }
 
 fn lock(frame: &PoseFrame, control: Option<&Value>) -> String {
+    if frame.status.has(Status::REPLAYED) {
+        return format!("{}   replayed: nothing steers", frame.lock.name());
+    }
     let told = control.map(|control| &control["loop"]);
     let mode = told.and_then(|told| told["mode"].as_str()).map(|mode| format!("   loop {mode}"));
     let vain = told.and_then(|told| told["searches_in_vain"].as_u64()).filter(|n| *n > 0);
@@ -173,7 +187,7 @@ pub(super) fn mood(line: &str) -> Option<&'static str> {
         "pose" => "31",
         "lock" if is(LockState::Locked) => "32",
         "lock" if is(LockState::Lost) || is(LockState::Railed) => "31",
-        "lock" | "control" => "33",
+        "lock" | "control" | "replay" => "33",
         "losses" if text != "none" => "33",
         _ => return None,
     })

@@ -7,6 +7,8 @@ const LINES = [["--line-1", "solid"], ["--line-2", "dash"], ["--line-3", "dot"]]
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 /** A spectrum that has got nothing new for longer than a window and this is old. */
 const OLD_MS = 2500;
+/** Time that goes back by more fine stretches is set back; less is told twice. */
+const BACK = 50;
 const OPTIONS = { displayModeBar: false, responsive: true, scrollZoom: false };
 
 function look(more) {
@@ -65,7 +67,10 @@ export class Strips extends Charts {
     if (!this.width_ms) return;
     const factor = this.width_ms / fine_ms;
     for (const [fine, ...row] of news) {
-      if (fine <= this.through) continue;
+      if (fine <= this.through) {
+        if (this.through - fine < BACK) continue;
+        this.bins = []; // a replay began again: what was drawn lies in its future
+      }
       this.through = fine;
       const k = Math.floor(fine / factor);
       const last = this.bins.at(-1);
@@ -101,7 +106,8 @@ export class Strips extends Charts {
     const hole = Math.max(1, (1.5 * (this.period_ms ?? 0)) / this.width_ms);
     let before = null;
     for (const bin of this.bins) {
-      const t = (bin[0] + 0.5) * this.width_ms;
+      // Not a whole number: the library takes one of four digits for a year, and the twin's time begins in 1970.
+      const t = (bin[0] + 0.5) * this.width_ms + 1e-3;
       if (before !== null && bin[0] - before > hole) {
         for (const list of [raw, mean]) list.push(null);
         for (const list of [x, xm]) list.push(t);

@@ -11,6 +11,9 @@ const RECENT_MS = 10 * 60e3;
 /** Bits that say what a frame is, not what is wrong with it. */
 const MARKS = ["POSE_VALID", "STEERING_MEASURED"];
 
+/** Of a replay. */
+const NO_LOOP = "none: a replay";
+
 const $ = (id) => document.getElementById(id);
 const stored = (key, value) => {
   try {
@@ -98,14 +101,17 @@ function begin(first) {
     ["source", source],
     ["samples", `${config.acquisition.rate_hz} Hz, ${descriptor.average} averaged`],
     ["model", `${descriptor.model}, ${descriptor.calibrated ? "calibrated" : "without correction tables"}`],
-    ["loop", `${config.centering.mode}, to the ${config.centering.target}`],
-    ["steering", `${config.steering.kind}, ±${config.steering.limit_um} µm`],
+    ["loop", descriptor.replay ? NO_LOOP : `${config.centering.mode}, to the ${config.centering.target}`],
+    ["steering", descriptor.replay ? NO_LOOP : `${config.steering.kind}, ±${config.steering.limit_um} µm`],
     ["session", hex(descriptor.session)],
     ["configuration", hex(descriptor.config)],
     ["TCP", config.publishing.tcp ?? "off"],
     ["stream", descriptor.stream_version],
   ]);
   $("control").hidden = !hello.control;
+  const idle = descriptor.replay !== undefined;
+  for (const button of document.querySelectorAll("#control :is(button, input)")) button.disabled = idle;
+  if (idle) say($("answer"), "◆ A recording is replayed: nothing steers, and nothing about it can be changed");
 }
 const hex = (n) => n.toString(16).padStart(8, "0");
 
@@ -122,7 +128,8 @@ function show(update) {
   detectors.update(frame);
   balance.update(frame);
   beam(frame, update, now_ms);
-  say($("clock"), `${time(now_ms)}${frame.status.includes("CLOCK_UNSYNCED") ? ", not synchronised" : ""}`);
+  const day = hello.descriptor.replay ? `${new Date(now_ms).toISOString().slice(0, 10)} ` : "";
+  say($("clock"), `${day}${time(now_ms)}${frame.status.includes("CLOCK_UNSYNCED") ? ", not synchronised" : ""}`);
   losses(update);
   if (update.spectrum) spectra.update(update.spectrum, hello.descriptor.rate_hz, now_ms);
 }
@@ -142,6 +149,7 @@ function pose(frame) {
 /** One sentence above all: what a person wants to know first. */
 function verdict({ frame, ready, dead }, now_ms) {
   const wrong = ready.checks.filter((check) => !check.ok);
+  if (!dead && frame && hello.descriptor.replay) return grade("note", replayed(frame, hello.descriptor.replay, wrong));
   if (dead) {
     const at = dead.since_ns === null ? "" : ` since ${time(dead.since_ns / 1e6, now_ms)}`;
     return grade("bad", `${dead.silent ? "No poses" : still(frame)}: ${dead.why}${at}`);
@@ -155,6 +163,17 @@ function verdict({ frame, ready, dead }, now_ms) {
     return grade("warn", `Pose valid, beam not locked: ${reason}${loop}${from}`);
   }
   grade("bad", `No valid pose: ${reasons(reason)}${from}`);
+}
+
+/** Nothing of a replay is of now, whatever the frames say. */
+function replayed({ status, lock }, { file, recorded, repeat }, wrong) {
+  const what = `Replay of ${file}, recorded ${recorded.slice(0, 10)} ${time(Date.parse(recorded))}`;
+  if (status.includes("SOURCE_DOWN")) {
+    const over = !repeat && counters?.replay_ends > 0;
+    return `${what}: ${over ? "it is at its end" : "it has no samples here"}`;
+  }
+  const dark = wrong.find((check) => check.name === "optics");
+  return `${what}: ${dark ? `no valid pose: ${reasons(dark.reason)}` : still({ status, lock }).toLowerCase()}`;
 }
 
 /** What the frames say that come while a task stands still. */
@@ -195,7 +214,7 @@ function beam(frame, update, now_ms) {
   const measured = frame.status.includes("STEERING_MEASURED") ? "read back" : "as commanded";
   const steering = frame.steering_x_m === null ? "not known" : measured;
   facts($("beam-facts"), [
-    ["loop", hello.config.centering.mode],
+    ["loop", hello.descriptor.replay ? NO_LOOP : hello.config.centering.mode],
     ["lock", `${SHAPES[LOCK_GRADES[frame.lock]]} ${frame.lock}`],
     ["", since],
     ["offset x", um(dx, 3)],
@@ -256,7 +275,7 @@ function losses(update) {
   facts($("counters"), Object.entries(counters ?? {}).map(([name, n]) => [name.replaceAll("_", " "), count(n), hello.counters[name]]));
   lately.length = 0;
 }
-const LOSSES = ["scans_lost", "frames_corrupted", "source_downs", "leases_expired", "estimation_overflows", "udp_dropped", "tcp_overflows", "tcp_dropped", "monitor_overflows", "page_skips"];
+const LOSSES = ["scans_lost", "replay_holes", "frames_corrupted", "source_downs", "leases_expired", "estimation_overflows", "udp_dropped", "tcp_overflows", "tcp_dropped", "monitor_overflows", "page_skips"];
 
 // What the person orders.
 

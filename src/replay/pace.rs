@@ -1,0 +1,95 @@
+//! Recorded time and present time. Pure.
+
+use std::time::Duration;
+
+use crate::clock::{Mono, NS_PER_S};
+
+/// The shortest silence that counts, as of a source.
+const SILENCE: Duration = Duration::from_millis(20);
+/// Time that goes back by more is that of another recording, or of another boot.
+const BACK_NS: i64 = NS_PER_S;
+
+/// Which present moment belongs to a recorded one.
+#[derive(Clone, Copy, Debug)]
+pub struct Pace {
+    speed: f64,
+    /// A recorded moment, and the present one that belongs to it.
+    anchor: (Mono, Mono),
+    /// The latest recorded moment that was asked for.
+    latest: Option<Mono>,
+}
+
+impl Pace {
+    /// So many times as fast as recorded; the first moment that is asked for is the present one.
+    pub fn new(speed: f64, then: Mono, now: Mono) -> Self {
+        Self { speed, anchor: (then, now), latest: None }
+    }
+
+    /// The next moment that is asked for is the present one.
+    pub fn anew(&mut self) {
+        self.latest = None;
+    }
+
+    /// When it is the turn of what was recorded then. Where its time goes back, it is now.
+    pub fn due(&mut self, then: Mono, now: Mono) -> Mono {
+        if self.latest.is_none_or(|latest| then.0 < latest.0.saturating_sub(BACK_NS)) {
+            (self.anchor, self.latest) = ((then, now), Some(then));
+        }
+        self.latest = self.latest.max(Some(then));
+        self.present(then)
+    }
+
+    /// The present moment of a recorded one.
+    pub fn present(&self, then: Mono) -> Mono {
+        let (recorded, present) = self.anchor;
+        let since = then.0.saturating_sub(recorded.0) as f64 / self.speed;
+        Mono(present.0.saturating_add(since as i64))
+    }
+
+    /// The recorded moment of a present one.
+    pub fn recorded(&self, now: Mono) -> Mono {
+        let (recorded, present) = self.anchor;
+        Mono(recorded.0.saturating_add(((now - present) as f64 * self.speed) as i64))
+    }
+
+    /// How long nothing may be due before that is silence, nanoseconds of the present: 20 ms, or five periods.
+    pub fn patience_ns(&self, rate_hz: f64) -> i64 {
+        let periods_ns = 5.0 * NS_PER_S as f64 / (rate_hz * self.speed);
+        (SILENCE.as_nanos() as i64).max(periods_ns as i64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: i64 = 1_000_000;
+
+    #[test]
+    fn what_was_recorded_a_second_later_is_due_half_a_second_later_at_twice_the_speed() {
+        let (then, now) = (Mono(70 * NS_PER_S), Mono(5 * NS_PER_S));
+        let mut pace = Pace::new(2.0, Mono(0), Mono(0));
+        assert_eq!(pace.due(then, now), now);
+        assert_eq!(pace.due(then + NS_PER_S, now), now + NS_PER_S / 2);
+        assert_eq!(pace.recorded(now + NS_PER_S / 2), then + NS_PER_S);
+        // A silence is stamped a little later than the sample that ended it.
+        assert_eq!(pace.due(then + (NS_PER_S - MS), now), now + (NS_PER_S - MS) / 2);
+    }
+
+    #[test]
+    fn time_that_goes_back_begins_at_present() {
+        let mut pace = Pace::new(1.0, Mono(0), Mono(0));
+        pace.due(Mono(70 * NS_PER_S), Mono(0));
+        let now = Mono(3 * NS_PER_S);
+        assert_eq!(pace.due(Mono(10 * NS_PER_S), now), now, "another boot");
+        assert_eq!(pace.due(Mono(11 * NS_PER_S), now), now + NS_PER_S);
+        pace.anew();
+        assert_eq!(pace.due(Mono(12 * NS_PER_S), now), now);
+    }
+
+    #[test]
+    fn patience_is_of_the_present() {
+        let of = |speed, rate_hz| Pace::new(speed, Mono(0), Mono(0)).patience_ns(rate_hz);
+        assert_eq!([of(1.0, 1000.0), of(100.0, 1000.0), of(0.1, 1000.0)], [20 * MS, 20 * MS, 50 * MS]);
+    }
+}
