@@ -1,0 +1,212 @@
+//! The fast thread: acquisition, centering and estimation with their edges, or a replay in their place.
+
+use std::io;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+
+use anyhow::Context;
+use tokio::runtime::Builder;
+use tokio::sync::{mpsc, oneshot, watch};
+use tokio::task::{self, LocalSet};
+use tokio_util::sync::CancellationToken;
+
+use crate::acquisition::{self, Channels, SerialSource, Source};
+use crate::centering::{self, Centering};
+use crate::clock::SystemClock;
+use crate::config::{Config, Meaning, RealtimeConfig, SourceKind};
+use crate::control::AtFast;
+use crate::estimation::{self, Estimation, PoseReport};
+use crate::exit::{self, Failure};
+use crate::monitor::Counters;
+use crate::monitor::glance::Glance;
+use crate::monitor::turns::{Task, Turns, counted};
+use crate::publishing::{Descriptor, Publisher};
+use crate::realtime;
+use crate::recording::{Entry, Tap, Witness};
+use crate::replay::{self, Beginning};
+use crate::steering::{self, Gcs, Outputs, Stage};
+use crate::twin::{Twin, TwinSource};
+
+/// Samples that may wait for estimation.
+const QUEUE: usize = 1024;
+
+/// What the fast thread is made of.
+pub(super) struct Parts {
+    pub(super) config: Config,
+    pub(super) channels: Channels,
+    pub(super) estimation: Estimation,
+    pub(super) centering: Centering,
+    /// The stage, if it is not the source's own.
+    pub(super) gcs: Option<Gcs>,
+    pub(super) publisher: Publisher<SystemClock>,
+    pub(super) counters: Arc<Counters>,
+    pub(super) turns: Arc<Turns>,
+    pub(super) glance: Arc<Glance>,
+    pub(super) control: AtFast,
+    pub(super) meaning: Arc<Meaning>,
+    /// Of the recording, if that is the source.
+    pub(super) beginning: Option<Beginning>,
+    pub(super) descriptor: watch::Sender<Descriptor>,
+    pub(super) tap: Tap,
+    pub(super) stop: CancellationToken,
+}
+
+/// The fast thread, and the news of its end: the task that ended by itself, if one did.
+pub(super) struct Fast {
+    pub(super) thread: JoinHandle<()>,
+    pub(super) ended: oneshot::Receiver<anyhow::Result<()>>,
+}
+
+/// Starts the fast thread with the source of the configuration.
+pub(super) fn start(parts: Parts) -> anyhow::Result<Fast> {
+    let counters = Arc::clone(&parts.counters);
+    match parts.config.acquisition.source {
+        SourceKind::Twin => {
+            let twin = Twin::new(&parts.config)?;
+            let source = || TwinSource::new(twin, SystemClock, counters);
+            start_fast(parts.config.realtime.clone(), || fast(parts, source))
+        }
+        SourceKind::Replay => start_fast(parts.config.realtime.clone(), || replayed(parts)),
+        SourceKind::Serial => {
+            let source = SerialSource::open(&parts.config, SystemClock, counters)?;
+            start_fast(parts.config.realtime.clone(), || fast(parts, || Ok(source)))
+        }
+    }
+}
+
+fn start_fast<F: Future<Output = anyhow::Result<()>>>(
+    realtime: RealtimeConfig,
+    tasks: impl FnOnce() -> F + Send + 'static,
+) -> anyhow::Result<Fast> {
+    let (end, ended) = oneshot::channel();
+    let thread = std::thread::Builder::new().name("fast".into()).spawn(move || {
+        realtime::apply(&realtime);
+        let result = Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .context("cannot start the fast runtime")
+            .and_then(|runtime| LocalSet::new().block_on(&runtime, tasks()));
+        // The main thread may have given up waiting; then there is nobody to tell.
+        let _ = end.send(result);
+    });
+    Ok(Fast { thread: thread.context("cannot start the fast thread")?, ended })
+}
+
+/// The three tasks and their edges; ends when `stop` is cancelled, or with an error when a task ends.
+async fn fast<S: Source + 'static>(
+    parts: Parts,
+    source: impl FnOnce() -> io::Result<S>,
+) -> anyhow::Result<()> {
+    let Parts { config, channels, estimation, centering, gcs, mut publisher, .. } = parts;
+    let Parts { counters, turns, glance, control, stop, meaning, tap, .. } = parts;
+    let AtFast { changes, questions, orders } = control;
+    let source = source().context("cannot start the source")?;
+    let (samples_in, samples) = mpsc::channel(QUEUE);
+    let (newest_in, newest) = watch::channel(acquisition::task::Newest::default());
+    let (commands_in, commands) = watch::channel(None);
+    let (answers_in, answers) = watch::channel(steering::outputs::Answers::default());
+    let outputs = || Outputs::new(config.steering.full_scale_um * 1e-6, commands_in, answers);
+    let driver = gcs.map_or_else(|| Stage::Outputs(outputs()), Stage::Gcs);
+    let (state_in, steering) = watch::channel(centering.state());
+    let steering = estimation::pulse::Loop::new(steering, Arc::clone(&turns));
+    let (poses_in, poses) = watch::channel(None);
+    let stop_acquisition = CancellationToken::new();
+
+    let mut acquisition = spawn(
+        acquisition::task::run(
+            source,
+            channels,
+            SystemClock,
+            Arc::clone(&counters),
+            acquisition::task::Edges {
+                samples: samples_in,
+                newest: newest_in,
+                answers: answers_in,
+                commands,
+                changes,
+            },
+            stop_acquisition.clone(),
+        ),
+        &turns,
+        Task::Acquisition,
+    );
+    let mut centering = spawn(
+        centering::task::run(
+            centering,
+            driver,
+            SystemClock,
+            counters,
+            centering::task::Edges { newest, poses, state: state_in, orders, tap: tap.clone() },
+            stop.clone(),
+        ),
+        &turns,
+        Task::Centering,
+    );
+    let witness = Witness::new(tap.clone(), meaning);
+    let publish = move |report: &PoseReport| {
+        let frame = publisher.publish(report);
+        let (time, covariance) = (report.time, report.covariance);
+        tap.put(|| Entry::Frame { frame, time, covariance });
+        glance.at(report);
+    };
+    let mut estimation = spawn(
+        estimation::task::run(
+            estimation,
+            config.acquisition.rate_hz,
+            SystemClock,
+            estimation::task::Edges { samples, questions, steering, newest: poses_in, publish, witness },
+        ),
+        &turns,
+        Task::Estimation,
+    );
+
+    let ended = tokio::select! {
+        biased;
+        () = stop.cancelled() => None,
+        end = &mut centering => Some(("centering", end)),
+        end = &mut acquisition => Some(("acquisition", end)),
+        end = &mut estimation => Some(("estimation", end)),
+    };
+    if let Some((task, end)) = ended {
+        let why = end.err().map_or_else(|| "it returned".into(), |e| e.to_string());
+        return Err(Failure::new(exit::SOFTWARE, format!("task {task} ended by itself: {why}")).into());
+    }
+    // In order: the stage gets its last command while acquisition still carries it; then acquisition
+    // ends, and with it the channel that estimation lives on.
+    centering.await.context("task centering failed at the end")?;
+    stop_acquisition.cancel();
+    acquisition.await.context("task acquisition failed at the end")?;
+    estimation.await.context("task estimation failed at the end")
+}
+
+/// One task in place of the three: a recording, at the pace at which it was made.
+async fn replayed(parts: Parts) -> anyhow::Result<()> {
+    let Parts { config, estimation, mut publisher, counters, glance, turns, .. } = parts;
+    let Parts { control, stop, descriptor, beginning, .. } = parts;
+    let beginning = beginning.context("there is no recording")?;
+    let publish = move |told: &replay::teller::Told| {
+        publisher.publish_of(&told.report, told.time_ns, told.synced);
+        glance.at(&told.report);
+    };
+    let means = move |meaning: &Meaning| {
+        let corrected = meaning.tables.0.iter().all(Option::is_some);
+        descriptor.send_modify(|now| (now.config, now.calibrated) = (meaning.id(), corrected));
+    };
+    let edges = replay::task::Edges { control, publish, means };
+    let recording = replay::task::Recording { config: config.replay, beginning, estimation, counters };
+    let task = replay::task::run(recording, SystemClock, edges, stop);
+    // It does the work of all three.
+    let [acquisition, centering, estimation] = Task::ALL.map(|task| turns.of(task));
+    Box::pin(counted(counted(counted(task, acquisition), centering), estimation)).await;
+    Ok(())
+}
+
+/// A task whose turns are counted.
+fn spawn(task: impl Future<Output = ()> + 'static, turns: &Arc<Turns>, name: Task) -> task::JoinHandle<()> {
+    let turns = Arc::clone(turns);
+    task::spawn_local(async move { counted(task, turns.of(name)).await })
+}
+
+pub(super) fn fast_end(end: Result<anyhow::Result<()>, oneshot::error::RecvError>) -> anyhow::Result<()> {
+    end.unwrap_or_else(|_| Err(Failure::new(exit::SOFTWARE, "the fast thread ended without a word").into()))
+}

@@ -1,0 +1,175 @@
+//! The wiring: makes every channel, starts every task, owns start and shutdown.
+//!
+//! ```text
+//!  fast thread                                                     main thread
+//!  source ─> acquisition ─(samples, in order)─> estimation ─> UDP
+//!              ^   └─(newest)─> centering <─(pose)─┘   └─(frames)─> TCP clients, monitor
+//!              └──────(command)─────┘   └─(lock)──^           ^ subscriptions
+//!                              └─(command)─> PI stage, on the main thread
+//!       (changes, orders, questions) <── control ── socket, SIGHUP
+//! ```
+//!
+//! - `fast`: the three tasks, in a thread of their own. `slow`: everything else, in the main thread.
+//!
+//! The fast thread never waits for the main thread: frames that do not fit into the channel are counted.
+
+mod fast;
+mod slow;
+
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::Context;
+use tokio::runtime::Builder;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::{Mutex, mpsc, watch};
+use tokio_util::sync::CancellationToken;
+
+use crate::acquisition::Channels;
+use crate::centering::Centering;
+use crate::clock::{Clock, SystemClock, utc::Utc};
+use crate::config::{Config, Meaning};
+use crate::control::{self, Live, server::Socket};
+use crate::estimation::{self, Estimation};
+use crate::logging::Logging;
+use crate::monitor::glance::Glance;
+use crate::monitor::turns::Turns;
+use crate::monitor::{
+    Counters,
+    page::control::Controls,
+    view::{self, View},
+};
+use crate::publishing::descriptor::StreamFacts;
+use crate::publishing::{Descriptor, Outlets, Publisher, PublisherSettings, StreamId, subscribe};
+use crate::recording;
+use crate::replay::Beginning;
+use crate::service::Service;
+use crate::steering::gcs;
+
+use fast::{Parts, start};
+use slow::{Monitor, Server, Slow, control, listeners, serve};
+
+/// Frames that may wait for TCP or for the monitor, each on an ordinary thread: the system may stop it for
+/// long (1.6 s of frames at 10 kHz). Takes memory only while they wait.
+const TO_MAIN: usize = 16 * 1024;
+
+/// Runs until SIGTERM or SIGINT; then ends in order, the steering first.
+///
+/// `file` is where the configuration comes from, to be read again on SIGHUP.
+pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::Result<()> {
+    let started = SystemClock.now();
+    let counters = Arc::new(Counters::default());
+    let (turns, glance) = <(Arc<Turns>, Arc<Glance>)>::default();
+    let service = Service::new(&config.realtime, Arc::clone(&turns), Arc::clone(&glance));
+    let (config, meaning, beginning) = &holding(config)?;
+    let channels = Channels::new(config, &meaning.tables)?;
+    let id = StreamId::new(meaning.id());
+    let facts = StreamFacts {
+        id,
+        sample_rate_hz: config.acquisition.rate_hz,
+        average: config.estimation.average,
+        model: config.estimation.model,
+        calibrated: channels.calibrated(),
+    };
+    let main = Builder::new_current_thread().enable_all().build().context("cannot start a runtime")?;
+    // Before anything else: without a handler SIGHUP would end the process.
+    let hangup = main.block_on(async { signal(SignalKind::hangup()) }).context("cannot listen for SIGHUP")?;
+    let socket = main.block_on(async { Socket::open(&config.control) })?;
+    let (to_fast, at_fast) = control::ways();
+    let (descriptor, descriptor_now) = watch::channel(described(facts, config, beginning.as_ref()));
+    let (steering, steering_now) = watch::channel(config.steering.clone());
+    let (gcs, gcs_task) = gcs::pair(config, steering_now).unzip();
+    let (to_tcp, frames) = mpsc::channel(TO_MAIN);
+    let (to_monitor, monitored) = mpsc::channel(TO_MAIN);
+    let [server, monitor] = main.block_on(listeners(config))?;
+    let (told, config_now) = watch::channel(config.clone());
+    let (tap, recording, recorder) =
+        recording::recorder::start(&config.recording, &counters).context("cannot start the recorder")?;
+    let udp = config.publishing.udp.clone();
+    let (desk, subscribers) = config.publishing.subscribe.map(subscribe::open).transpose()?.unzip();
+    let publisher = Publisher::new(
+        PublisherSettings { id, udp },
+        SystemClock,
+        Utc::system(),
+        Arc::clone(&counters),
+        Outlets {
+            subscribers,
+            tcp: server.is_some().then_some(to_tcp),
+            monitor: monitor.is_some().then_some(to_monitor),
+            recording_fault: Arc::clone(&recording.state.fault),
+        },
+    )?;
+    let parts = Parts {
+        estimation: Estimation::new(estimation::Settings::new(config, channels.calibrated(), id.config)?),
+        centering: Centering::new(config)?,
+        gcs,
+        channels,
+        publisher,
+        counters: Arc::clone(&counters),
+        turns: Arc::clone(&turns),
+        glance,
+        stop: CancellationToken::new(),
+        tap,
+        meaning: Arc::clone(meaning),
+        beginning: beginning.clone(),
+        descriptor: descriptor.clone(),
+        control: at_fast,
+        config: config.clone(),
+    };
+    let stop = parts.stop.clone();
+    let fast = start(parts)?;
+    let live = Arc::new(Mutex::new(Live {
+        file: file.map(Path::to_owned),
+        running: config.clone(),
+        taken: config.clone(),
+        tables: meaning.tables.clone(),
+        facts,
+        descriptor,
+        told,
+        fast: to_fast,
+        steering,
+        log: Arc::clone(log),
+        counters: Arc::clone(&counters),
+        turns: Arc::clone(&turns),
+        recording: recording.clone(),
+        started,
+    }));
+    let view = View::new(view::Sources {
+        counters: Arc::clone(&counters),
+        descriptor: descriptor_now.clone(),
+        config: config_now,
+        subscribers: desk.as_ref().map(subscribe::Desk::subscribers),
+        turns,
+        control: Controls::of(&config.monitor, &live),
+        recording: recording.state,
+    });
+    let slow = Slow {
+        service: &service,
+        server: server.map(|listener| Server { listener, frames, descriptor: descriptor_now }),
+        monitor: monitor.map(|listener| Monitor { listener, frames: monitored, view }),
+        desk,
+        stage: gcs_task,
+        session: id.session,
+    };
+    let control = control(live, socket, hangup, &service.notify);
+    let result = serve(&main, config, slow, control, fast, &counters, &stop);
+    recorder.join();
+    let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
+    tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
+    main.shutdown_background(); // a port that is being opened, or a name that is looked up, is not waited for
+    result
+}
+
+/// The configuration that holds and what poses mean by it; of a recording, what they mean at its beginning.
+fn holding(config: &Config) -> anyhow::Result<(Config, Arc<Meaning>, Option<Beginning>)> {
+    Ok(match Beginning::of_source(config)? {
+        None => (config.clone(), Arc::new(Meaning::read(config.clone())?), None),
+        Some(then) => (then.holding(config), Arc::clone(&then.meaning), Some(then)),
+    })
+}
+
+/// What the stream says of itself; also what is replayed, if that is the source.
+fn described(facts: StreamFacts, config: &Config, beginning: Option<&Beginning>) -> Descriptor {
+    let replay = beginning.map(|then| then.told(&config.replay));
+    Descriptor { replay, ..Descriptor::new(facts) }
+}

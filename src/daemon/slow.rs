@@ -1,0 +1,185 @@
+//! The main thread: clients, monitor, subscriptions, a slow stage, commands and signals.
+
+use std::cell::Cell;
+use std::sync::Arc;
+
+use anyhow::Context;
+use tokio::runtime::Runtime;
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::sync::{Mutex, mpsc, watch};
+use tokio_util::sync::CancellationToken;
+
+use crate::clock::SystemClock;
+use crate::config::Config;
+use crate::control::{self, Command, Live, server::Socket};
+use crate::exit::{self, Failure};
+use crate::monitor::{self, Counters, guard::Hosts, view::View};
+use crate::publishing::{Descriptor, PoseFrame, subscribe, subscription, tcp};
+use crate::service::{Notify, Service};
+use crate::steering::gcs;
+
+use super::fast::{Fast, fast_end};
+
+/// What the main thread serves.
+pub(super) struct Slow<'a> {
+    pub(super) service: &'a Service,
+    pub(super) server: Option<Server>,
+    pub(super) monitor: Option<Monitor>,
+    pub(super) desk: Option<subscribe::Desk>,
+    pub(super) stage: Option<gcs::task::Task>,
+    pub(super) session: u32,
+}
+
+/// The TCP side.
+pub(super) struct Server {
+    pub(super) listener: tokio::net::TcpListener,
+    pub(super) frames: mpsc::Receiver<PoseFrame>,
+    pub(super) descriptor: watch::Receiver<Descriptor>,
+}
+
+/// The HTTP side.
+pub(super) struct Monitor {
+    pub(super) listener: tokio::net::TcpListener,
+    pub(super) frames: mpsc::Receiver<PoseFrame>,
+    pub(super) view: View,
+}
+
+/// Where TCP clients and browsers connect, if they may.
+pub(super) async fn listeners(config: &Config) -> anyhow::Result<[Option<tokio::net::TcpListener>; 2]> {
+    let server = match config.publishing.tcp {
+        Some(address) => Some(tcp::bind(address).await?),
+        None => None,
+    };
+    let monitor = match config.monitor.listen {
+        Some(address) => Some(monitor::http::bind(address).await?),
+        None => None,
+    };
+    Ok([server, monitor])
+}
+
+/// Commands and SIGHUP, for ever.
+pub(super) async fn control(
+    live: Arc<Mutex<Live>>,
+    socket: Option<Socket>,
+    mut hangup: Signal,
+    notify: &Notify,
+) {
+    let commands = async {
+        match socket {
+            Some(socket) => socket.serve(Arc::clone(&live)).await,
+            None => std::future::pending().await,
+        }
+    };
+    let reloads = async {
+        while hangup.recv().await.is_some() {
+            notify.reloading();
+            let answer = live.lock().await.obey(Command::Reload).await;
+            notify.reloaded();
+            control::server::note(&Command::Reload, None, &answer);
+        }
+    };
+    tokio::join!(commands, reloads);
+}
+
+/// The main thread: TCP clients, UDP subscriptions, a slow stage, commands and signals, until the end.
+pub(super) fn serve(
+    main: &Runtime,
+    config: &Config,
+    slow: Slow<'_>,
+    control: impl Future<Output = ()>,
+    fast: Fast,
+    counters: &Arc<Counters>,
+    stop: &CancellationToken,
+) -> anyhow::Result<()> {
+    let limits = tcp::Limits {
+        clients: config.publishing.tcp_clients,
+        queue: config.publishing.tcp_queue,
+        allow: config.publishing.allow.clone(),
+        ..tcp::Limits::default()
+    };
+    let publishing = &config.publishing;
+    let subscriptions =
+        subscription::Subscriptions::new(slow.session, publishing.subscribers, publishing.allow.clone());
+    let Slow { service, server, monitor, desk, stage, .. } = slow;
+    let Fast { thread, mut ended } = fast;
+    // A fast thread that does not come back is left behind: its end is that of the process.
+    let left_behind = Cell::new(false);
+    let result = main.block_on(async {
+        let (mut terminate, mut interrupt) =
+            (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
+        let serving = async {
+            let Some(Server { listener, frames, descriptor }) = server else {
+                stop.cancelled().await;
+                return;
+            };
+            // Not told to stop: it serves what the fast side still sends, and ends when that has ended.
+            let never = CancellationToken::new();
+            tcp::serve(listener, frames, descriptor, limits, Arc::clone(counters), never).await;
+        };
+        let monitoring = async {
+            match monitor {
+                Some(Monitor { listener, frames, view }) => {
+                    let hosts = Hosts::new(&config.monitor.allowed_hosts);
+                    monitor::http::serve(listener, frames, view, hosts).await;
+                }
+                None => stop.cancelled().await,
+            }
+        };
+        let serving = async {
+            tokio::join!(serving, monitoring);
+        };
+        let subscribing = async {
+            match desk {
+                Some(desk) => desk.run(subscriptions, SystemClock, counters, stop.clone()).await,
+                None => std::future::pending().await,
+            }
+        };
+        let steering = async {
+            match stage {
+                Some(stage) => stage.run(counters).await,
+                None => stop.cancelled().await,
+            }
+        };
+        let mut serving = std::pin::pin!(serving);
+        let mut steering = std::pin::pin!(steering);
+        let mut watching = std::pin::pin!(service.run());
+        let asked = tokio::select! {
+            biased;
+            end = &mut ended => return fast_end(end),
+            () = &mut serving => {
+                // The servers end by themselves only when the fast side is gone.
+                return fast_end(ended.await);
+            }
+            () = &mut steering => return fast_end(ended.await), // likewise
+            end = subscribing => end.context("cannot take UDP subscriptions").map(|()| "subscriptions ended"),
+            () = control => Err(Failure::new(exit::SOFTWARE, "the control task ended by itself").into()),
+            stalled = &mut watching => {
+                left_behind.set(true);
+                return Err(stalled.into());
+            }
+            _ = terminate.recv() => Ok("SIGTERM"),
+            _ = interrupt.recv() => Ok("SIGINT"),
+        };
+        if let Ok(signal) = asked {
+            tracing::info!("{signal}: stopping");
+        }
+        stop.cancel();
+        service.ending();
+        tokio::select! {
+            (end, (), ()) = async { tokio::join!(ended, serving, steering) } => fast_end(end)?,
+            late = watching => {
+                left_behind.set(true);
+                return Err(late.into());
+            }
+        }
+        asked.map(|_| ())
+    });
+    if left_behind.get() {
+        return result;
+    }
+    // It has said that it ended; only a panic is news now.
+    if thread.join().is_err() {
+        return Err(Failure::new(exit::SOFTWARE, "the fast thread panicked").into());
+    }
+    result
+}
