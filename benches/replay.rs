@@ -24,6 +24,8 @@ fn main() {
     let mut record = Command::new(env!("CARGO_BIN_EXE_trifacet"));
     record.args(["simulate", "--closed-loop", "--samples", &(seconds * 10_000).to_string(), "--config"]);
     assert!(record.arg(&config).arg("--record").arg(&file).status().expect("trifacet").success());
+    // What is still on its way to the disk would take time from one of the two.
+    std::fs::File::open(&file).and_then(|file| file.sync_all()).expect("a disk");
     let samples = samples(&file);
     let mut times = [Vec::new(), Vec::new()];
     for _ in 0..3 {
