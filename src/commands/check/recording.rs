@@ -1,11 +1,14 @@
 //! What a configuration means for recordings.
 
-use trifacet::config::{Config, RecordingConfig, RecordingMode};
+use trifacet::config::{Config, RecordingConfig, RecordingMode, SourceKind};
 use trifacet::recording::folder::Folder;
 
 use super::Lines;
 
 pub(super) fn recording(config: &Config, lines: &mut Lines) {
+    if config.acquisition.source == SourceKind::Replay {
+        return lines.say("recording", "none: a recording is replayed");
+    }
     let RecordingConfig { mode, rotate_mb, rotate_min, budget_gb, before_s, after_s, .. } = config.recording;
     let when = match mode {
         RecordingMode::Off => "off until `trifacet ctl record start`".to_owned(),

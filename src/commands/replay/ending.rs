@@ -95,13 +95,15 @@ pub(super) fn different(difference: &Difference) -> Failure {
     Failure::new(exit::DIFFERENT, what)
 }
 
-/// Fails if something could not be compared.
+/// Fails if something is missing, or could not be compared.
 pub(super) fn holes(files: &[Read], passed_over: u64) -> Result<(), Failure> {
-    let damages: usize = files.iter().map(|(_, tally)| tally.damages.len()).sum();
-    let why = match (damages, passed_over) {
-        (0, 0) => return Ok(()),
-        (0, frames) => format!("{} not compared", are(frames, "frame")),
-        (places, _) => format!("not all is compared: {} cannot be read", count(places as u64, "place")),
+    let sum = |of: fn(&Tally) -> usize| files.iter().map(|(_, tally)| of(tally) as u64).sum::<u64>();
+    let (damages, gaps) = (sum(|tally| tally.damages.len()), sum(|tally| tally.gaps.len()));
+    let why = match (damages, gaps, passed_over) {
+        (0, 0, 0) => return Ok(()),
+        (0, 0, frames) => format!("{} not compared", are(frames, "frame")),
+        (0, gaps, _) => format!("not all is on record: it has {}", count(gaps, "gap")),
+        (places, ..) => format!("not all is compared: {} cannot be read", count(places, "place")),
     };
     Err(Failure::new(exit::DATA, why))
 }
