@@ -12,6 +12,7 @@ use trifacet::{
     config::Config,
     exit::{self, Failure},
     optics::Pose,
+    publishing::columns::{POSE, SPOTS},
     recording::codec::{Encoded, Encoder},
     recording::writer::Writer,
     rig::{Rig, Turn},
@@ -20,7 +21,7 @@ use trifacet::{
 
 use super::new_file::{NewFile, cannot_write};
 use super::table::digits;
-use super::trace::{POSE, POWERS, SPOTS};
+use super::trace::POWERS;
 use super::{ConfigArg, written};
 
 /// Arguments of `simulate`.

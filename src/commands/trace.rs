@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use trifacet::config;
 use trifacet::optics::{Estimator, Model, Optics, Pose, Signals, Vec2};
+use trifacet::publishing::columns::{POSE, SPOTS};
 
 use super::ConfigArg;
 use super::table::{Column, Row, convert, digits};
@@ -21,9 +22,7 @@ pub(crate) struct TableArgs {
     input: Option<PathBuf>,
 }
 
-pub(super) const POSE: [&str; 6] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "yaw_rad"];
 const OFFSET: [&str; 2] = ["beam_dx_m", "beam_dy_m"];
-pub(super) const SPOTS: [&str; 6] = ["u_a_m", "v_a_m", "u_b_m", "v_b_m", "u_c_m", "v_c_m"];
 pub(super) const POWERS: [&str; 3] = ["power_a", "power_b", "power_c"];
 
 fn needed(names: &[&'static str]) -> impl Iterator<Item = Column> {

@@ -9,6 +9,7 @@ use super::sheet::{Row, Sheet};
 use crate::config::Axis;
 use crate::estimation::Status;
 use crate::exit::{self, Failure};
+use crate::publishing::columns::{DEVIATIONS, POSE};
 
 /// Which part of the experiment a reading belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,29 +63,12 @@ pub struct Record {
 /// What begins the line of the source, and that of the options.
 const HEAD: [&str; 2] = ["# source: ", "# options: "];
 
-const COLUMNS: [&str; 21] = [
-    "part",
-    "axis",
-    "point",
-    "reading",
-    "time_ns",
-    "reference_si",
-    "tx_m",
-    "ty_m",
-    "tz_m",
-    "roll_rad",
-    "pitch_rad",
-    "yaw_rad",
-    "sd_tx_m",
-    "sd_ty_m",
-    "sd_tz_m",
-    "sd_roll_rad",
-    "sd_pitch_rad",
-    "sd_yaw_rad",
-    "averaged",
-    "config",
-    "status",
-];
+/// All columns, in order.
+fn columns() -> Vec<&'static str> {
+    let first = ["part", "axis", "point", "reading", "time_ns", "reference_si"];
+    let last = ["averaged", "config", "status"];
+    [&first[..], &POSE, &DEVIATIONS, &last].concat()
+}
 
 /// Writes readings as CSV, in SI units, under two lines that say where they come from.
 ///
@@ -95,7 +79,7 @@ pub fn write(record: &Record, to: impl Write) -> std::io::Result<()> {
     for (name, text) in HEAD.iter().zip([&record.source, &record.options]) {
         writeln!(out, "{name}{}", text.replace(['\n', '\r'], " "))?;
     }
-    writeln!(out, "{}", COLUMNS.join(","))?;
+    writeln!(out, "{}", columns().join(","))?;
     for Reading { part, moved, point, number, look } in &record.readings {
         let (axis, reference) =
             moved.map_or(("", String::new()), |(axis, x)| (axis.name(), format!("{x:e}")));
@@ -117,7 +101,7 @@ pub fn write(record: &Record, to: impl Write) -> std::io::Result<()> {
 /// # Errors
 /// What is wrong, with file and line.
 pub fn read(file: &Path) -> Result<Record, Failure> {
-    let mut sheet = Sheet::open(file, &COLUMNS)?;
+    let mut sheet = Sheet::open(file, &columns())?;
     let mut readings = Vec::new();
     let mut seen = HashSet::new();
     while let Some(row) = sheet.next_row()? {
@@ -159,9 +143,9 @@ fn reading(row: &Row) -> Result<Reading, Failure> {
         Part::Rest => None,
         _ => Some((axis(row)?, row.number("reference_si")?)),
     };
-    let six = |first: usize| -> Result<[f64; 6], Failure> {
+    let six = |names: &[&str; 6]| -> Result<[f64; 6], Failure> {
         let mut six = [0.0; 6];
-        for (x, column) in six.iter_mut().zip(&COLUMNS[first..]) {
+        for (x, column) in six.iter_mut().zip(names) {
             *x = row.number(column)?;
         }
         Ok(six)
@@ -173,7 +157,7 @@ fn reading(row: &Row) -> Result<Reading, Failure> {
     if !status.has(Status::POSE_VALID) {
         return Err(row.wrong("its status has no POSE_VALID: it is no reading"));
     }
-    let deviations = six(12)?.map(|x| x as f32);
+    let deviations = six(&DEVIATIONS)?.map(|x| x as f32);
     if !deviations.iter().all(|x| *x > 0.0 && x.is_finite()) {
         return Err(row.wrong("a stated deviation (sd_...) is not above 0"));
     }
@@ -184,7 +168,7 @@ fn reading(row: &Row) -> Result<Reading, Failure> {
         number: row.count("reading")?,
         look: Look {
             time_ns: row.count("time_ns")?,
-            pose: six(6)?,
+            pose: six(&POSE)?,
             deviations,
             averaged: row.count("averaged")?,
             config: row.count("config")?,

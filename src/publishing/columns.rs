@@ -68,11 +68,16 @@ pub const NAMES: [&str; 41] = [
     "config",
 ];
 
-pub(super) const POSE: [&str; 6] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "yaw_rad"];
-const DEVIATIONS: [&str; 6] = ["sd_tx_m", "sd_ty_m", "sd_tz_m", "sd_roll_rad", "sd_pitch_rad", "sd_yaw_rad"];
+/// The names of a pose: m and rad.
+pub const POSE: [&str; 6] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "yaw_rad"];
+/// The names of its deviations.
+pub const DEVIATIONS: [&str; 6] =
+    ["sd_tx_m", "sd_ty_m", "sd_tz_m", "sd_roll_rad", "sd_pitch_rad", "sd_yaw_rad"];
 const BEAM: [&str; 2] = ["beam_dx_m", "beam_dy_m"];
-const SPOTS: [&str; 6] = ["u_a_m", "v_a_m", "u_b_m", "v_b_m", "u_c_m", "v_c_m"];
-const POWERS: [&str; 3] = ["power_a_w", "power_b_w", "power_c_w"];
+/// The names of the spots, metres.
+pub const SPOTS: [&str; 6] = ["u_a_m", "v_a_m", "u_b_m", "v_b_m", "u_c_m", "v_c_m"];
+/// The names of the powers, watts.
+pub const POWERS: [&str; 3] = ["power_a_w", "power_b_w", "power_c_w"];
 const STEERING: [&str; 2] = ["steering_x_m", "steering_y_m"];
 
 impl Columns {

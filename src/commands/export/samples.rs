@@ -2,12 +2,10 @@
 
 use trifacet::acquisition::{PsdState, Sample, Scan};
 use trifacet::centering::LoopState;
-use trifacet::publishing::columns::Value;
+use trifacet::publishing::columns::{POWERS, SPOTS, Value};
 
 use super::Row;
-use crate::commands::trace::SPOTS;
 
-const POWERS: [&str; 3] = ["power_a_w", "power_b_w", "power_c_w"];
 const CODES: [&str; 16] = [
     "code_0", "code_1", "code_2", "code_3", "code_4", "code_5", "code_6", "code_7", "code_8", "code_9",
     "code_10", "code_11", "code_12", "code_13", "code_14", "code_15",
