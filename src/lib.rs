@@ -29,7 +29,7 @@ pub mod exit;
 pub mod experiment;
 pub mod logging;
 pub mod monitor;
-pub mod optics;
+pub use trifacet_optics as optics;
 pub mod publishing;
 pub mod realtime;
 pub mod recording;

@@ -14,12 +14,12 @@ use crate::clock::{Mono, NS_PER_S};
 use crate::config::{Config, FaultKind, Meaning};
 use crate::estimation::{Estimation, PoseReport, Settings};
 use crate::exit::{self, Failure};
-use crate::optics::Pose;
 use crate::publishing::{PoseFrame, stamp::Stamp};
 use crate::recording::entry::Outflow;
 use crate::recording::{Entry, Tap, Witness};
 use crate::steering::{Command, outputs};
 use crate::twin::{OUTPUT_BITS, Outputs, Twin, TwinError, TwinScan};
+use trifacet_optics::Pose;
 
 /// Silence is noticed after this time, and again after each half of it, as in the daemon.
 const PATIENCE_S: f64 = 0.02;

@@ -6,7 +6,7 @@ use super::correction::{Correction, CorrectionError};
 use super::scan::{Converter, Identity, MAX_CHANNELS, PsdState, Role, Sample, Scan};
 use crate::config::{Amplifier, Config, PsdChannels, Tables};
 use crate::exit::{self, Failure};
-use crate::optics::FACETS;
+use trifacet_optics::FACETS;
 
 /// What is known of the channels before the source has said which is which.
 #[derive(Clone, Debug)]

@@ -1,7 +1,7 @@
 //! Dark offsets: what the nine channels read with the laser off.
 
 use super::scan::{Identity, SIGNALS, Scan};
-use crate::optics::FACETS;
+use trifacet_optics::FACETS;
 
 /// Sum signals above so many thresholds are light, not an offset.
 const LIGHT: f64 = 10.0;

@@ -10,8 +10,8 @@ use super::tuning::Tuning;
 use crate::acquisition::Sample;
 use crate::clock::Mono;
 use crate::config::{Config, LoopMode, OnExit};
-use crate::optics::{HeadError, Optics};
 use crate::steering::{Ack, Command, Expiry, Xy};
+use trifacet_optics::{HeadError, Optics};
 
 /// The time between samples counts as at most so many periods.
 const MOST_PERIODS: f64 = 5.0;

@@ -7,8 +7,8 @@ use super::tracking::Tracking;
 use super::tuning::Tuning;
 use crate::acquisition::{PsdState, Sample};
 use crate::config::Target;
-use crate::optics::{Optics, Pose};
 use crate::steering::Xy;
+use trifacet_optics::{Optics, Pose};
 
 /// Looks for the apex, sample by sample.
 #[derive(Clone, Debug)]

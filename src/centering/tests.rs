@@ -7,10 +7,10 @@ use super::tuning::Tuning;
 use crate::acquisition::{PsdState, Sample};
 use crate::clock::Mono;
 use crate::config::{Config, LoopMode, OnExit};
-use crate::optics::{Model, Optics, Pose, Vec2};
 use crate::steering::{Ack, Expiry, Xy};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
+use trifacet_optics::{Model, Optics, Pose, Vec2};
 
 const DT_NS: i64 = 1_000_000;
 

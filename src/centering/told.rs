@@ -3,8 +3,8 @@
 use super::lock::{LockState, Transition};
 use crate::clock::Mono;
 use crate::config::LoopMode;
-use crate::optics::Pose;
 use crate::steering::{Command, Xy};
+use trifacet_optics::Pose;
 
 /// What the rest of the house is told of the loop.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -14,8 +14,8 @@ use trifacet::config::edit::{self, Edit};
 use trifacet::config::{Config, FaultKind, SourceKind};
 use trifacet::exit::{self, Failure};
 use trifacet::monitor::Counters;
-use trifacet::optics::FACETS;
 use trifacet::twin::{Twin, TwinSource};
+use trifacet_optics::FACETS;
 
 use super::{ConfigArg, written};
 

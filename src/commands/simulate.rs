@@ -6,18 +6,16 @@
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use trifacet::{
-    acquisition::{ChannelMap, Channels, Sample},
-    clock::{Mono, NS_PER_S},
-    config::Config,
-    exit::{self, Failure},
-    optics::Pose,
-    publishing::columns::{POSE, SPOTS},
-    recording::codec::{Encoded, Encoder},
-    recording::writer::Writer,
-    rig::{Rig, Turn},
-    twin::{Twin, TwinScan},
-};
+use trifacet::acquisition::{ChannelMap, Channels, Sample};
+use trifacet::clock::{Mono, NS_PER_S};
+use trifacet::config::Config;
+use trifacet::exit::{self, Failure};
+use trifacet::publishing::columns::{POSE, SPOTS};
+use trifacet::recording::codec::{Encoded, Encoder};
+use trifacet::recording::writer::Writer;
+use trifacet::rig::{Rig, Turn};
+use trifacet::twin::{Twin, TwinScan};
+use trifacet_optics::Pose;
 
 use super::new_file::{NewFile, cannot_write};
 use super::table::digits;

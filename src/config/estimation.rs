@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::check::{Checker, above_zero};
-use crate::optics;
+use trifacet_optics as optics;
 
 /// Which model of the beam.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]

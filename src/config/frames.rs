@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::check::Checker;
-use crate::optics::{Pose, Rigid, Vec3};
+use trifacet_optics::{Pose, Rigid, Vec3};
 
 /// `[frames]`: pose = tare^-1 * base * (pose of the mirror in the sensor's world) * tool.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]

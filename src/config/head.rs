@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::check::Checker;
-use crate::optics::{FACETS, Head, HeadError, Psd, Vec3};
+use trifacet_optics::{FACETS, Head, HeadError, Psd, Vec3};
 
 /// `[head]`: four numbers build the nominal head; the rest is for heads that were calibrated.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use super::Config;
-use crate::optics::FACETS;
+use trifacet_optics::FACETS;
 
 /// The contents of the correction tables of A, B and C. Read once, so that fingerprint, channel map and
 /// recording mean the same ones.

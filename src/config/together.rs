@@ -5,7 +5,7 @@ use super::{CenteringConfig, Config, Model, RecordingMode, SourceKind, SteeringK
 use crate::acquisition::board::required_baud;
 use crate::acquisition::scan::SIGNALS;
 use crate::centering::stability::is_stable;
-use crate::optics::{Optics, Pose, Vec2};
+use trifacet_optics::{Optics, Pose, Vec2};
 
 /// Gains are refused if the loop would ring ever louder with so many times as much.
 const MARGIN: f64 = 1.2;

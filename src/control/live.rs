@@ -23,13 +23,13 @@ use crate::exit::{self, Failure};
 use crate::logging::Logging;
 use crate::monitor::Counters;
 use crate::monitor::turns::{Drill, Task, Turns};
-use crate::optics::Pose;
 use crate::publishing::{
     Descriptor,
     descriptor::{Replayed, StreamFacts},
 };
 use crate::recording::{Handle, Wish};
 use crate::steering::Xy;
+use trifacet_optics::Pose;
 
 /// How long the fast side may take to answer.
 const PATIENCE: Duration = Duration::from_secs(5);

@@ -10,7 +10,7 @@ use super::{PoseReport, Settings, Status, light};
 use crate::acquisition::{PsdState, Sample};
 use crate::centering::{LockState, LoopState};
 use crate::clock::Mono;
-use crate::optics::{Innovation, Model, Noise, Signals, Solution, SolveError, Spread};
+use trifacet_optics::{Innovation, Model, Noise, Signals, Solution, SolveError, Spread};
 
 /// In a mean of so many samples the powers of one that was uneasy do no harm.
 const DILUTED: u16 = 4;

@@ -6,7 +6,7 @@
 use nalgebra::Matrix6;
 
 use crate::config::FramesConfig;
-use crate::optics::{Mat3, Pose, Rigid, Vec3};
+use trifacet_optics::{Mat3, Pose, Rigid, Vec3};
 
 /// Nearer than this to a pitch of 90 degrees there is no telling roll from yaw: their deviations are 57
 /// times those of a turn at this place, and grow without bound. Cosine of 89 degrees.

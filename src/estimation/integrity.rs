@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::config::SteeringConfig;
-use crate::optics::{Innovation, Sighting, Vec2};
 use crate::steering::BeamMap;
+use trifacet_optics::{Innovation, Sighting, Vec2};
 
 /// A residual of more of its deviations than this does not fit: chance makes one in 270 000.
 const LIMIT: f64 = 5.0;

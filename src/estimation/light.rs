@@ -4,7 +4,7 @@ use super::block::Mean;
 use super::power_step::Power;
 use super::{Settings, Status};
 use crate::acquisition::PsdState;
-use crate::optics::{Noise, SolveError};
+use trifacet_optics::{Noise, SolveError};
 
 /// A power below so many of its deviations is no light to reckon with.
 const LIGHT: f64 = 5.0;

@@ -3,7 +3,9 @@
 use nalgebra::Matrix6;
 
 use super::Status;
-use crate::{centering::LockState, clock::Mono, optics::Pose};
+use crate::centering::LockState;
+use crate::clock::Mono;
+use trifacet_optics::Pose;
 
 /// The result of one sample (or of a block of them). What is not known is `None`, never a number.
 #[derive(Clone, Copy, Debug, PartialEq)]

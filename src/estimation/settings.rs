@@ -3,7 +3,7 @@
 use super::integrity::Readback;
 use super::{Frames, Status};
 use crate::config::Config;
-use crate::optics::{Estimator, HeadError, Optics};
+use trifacet_optics::{Estimator, HeadError, Optics};
 
 /// What estimation needs to know.
 #[derive(Clone, Debug)]

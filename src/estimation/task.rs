@@ -10,8 +10,8 @@ use super::{Estimation, PoseReport, Status, pulse::Loop};
 use crate::acquisition::{Identity, Role, task::Acquired};
 use crate::clock::Clock;
 use crate::monitor::turns::HEARTBEAT;
-use crate::optics::Pose;
 use crate::recording::Witness;
+use trifacet_optics::Pose;
 
 /// How often silence is reported, at most.
 const SILENCE_HZ: f64 = 100.0;

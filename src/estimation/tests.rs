@@ -5,8 +5,8 @@ use crate::acquisition::{PsdState, Sample};
 use crate::centering::LoopState;
 use crate::clock::Mono;
 use crate::config::Config;
-use crate::optics::{Model, Optics, Pose, Vec2};
 use crate::publishing::stamp::tests::report;
+use trifacet_optics::{Model, Optics, Pose, Vec2};
 
 fn estimation(text: &str, id: u32) -> Estimation {
     let config = crate::config::parse(text, None).unwrap();

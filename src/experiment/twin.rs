@@ -9,8 +9,8 @@ use crate::centering::LockState;
 use crate::config::{Axis, Config, FramesConfig};
 use crate::estimation::{PoseReport, Status};
 use crate::exit::{self, Failure};
-use crate::optics::Pose;
 use crate::rig::Rig;
+use trifacet_optics::Pose;
 
 /// Without a pose that counts for so long, seconds of the twin, there will be none.
 const PATIENCE_S: f64 = 5.0;

@@ -1,11 +1,9 @@
 //! The frame of a report.
 
 use super::frame::{CLOCK_UNKNOWN, PoseFrame};
-use crate::{
-    clock::Mono,
-    estimation::{PoseReport, Status},
-    optics::Pose,
-};
+use crate::clock::Mono;
+use crate::estimation::{PoseReport, Status};
+use trifacet_optics::Pose;
 
 /// What a frame says besides the report: who sends it, as what number, and when.
 #[derive(Clone, Copy, Debug)]

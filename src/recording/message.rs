@@ -6,8 +6,8 @@ use crate::acquisition::{Converter, Identity, PsdState, Role, Sample as Taken, S
 use crate::centering::{LockState, LoopState};
 use crate::clock::{Mono, NS_PER_S};
 use crate::estimation::Status;
-use crate::optics::Pose;
 use crate::publishing::PoseFrame;
+use trifacet_optics::Pose;
 
 /// `builtin_interfaces/Time`, UTC.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -375,7 +375,7 @@ fn quaternion(pose: &Pose) -> [f64; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::optics::{Mat3, Vec3};
+    use trifacet_optics::{Mat3, Vec3};
 
     #[test]
     fn the_quaternion_is_the_rotation() {

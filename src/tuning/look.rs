@@ -3,8 +3,8 @@
 use crate::acquisition::{PsdState, Sample};
 use crate::clock::Mono;
 use crate::config::Config;
-use crate::optics::{Estimator, FACETS, HeadError, Model, Optics, Signals, Solution};
 use crate::steering::Xy;
+use trifacet_optics::{Estimator, FACETS, HeadError, Model, Optics, Signals, Solution};
 
 /// What a sample says.
 #[derive(Clone, Copy, Debug, PartialEq)]

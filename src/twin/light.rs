@@ -1,6 +1,6 @@
 //! The light on the three PSDs, for a mirror and a laser at given places.
 
-use crate::optics::{Head, Model, Optics, Pose, Vec2, Vec3};
+use trifacet_optics::{Head, Model, Optics, Pose, Vec2, Vec3};
 
 /// The light on one PSD: the spot and its part of the beam.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -32,17 +32,16 @@ pub use outputs::{OUTPUT_BITS, Outputs};
 pub use pty::Pty;
 pub use source::TwinSource;
 
-use crate::{
-    acquisition::{Identity, MAX_CHANNELS, Role, Scan, scan::SIGNALS},
-    clock::Mono,
-    config::{Config, Fault, FaultKind},
-    optics::Pose,
-};
+use crate::acquisition::scan::SIGNALS;
+use crate::acquisition::{Identity, MAX_CHANNELS, Role, Scan};
+use crate::clock::Mono;
+use crate::config::{Config, Fault, FaultKind};
 use electronics::{Electronics, Noise, READBACK};
 use faults::{Active, Faults};
 use light::Lighting;
 use stage::Stage;
 use trajectory::Trajectory;
+use trifacet_optics::Pose;
 
 /// The fastest rate of the twin, scans per second.
 pub const MAX_RATE_HZ: f64 = 20_000.0;

@@ -10,10 +10,10 @@ use trifacet::acquisition::Channels;
 use trifacet::config::{
     Config, FacetConfig, FramesConfig, LogFormat, LoopMode, SourceKind, SteeringKind, TransformConfig,
 };
-use trifacet::optics::covariance::deviations;
-use trifacet::optics::{Estimator, FACETS, Innovation, Model, Noise, Optics, Pose, Sighting, Signals, Vec2};
 use trifacet::publishing::columns::rfc3339;
 use trifacet::replay::Beginning;
+use trifacet_optics::covariance::deviations;
+use trifacet_optics::{Estimator, FACETS, Innovation, Model, Noise, Optics, Pose, Sighting, Signals, Vec2};
 
 use super::{ConfigArg, written};
 

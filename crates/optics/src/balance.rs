@@ -43,7 +43,7 @@ impl Optics {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::optics::{Head, Model};
+    use crate::{Head, Model};
 
     #[test]
     fn the_offset_comes_back_to_a_picometre() {

@@ -55,7 +55,7 @@ impl Optics {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::optics::{Head, Model};
+    use crate::{Head, Model};
 
     fn optics() -> Optics {
         Optics::new(&Head::nominal(0.25, 0.013, std::f64::consts::FRAC_PI_4, 0.46e-3).unwrap())
