@@ -1,8 +1,12 @@
 //! Puts the page's chart library into the build: plotly.js, compressed once, as browsers take it.
 
-use std::{error::Error, fs::File, io::Write, path::Path};
+use std::error::Error;
+use std::fs::File;
+use std::io::Write;
+use std::path::Path;
 
-use flate2::{Compression, write::GzEncoder};
+use flate2::Compression;
+use flate2::write::GzEncoder;
 
 fn main() -> Result<(), Box<dyn Error>> {
     println!("cargo::rerun-if-changed=build.rs");

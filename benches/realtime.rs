@@ -5,17 +5,16 @@
 //! in two places: before the daemon made it (then its sample is missing: `lost`, or a gap in the sample
 //! index), or on its way here (then only the sequence has a gap, and the network or this program was too slow).
 
-use std::{
-    fs, io,
-    io::Write,
-    net::UdpSocket,
-    path::Path,
-    process::{Child, Command, ExitCode, Stdio},
-    time::Duration,
-};
+use std::io::Write;
+use std::net::UdpSocket;
+use std::path::Path;
+use std::process::{Child, Command, ExitCode, Stdio};
+use std::time::Duration;
+use std::{fs, io};
 
 use trifacet::client::PoseFrame;
-use trifacet::recording::{Entry, Topic, codec::Decoder};
+use trifacet::recording::codec::Decoder;
+use trifacet::recording::{Entry, Topic};
 
 const RATE_HZ: f64 = 10_000.0;
 const SECONDS: f64 = 30.0;

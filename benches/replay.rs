@@ -9,11 +9,11 @@ use std::process::Command;
 
 use trifacet::clock::{Clock, SystemClock};
 use trifacet::config::Config;
-use trifacet::optics::{Estimator, Noise, Optics, Signals, Solution};
 use trifacet::recording::reader::{Read, Reader};
 use trifacet::recording::{Entry, Topic};
 use trifacet::replay::feed::{self, News};
 use trifacet::replay::{Engine, Verdict};
+use trifacet_optics::{Estimator, Noise, Optics, Signals, Solution};
 
 fn main() {
     let seconds = std::env::args().filter(|arg| arg != "--bench").nth(1);

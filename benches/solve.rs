@@ -12,8 +12,8 @@ use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::{Matrix6, Owned, U6, Vector6};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use trifacet::optics::ray::Ray;
-use trifacet::optics::{Estimator, Head, Model, Optics, Pose, Psd, Signals, Solution, Vec2, Vec3};
+use trifacet_optics::ray::Ray;
+use trifacet_optics::{Estimator, Head, Model, Optics, Pose, Psd, Signals, Solution, Vec2, Vec3};
 
 const CASES: usize = 64;
 

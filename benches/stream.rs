@@ -14,8 +14,8 @@ use std::time::Duration;
 use rustix::thread::clock_nanosleep_absolute;
 use rustix::time::{ClockId, Timespec, clock_gettime};
 use trifacet::config::RealtimeConfig;
-use trifacet::publishing::layout::FRAME_SIZE;
 use trifacet::realtime;
+use trifacet_wire::layout::FRAME_SIZE;
 
 const PAIRS: usize = 5;
 const PRIORITY: u8 = 50;

@@ -1,7 +1,8 @@
 //! The exit codes of `trifacet`, those of `sysexits.h`, so that a supervisor can tell a mistake in a
 //! file from a device that is busy.
 
-use std::{fmt::Display, io};
+use std::fmt::Display;
+use std::io;
 
 /// A replay gave other poses than those that were recorded.
 pub const DIFFERENT: u8 = 1;

@@ -29,7 +29,7 @@ pub mod exit;
 pub mod experiment;
 pub mod logging;
 pub mod monitor;
-pub use trifacet_optics as optics;
+pub use {trifacet_optics as optics, trifacet_wire as wire};
 pub mod publishing;
 pub mod realtime;
 pub mod recording;

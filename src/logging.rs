@@ -9,6 +9,8 @@ mod limit;
 use std::path::Path;
 use std::{fmt, io};
 
+use journal::{Entries, Journal};
+use limit::Limiter;
 use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::layer::{Layer as _, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
@@ -16,8 +18,6 @@ use tracing_subscriber::{EnvFilter, reload};
 
 use crate::config::{LogConfig, LogFormat};
 use crate::exit::{self, Failure};
-use journal::{Entries, Journal};
-use limit::Limiter;
 
 /// Lines that may wait to be written. Further ones are dropped.
 const QUEUE: usize = 10_000;

@@ -6,7 +6,9 @@ use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
-use trifacet::{config::ConfigError, exit, recording::reader::ReadError};
+use trifacet::config::ConfigError;
+use trifacet::exit;
+use trifacet::recording::reader::ReadError;
 
 /// Six degrees of freedom from a three-facet mirror, a laser and three position-sensitive detectors.
 #[derive(Debug, Parser)]

@@ -7,19 +7,21 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use crate::acquisition::{Ack, ChannelMap, Channels, Expiry, OutputCommand, Sample, Scan};
+use trifacet_optics::Pose;
+use trifacet_wire::actuator::{Ack, LeaseAction, OutputCommand};
+
+use crate::acquisition::{ChannelMap, Channels, Sample, Scan};
 use crate::centering::lock::Transition;
 use crate::centering::{Centering, LoopState, Outcome, TimedPose};
 use crate::clock::{Mono, NS_PER_S};
 use crate::config::{Config, FaultKind, Meaning};
 use crate::estimation::{Estimation, PoseReport, Settings};
 use crate::exit::{self, Failure};
-use crate::publishing::{PoseFrame, stamp::Stamp};
+use crate::publishing::stamp::Stamp;
 use crate::recording::entry::Outflow;
 use crate::recording::{Entry, Tap, Witness};
 use crate::steering::{Command, outputs};
 use crate::twin::{OUTPUT_BITS, Outputs, Twin, TwinError, TwinScan};
-use trifacet_optics::Pose;
 
 /// Silence is noticed after this time, and again after each half of it, as in the daemon.
 const PATIENCE_S: f64 = 0.02;
@@ -129,7 +131,7 @@ impl Rig {
     /// Takes the next scan, and does what the daemon would do.
     pub fn turn(&mut self) -> Turn {
         let time = Mono((self.twin.next_s() * NS_PER_S as f64).round() as i64);
-        if self.outputs.expire(time) == Some(Expiry::Park) {
+        if self.outputs.expire(time) == Some(LeaseAction::Park) {
             self.twin.steer(self.outputs.park(), self.twin.next_s());
         }
         let scan = self.twin.next_scan();
@@ -197,7 +199,7 @@ impl Rig {
         self.reports += 1;
         self.tap.put(|| {
             let stamp = Stamp { session: 0, config, sequence, time_ns: time.0, synced: true, sent: time };
-            Entry::Frame { frame: PoseFrame::from_report(&report, stamp), time, covariance }
+            Entry::Frame { frame: report.frame(stamp), time, covariance }
         });
         report
     }

@@ -11,17 +11,15 @@ use std::cell::Cell;
 use std::sync::Arc;
 use std::time::Duration;
 
+pub use notify::Notify;
 use tokio::time::{MissedTickBehavior, interval};
+use trifacet_wire::{LockState, Status};
+use watch::Watch;
 
-use crate::centering::LockState;
 use crate::config::RealtimeConfig;
-use crate::estimation::Status;
 use crate::exit::{self, Failure};
 use crate::monitor::glance::Glance;
 use crate::monitor::turns::{Task, Turns};
-
-pub use notify::Notify;
-use watch::Watch;
 
 /// How often it looks, at least.
 const TICK: Duration = Duration::from_millis(250);

@@ -5,15 +5,10 @@
 
 use std::fmt::Debug;
 
-use trifacet::acquisition::{
-    Converter, Expiry, MAX_CHANNELS, OutputCommand, Role,
-    board::{
-        Answer, BoardIdentity, Deframer, MessageError, Request,
-        message::{BoardScan, ErrorReason, Reply, StartResult, SteerResult},
-        required_baud,
-    },
-    scan::SIGNALS,
-};
+use trifacet_wire::actuator::{LeaseAction, OutputCommand};
+use trifacet_wire::board::message::{BoardScan, ErrorReason, Reply, StartResult, SteerResult};
+use trifacet_wire::board::{Answer, BoardIdentity, Deframer, MessageError, Request, required_baud};
+use trifacet_wire::channel::{Converter, MAX_CHANNELS, Role, SIGNALS};
 
 const DOCUMENT: &str = include_str!("../docs/board-protocol.md");
 
@@ -52,7 +47,7 @@ fn check<T: Debug + PartialEq>(
 
 #[test]
 fn the_examples_of_the_host_are_true() {
-    let command = OutputCommand { id: 42, codes: [1000, -2000], lease_ms: 200, on_expiry: Expiry::Park };
+    let command = OutputCommand { id: 42, codes: [1000, -2000], lease_ms: 200, on_expiry: LeaseAction::Park };
     for (heading, request) in [
         ("0x01 IDENTIFY", Request::Identify),
         ("0x02 START", Request::Start { rate_mhz: 1_000_000, park: [6554, -6554] }),

@@ -4,7 +4,7 @@
 
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_4};
 
-use trifacet::optics::{Head, Model, Optics, Pose, Vec2, Vec3};
+use trifacet_optics::{Head, Model, Optics, Pose, Vec2, Vec3};
 
 const R_PSD: f64 = 0.25;
 

@@ -1,6 +1,6 @@
 //! The optics against cases computed from the law of reflection by an independent program.
 
-use trifacet::optics::{Estimator, Head, Model, Optics, Pose, Signals, Vec2};
+use trifacet_optics::{Estimator, Head, Model, Optics, Pose, Signals, Vec2};
 
 fn cases(file: &str) -> Vec<Vec<f64>> {
     let path = format!("{}/tests/reference/{file}", env!("CARGO_MANIFEST_DIR"));

@@ -2,21 +2,18 @@
 
 #![allow(clippy::unwrap_used)]
 
-use std::{
-    io::{BufRead, BufReader, Write},
-    path::{Path, PathBuf},
-    process::{Child, ChildStdin, Command, Stdio},
-    sync::{Arc, mpsc},
-    time::Duration,
-};
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::{Arc, mpsc};
+use std::time::Duration;
 
-use trifacet::{
-    acquisition::{Ack, Down, Event, Expiry, OutputCommand, Scan, SerialSource, Source},
-    clock::SystemClock,
-    config::{self, Config},
-    exit,
-    monitor::Counters,
-};
+use trifacet::acquisition::{Down, Event, Scan, SerialSource, Source};
+use trifacet::clock::SystemClock;
+use trifacet::config::{self, Config};
+use trifacet::exit;
+use trifacet::monitor::Counters;
+use trifacet_wire::actuator::{Ack, LeaseAction, OutputCommand};
 
 /// Longer than anything here takes on the slowest machine.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -132,7 +129,7 @@ impl Host {
         self.last.unwrap()
     }
 
-    fn steer(&mut self, id: u32, codes: [i32; 2], on_expiry: Expiry) {
+    fn steer(&mut self, id: u32, codes: [i32; 2], on_expiry: LeaseAction) {
         let command = OutputCommand { id, codes, lease_ms: 200, on_expiry };
         self.source.steer(command, trifacet::clock::Mono::default());
     }
@@ -176,11 +173,11 @@ async fn the_stage_is_steered_and_parks_when_the_host_is_gone() {
     let mut board = Board::new(&link);
     let mut host = Host::new(&link);
     host.up().await;
-    host.steer(7, [6554, 0], Expiry::Park);
+    host.steer(7, [6554, 0], LeaseAction::Park);
     assert_eq!(host.ack().await, Ack { id: 7, accepted: true });
     let scan = host.scans(50).await;
     assert!((readback_um(&scan) - 100.0).abs() < 2.0, "{}", readback_um(&scan));
-    host.steer(8, [40_000, 0], Expiry::Park);
+    host.steer(8, [40_000, 0], LeaseAction::Park);
     assert_eq!(host.ack().await, Ack { id: 8, accepted: false });
     drop(host);
     let parked = std::iter::repeat_with(|| {

@@ -6,14 +6,12 @@
 use std::{fmt::Debug, sync::Arc};
 
 use libfuzzer_sys::fuzz_target;
-use trifacet::{
-    acquisition::{
-        Event, MAX_CHANNELS,
-        board::{Answer, Deframer, MessageError, Request, Session, Settings, frame},
-    },
-    clock::Mono,
-    monitor::Counters,
-};
+use trifacet::acquisition::Event;
+use trifacet::acquisition::board::{Session, Settings};
+use trifacet::clock::Mono;
+use trifacet::monitor::Counters;
+use trifacet_wire::board::{Answer, Deframer, MessageError, Request, framing as frame};
+use trifacet_wire::channel::MAX_CHANNELS;
 
 fuzz_target!(|bytes: &[u8]| {
     // The line as it is, and cut into messages whose check sums are right: those the fuzzer cannot guess.

@@ -6,14 +6,11 @@
 use std::net::SocketAddr;
 
 use libfuzzer_sys::fuzz_target;
-use trifacet::{
-    clock::Mono,
-    config::Network,
-    publishing::{
-        request::{Command, Lines},
-        subscription::{Ask, Subscriptions},
-    },
-};
+use trifacet::clock::Mono;
+use trifacet::config::Network;
+use trifacet::publishing::subscription::Subscriptions;
+use trifacet_wire::stream::{ClientCommand, SubscriptionRequest};
+use trifacet_wire::stream::request::Lines;
 
 fuzz_target!(|bytes: &[u8]| {
     let mut lines = Lines::default();
@@ -38,10 +35,10 @@ fn control(bytes: &[u8]) {
 }
 
 fn understand(line: &[u8]) {
-    match Command::parse(line) {
-        Ok(Command::Stream(request)) => {
-            let again = Command::parse(request.to_string().as_bytes());
-            assert_eq!(again, Ok(Command::Stream(request)));
+    match ClientCommand::parse(line) {
+        Ok(ClientCommand::Stream(request)) => {
+            let again = ClientCommand::parse(request.to_string().as_bytes());
+            assert_eq!(again, Ok(ClientCommand::Stream(request)));
         }
         Ok(_) => {}
         Err(error) => {
@@ -52,8 +49,8 @@ fn understand(line: &[u8]) {
 }
 
 fn subscribe(bytes: &[u8]) {
-    if let Some(Ok(ask)) = Ask::parse(bytes) {
-        assert_eq!(Ask::parse(ask.to_string().as_bytes()), Some(Ok(ask)));
+    if let Some(Ok(ask)) = SubscriptionRequest::parse(bytes) {
+        assert_eq!(SubscriptionRequest::parse(ask.to_string().as_bytes()), Some(Ok(ask)));
     }
     let client = SocketAddr::from(([127, 0, 0, 1], 1));
     let mut subscriptions = Subscriptions::new(1, 1, Network::loopback());

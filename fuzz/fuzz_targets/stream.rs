@@ -4,7 +4,10 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use trifacet::publishing::{PoseFrame, endian::big_endian, layout::FRAME_SIZE, message::Decoder};
+use trifacet_wire::PoseFrame;
+use trifacet_wire::byte_order::big_endian;
+use trifacet_wire::layout::FRAME_SIZE;
+use trifacet_wire::stream::Decoder;
 
 fuzz_target!(|bytes: &[u8]| {
     frame(bytes);

@@ -2,11 +2,13 @@
 
 use std::path::Path;
 
+use trifacet_optics::FACETS;
+use trifacet_wire::channel::{Converter, MAX_CHANNELS, Role};
+
 use super::correction::{Correction, CorrectionError};
-use super::scan::{Converter, Identity, MAX_CHANNELS, PsdState, Role, Sample, Scan};
+use super::scan::{Identity, PsdState, Sample, Scan};
 use crate::config::{Amplifier, Config, PsdChannels, Tables};
 use crate::exit::{self, Failure};
-use trifacet_optics::FACETS;
 
 /// What is known of the channels before the source has said which is which.
 #[derive(Clone, Debug)]

@@ -1,7 +1,9 @@
 //! Dark offsets: what the nine channels read with the laser off.
 
-use super::scan::{Identity, SIGNALS, Scan};
 use trifacet_optics::FACETS;
+use trifacet_wire::channel::SIGNALS;
+
+use super::scan::{Identity, Scan};
 
 /// Sum signals above so many thresholds are light, not an offset.
 const LIGHT: f64 = 10.0;

@@ -15,6 +15,6 @@ pub mod task;
 pub mod timebase;
 
 pub use channels::{ChannelMap, Channels};
-pub use scan::{Converter, Identity, MAX_CHANNELS, PsdState, Role, Sample, Scan};
+pub use scan::{Identity, PsdState, Sample, Scan};
 pub use serial::SerialSource;
-pub use source::{Ack, Down, Event, Expiry, OutputCommand, Source};
+pub use source::{Down, Event, Source};

@@ -1,90 +1,9 @@
 //! What travels: raw scans from a converter, samples from the channel map.
 
 use serde::{Deserialize, Serialize};
+use trifacet_wire::channel::{Converter, MAX_CHANNELS, Role};
 
 use crate::clock::Mono;
-
-/// The most channels a scan can carry.
-pub const MAX_CHANNELS: usize = 16;
-
-/// What a channel of the converter measures. The numbers are those of the board protocol.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Role {
-    /// First coordinate of PSD 0 (A), 1 (B) or 2 (C): a difference or a normalised position.
-    U(u8),
-    /// Second coordinate of a PSD.
-    V(u8),
-    /// Sum signal of a PSD: its power.
-    Sum(u8),
-    /// Readback of the steering position, axis 0 (x) or 1 (y).
-    Steering(u8),
-    /// Temperature, or anything else that the board measures besides.
-    Auxiliary,
-}
-
-impl Role {
-    /// Its number.
-    pub fn number(self) -> u8 {
-        match self {
-            Role::Auxiliary => 0x00,
-            Role::U(psd) => 0x10 + psd,
-            Role::V(psd) => 0x20 + psd,
-            Role::Sum(psd) => 0x30 + psd,
-            Role::Steering(axis) => 0x40 + axis,
-        }
-    }
-
-    /// The role of a number; a number that is not known is a channel that is not needed.
-    pub fn of(number: u8) -> Self {
-        match (number >> 4, number & 0x0f) {
-            (1, psd @ 0..=2) => Role::U(psd),
-            (2, psd @ 0..=2) => Role::V(psd),
-            (3, psd @ 0..=2) => Role::Sum(psd),
-            (4, axis @ 0..=1) => Role::Steering(axis),
-            _ => Role::Auxiliary,
-        }
-    }
-}
-
-/// The nine signals of the sensor in their canonical order: u, v, sum of A, then of B, then of C.
-pub const SIGNALS: [Role; 9] = [
-    Role::U(0),
-    Role::V(0),
-    Role::Sum(0),
-    Role::U(1),
-    Role::V(1),
-    Role::Sum(1),
-    Role::U(2),
-    Role::V(2),
-    Role::Sum(2),
-];
-
-/// How codes relate to volts: two's complement, full scale at `2^(bits-1)`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Converter {
-    /// Resolution, 8 to 24 bits, sign included.
-    pub bits: u8,
-    /// Volts at full scale: the range is from `-range_v` to just below `+range_v`.
-    pub range_v: f64,
-}
-
-impl Converter {
-    /// The code of full scale, `2^(bits-1)`. The largest code is one less.
-    pub fn full_scale(&self) -> i32 {
-        1 << (self.bits - 1)
-    }
-
-    /// Volts of one code step.
-    pub fn step_v(&self) -> f64 {
-        self.range_v / f64::from(self.full_scale())
-    }
-
-    /// The code nearest to a voltage, clipped at the rails as a real converter clips.
-    pub fn code(&self, volts: f64) -> i32 {
-        let full = f64::from(self.full_scale());
-        (volts / self.step_v()).round().clamp(-full, full - 1.0) as i32
-    }
-}
 
 /// What a source says of itself before its first scan.
 #[derive(Clone, Debug, PartialEq)]

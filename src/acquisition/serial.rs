@@ -1,34 +1,27 @@
 //! A board on a serial port: the thin layer between a [`Session`] and the wire.
 
-use std::{
-    future::poll_fn,
-    io,
-    path::PathBuf,
-    pin::Pin,
-    sync::Arc,
-    task::{Context, Poll},
-    time::Duration,
-};
+use std::future::poll_fn;
+use std::io;
+use std::path::PathBuf;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Duration;
 
 use serialport::TTYPort;
-use tokio::{
-    io::{AsyncRead, AsyncWrite, ReadBuf},
-    task::JoinHandle,
-    time::{sleep, timeout},
-};
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::task::JoinHandle;
+use tokio::time::{sleep, timeout};
 use tokio_serial::SerialStream;
+use trifacet_wire::actuator::OutputCommand;
 
-use super::{
-    Down, Event, OutputCommand, Source,
-    board::{Session, Settings},
-    port::{self, PortError},
-};
-use crate::{
-    clock::{Clock, Mono},
-    config::Config,
-    exit::{Failure, IN_USE},
-    monitor::Counters,
-};
+use super::board::{Session, Settings};
+use super::port::{self, PortError};
+use super::{Down, Event, Source};
+use crate::clock::{Clock, Mono};
+use crate::config::Config;
+use crate::exit::{Failure, IN_USE};
+use crate::monitor::Counters;
 
 /// Between two attempts to open the port.
 const RETRY: Duration = Duration::from_millis(200);

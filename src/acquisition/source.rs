@@ -2,41 +2,10 @@
 
 use std::future::Future;
 
+use trifacet_wire::actuator::{Ack, OutputCommand};
+
 use super::scan::{Identity, Scan};
 use crate::clock::Mono;
-
-/// What the board does by itself when the lease of a steering command runs out.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Expiry {
-    /// The outputs stay where they are.
-    #[default]
-    Hold,
-    /// The outputs go to their parking position.
-    Park,
-}
-
-/// Where the steering outputs shall go, in output codes. The lease bounds how long a dead daemon
-/// can go on steering: the board acts on its own when no newer command arrives in time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct OutputCommand {
-    /// Counts the commands of a daemon; the acknowledgement repeats it.
-    pub id: u32,
-    /// Signed codes of the two outputs.
-    pub codes: [i32; 2],
-    /// How long the command is good for, milliseconds.
-    pub lease_ms: u16,
-    /// What happens then.
-    pub on_expiry: Expiry,
-}
-
-/// The board's answer to an [`OutputCommand`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Ack {
-    /// The command's id.
-    pub id: u32,
-    /// Whether the board took it (it refuses what is outside its range).
-    pub accepted: bool,
-}
 
 /// Why no scans come.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -2,16 +2,19 @@
 
 use std::sync::Arc;
 
-use tokio::sync::mpsc::{self, error::TrySendError};
+use tokio::sync::mpsc::error::TrySendError;
+use tokio::sync::mpsc::{self};
 use tokio::sync::{oneshot, watch};
 use tokio::time::interval;
 use tokio_util::sync::CancellationToken;
+use trifacet_wire::actuator::OutputCommand;
 
-use super::{ChannelMap, Channels, Down, Event, Identity, OutputCommand, Sample, Scan, Source};
+use super::{ChannelMap, Channels, Down, Event, Identity, Sample, Scan, Source};
 use crate::clock::Clock;
 use crate::config::Meaning;
 use crate::estimation;
-use crate::monitor::{Counters, turns::HEARTBEAT};
+use crate::monitor::Counters;
+use crate::monitor::turns::HEARTBEAT;
 use crate::steering::outputs::Answers;
 
 /// What estimation gets, in order.
@@ -224,8 +227,10 @@ impl Intake {
 
 #[cfg(test)]
 mod tests {
+    use trifacet_wire::channel::MAX_CHANNELS;
+
     use super::*;
-    use crate::acquisition::{MAX_CHANNELS, PsdState};
+    use crate::acquisition::PsdState;
     use crate::clock::Mono;
     use crate::config::Config;
 

@@ -229,10 +229,11 @@ impl Block {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use rand::SeedableRng;
     use rand_distr::{Distribution, Exp1};
     use rand_pcg::Pcg64Mcg;
+
+    use super::*;
 
     const START: Mono = Mono(1_000_000_000_000);
 

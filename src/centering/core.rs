@@ -1,7 +1,11 @@
 //! The loop: a sample and the last pose in, a steering command out. Pure.
 
+use trifacet_optics::{HeadError, Optics};
+use trifacet_wire::LockState;
+use trifacet_wire::actuator::{Ack, LeaseAction};
+
 use super::guide::Guide;
-use super::lock::{Doing, Lock, LockState, Seen, Transition};
+use super::lock::{Doing, Lock, Seen, Transition};
 use super::lookout::Lookout;
 use super::sight::Sight;
 use super::stage::{Obedience, Stage};
@@ -10,8 +14,7 @@ use super::tuning::Tuning;
 use crate::acquisition::Sample;
 use crate::clock::Mono;
 use crate::config::{Config, LoopMode, OnExit};
-use crate::steering::{Ack, Command, Expiry, Xy};
-use trifacet_optics::{HeadError, Optics};
+use crate::steering::{Command, Xy};
 
 /// The time between samples counts as at most so many periods.
 const MOST_PERIODS: f64 = 5.0;
@@ -109,7 +112,7 @@ impl Centering {
             (self.offset, self.shadow, self.guide) = (None, None, Guide::Still);
             if matches!(tuning.mode, LoopMode::Off | LoopMode::Shadow) {
                 let stay = self.stage.commanded().map(|position| self.command(position));
-                outcome.command = stay.map(|command| Command { on_expiry: Expiry::Hold, ..command });
+                outcome.command = stay.map(|command| Command { on_expiry: LeaseAction::Hold, ..command });
                 self.stage.let_go();
             }
         }
@@ -173,7 +176,7 @@ impl Centering {
 
     /// The stage has acted by itself.
     fn released(&mut self) {
-        let parks = self.tuning.on_lease == Expiry::Park;
+        let parks = self.tuning.on_lease == LeaseAction::Park;
         self.stage.released(parks.then_some(self.tuning.park));
         self.guide = Guide::Still;
     }

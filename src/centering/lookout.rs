@@ -1,5 +1,7 @@
 //! What the loop knows of the mirror: where its apex is, and how fast it moves.
 
+use trifacet_optics::{Optics, Pose};
+
 use super::sight::Sight;
 use super::stage::read_back;
 use super::told::TimedPose;
@@ -8,7 +10,6 @@ use super::tuning::Tuning;
 use crate::acquisition::{PsdState, Sample};
 use crate::config::Target;
 use crate::steering::Xy;
-use trifacet_optics::{Optics, Pose};
 
 /// Looks for the apex, sample by sample.
 #[derive(Clone, Debug)]

@@ -28,7 +28,7 @@ pub mod tracking;
 pub mod trail;
 pub mod tuning;
 
-pub use self::core::Centering;
-pub use lock::LockState;
 pub use told::{LoopState, LoopView, Outcome, TimedPose};
 pub use tuning::Tuning;
+
+pub use self::core::Centering;

@@ -1,8 +1,9 @@
 //! What a sample says of the beam and the apex.
 
+use trifacet_optics::{Model, Optics, Pose, Vec2};
+
 use crate::acquisition::{PsdState, Sample};
 use crate::steering::Xy;
-use trifacet_optics::{Model, Optics, Pose, Vec2};
 
 /// A PSD is covered if it is dark although this fraction of the beam should fall on it.
 const COVERED: f64 = 0.05;

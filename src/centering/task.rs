@@ -7,17 +7,19 @@ use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
+use trifacet_wire::actuator::Ack;
 
 use super::core::Centering;
 use super::lock::Transition;
 use super::told::{LoopState, LoopView, TimedPose};
 use super::tuning::Tuning;
-use crate::acquisition::{Sample, task::Newest};
+use crate::acquisition::Sample;
+use crate::acquisition::task::Newest;
 use crate::clock::{Clock, Mono};
 use crate::estimation::PoseReport;
 use crate::monitor::Counters;
 use crate::recording::{Entry, Tap};
-use crate::steering::{Ack, Command, Driver, Event, Xy};
+use crate::steering::{Command, Driver, Event, Xy};
 
 /// A pose older than this says nothing of the wedges now. Seconds.
 const FRESH_S: f64 = 0.1;

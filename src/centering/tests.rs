@@ -1,16 +1,18 @@
 //! The loop with a stage that does at once what it is told, and a mirror at rest.
 
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use trifacet_optics::{Model, Optics, Pose, Vec2};
+use trifacet_wire::LockState;
+use trifacet_wire::actuator::{Ack, LeaseAction};
+
 use super::core::{Centering, TOO_LATE};
-use super::lock::LockState;
 use super::told::{Outcome, TimedPose};
 use super::tuning::Tuning;
 use crate::acquisition::{PsdState, Sample};
 use crate::clock::Mono;
 use crate::config::{Config, LoopMode, OnExit};
-use crate::steering::{Ack, Expiry, Xy};
-use rand::{RngExt, SeedableRng};
-use rand_pcg::Pcg64;
-use trifacet_optics::{Model, Optics, Pose, Vec2};
+use crate::steering::Xy;
 
 const DT_NS: i64 = 1_000_000;
 
@@ -23,7 +25,7 @@ struct Bench {
     stage_um: [f64; 2],
     readback: bool,
     index: u64,
-    expiry: Option<Expiry>,
+    expiry: Option<LeaseAction>,
 }
 
 impl Bench {
@@ -141,7 +143,7 @@ fn it_lets_go_where_the_stage_is_and_takes_over_where_it_finds_it() {
         assert!(near(bench.offset_um(), [0.0; 2]), "{:?}", bench.offset_um());
         // The lease must not park what was let go.
         assert!(bench.retune(|config| config.centering.mode = LoopMode::Off));
-        assert_eq!(bench.expiry, Some(Expiry::Hold));
+        assert_eq!(bench.expiry, Some(LeaseAction::Hold));
         assert_eq!((bench.run(500), bench.lock()), (0, LockState::Off));
         assert_eq!(bench.centering.finish(), None);
         bench.laser_um = [130.0, -60.0];

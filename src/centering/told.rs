@@ -1,10 +1,12 @@
 //! What the loop is told, and what it tells.
 
-use super::lock::{LockState, Transition};
+use trifacet_optics::Pose;
+use trifacet_wire::LockState;
+
+use super::lock::Transition;
 use crate::clock::Mono;
 use crate::config::LoopMode;
 use crate::steering::{Command, Xy};
-use trifacet_optics::Pose;
 
 /// What the rest of the house is told of the loop.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

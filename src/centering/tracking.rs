@@ -105,9 +105,10 @@ fn gains(bandwidth: f64) -> [f64; 2] {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use rand::{RngExt, SeedableRng};
     use rand_distr::StandardNormal;
+
+    use super::*;
 
     const RATE: f64 = 10_000.0;
     const BAND: f64 = 200.0;

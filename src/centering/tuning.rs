@@ -1,9 +1,11 @@
 //! How the loop shall work: from the configuration, in SI units. All of it can change while it runs.
 
+use trifacet_wire::actuator::LeaseAction;
+
 use super::controller::Controller;
 use super::lock::LockLimits;
 use crate::config::{Config, LoopMode, OnExit, Target};
-use crate::steering::{BeamMap, Expiry, Xy};
+use crate::steering::{BeamMap, Xy};
 
 /// A stage stands where it was sent after so many time constants.
 const SETTLED: f64 = 5.0;
@@ -39,7 +41,7 @@ pub struct Tuning {
     pub(super) patience_s: f64,
     pub(super) park: Xy,
     pub(super) on_exit: OnExit,
-    pub(super) on_lease: Expiry,
+    pub(super) on_lease: LeaseAction,
     pub(super) lease_ms: u16,
 }
 
@@ -67,8 +69,8 @@ impl Tuning {
             park: steering.park_um.map(|um| um * 1e-6),
             on_exit: steering.on_exit,
             on_lease: match steering.on_lease {
-                OnExit::Hold => Expiry::Hold,
-                OnExit::Park => Expiry::Park,
+                OnExit::Hold => LeaseAction::Hold,
+                OnExit::Park => LeaseAction::Park,
             },
             lease_ms: steering.lease_ms,
         }

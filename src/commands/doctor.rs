@@ -4,25 +4,22 @@ mod frames;
 mod link;
 mod port;
 
-use std::{
-    fmt::Write as _,
-    io::{self, Write as _},
-    net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr},
-    time::Duration,
-};
+use std::fmt::Write as _;
+use std::io::{self, Write as _};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::time::Duration;
 
 use anyhow::Result;
 use clap::Args;
+use frames::Seen;
 use tokio::time::{Instant, timeout, timeout_at};
-use trifacet::{
-    client::{Client, ClientError, Endpoint, Message, Options},
-    clock::{Clock, Mono, SystemClock, utc::Utc},
-    config::Config,
-    exit::{self, Failure},
-};
+use trifacet::client::{Client, ClientError, Endpoint, Message, Options};
+use trifacet::clock::utc::Utc;
+use trifacet::clock::{Clock, Mono, SystemClock};
+use trifacet::config::Config;
+use trifacet::exit::{self, Failure};
 
 use super::{ConfigArg, written};
-use frames::Seen;
 
 /// An answer that takes longer is none.
 const PATIENCE: Duration = Duration::from_secs(3);

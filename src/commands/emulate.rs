@@ -3,28 +3,23 @@
 mod link;
 mod order;
 
-use std::{
-    io::{self, BufRead, Write},
-    path::PathBuf,
-    time::Duration,
-};
+use std::io::{self, BufRead, Write};
+use std::path::PathBuf;
+use std::time::Duration;
 
 use anyhow::Context;
-use tokio::{
-    signal::unix::{Signal, SignalKind, signal},
-    sync::mpsc,
-    task::yield_now,
-    time::{Instant, sleep_until},
-};
-use trifacet::{
-    clock::{SystemClock, pace::Pace},
-    exit::{CONFIG, Failure},
-    twin::{Emulator, Pty},
-};
-
-use super::{ConfigArg, written};
 use link::Link;
 use order::Order;
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::sync::mpsc;
+use tokio::task::yield_now;
+use tokio::time::{Instant, sleep_until};
+use trifacet::clock::SystemClock;
+use trifacet::clock::pace::Pace;
+use trifacet::exit::{CONFIG, Failure};
+use trifacet::twin::{Emulator, Pty};
+
+use super::{ConfigArg, written};
 
 /// Most samples taken at once: much less than the board's buffer holds.
 const PORTION: u64 = 16;

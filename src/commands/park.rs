@@ -6,13 +6,15 @@ use std::time::Duration;
 use clap::Args;
 use tokio::sync::watch;
 use tokio::time::timeout;
-use trifacet::acquisition::{Event as SourceEvent, Expiry, OutputCommand, SerialSource, Source};
+use trifacet::acquisition::{Event as SourceEvent, SerialSource, Source};
 use trifacet::clock::{Clock, SystemClock};
 use trifacet::config::{Config, OnExit, SourceKind, SteeringKind};
 use trifacet::control;
 use trifacet::exit::{self, Failure};
 use trifacet::monitor::Counters;
-use trifacet::steering::{Command, Driver, Event, Xy, gcs, outputs::codes};
+use trifacet::steering::outputs::codes;
+use trifacet::steering::{Command, Driver, Event, Xy, gcs};
+use trifacet_wire::actuator::{LeaseAction, OutputCommand};
 
 use super::ConfigArg;
 
@@ -85,7 +87,7 @@ async fn outputs(mut source: impl Source, config: &Config) -> Result<Xy, Failure
                     let Some(bits) = bits else { continue };
                     let codes = codes(position, steering.full_scale_um * 1e-6, bits);
                     let lease_ms = steering.lease_ms;
-                    let command = OutputCommand { id: 1, codes, lease_ms, on_expiry: Expiry::Hold };
+                    let command = OutputCommand { id: 1, codes, lease_ms, on_expiry: LeaseAction::Hold };
                     source.steer(command, SystemClock.now());
                     (why, sent) = ("the board does not acknowledge".into(), true);
                 }
@@ -106,7 +108,8 @@ async fn stage(config: &Config, counters: &Counters) -> Result<Xy, Failure> {
         return Err(Failure::new(exit::SOFTWARE, "a stage without a driver"));
     };
     let position = config.steering.park_um.map(|um| um * 1e-6);
-    let command = Command { id: 1, position, lease_ms: config.steering.lease_ms, on_expiry: Expiry::Hold };
+    let command =
+        Command { id: 1, position, lease_ms: config.steering.lease_ms, on_expiry: LeaseAction::Hold };
     let mut why = "the controller does not answer".to_owned();
     let talk = async {
         loop {

@@ -10,6 +10,8 @@ use std::thread::sleep;
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
+use output::Output;
+use statistics::Statistics;
 use trifacet::clock::{Clock, Mono, NS_PER_S, SystemClock};
 use trifacet::config::{self, Meaning};
 use trifacet::exit::{self, Failure};
@@ -19,8 +21,6 @@ use trifacet::replay::feed::{self, News};
 use trifacet::replay::{Engine, Verdict};
 
 use super::written;
-use output::Output;
-use statistics::Statistics;
 
 /// Arguments of `replay`.
 #[derive(Debug, clap::Args)]

@@ -10,12 +10,12 @@ use trifacet::acquisition::{ChannelMap, Channels, Sample};
 use trifacet::clock::{Mono, NS_PER_S};
 use trifacet::config::Config;
 use trifacet::exit::{self, Failure};
-use trifacet::publishing::columns::{POSE, SPOTS};
 use trifacet::recording::codec::{Encoded, Encoder};
 use trifacet::recording::writer::Writer;
 use trifacet::rig::{Rig, Turn};
 use trifacet::twin::{Twin, TwinScan};
 use trifacet_optics::Pose;
+use trifacet_wire::layout::{POSE, SPOTS};
 
 use super::new_file::{NewFile, cannot_write};
 use super::table::digits;

@@ -13,7 +13,7 @@ use serde_json::Value;
 use tokio::time::{Instant, MissedTickBehavior, interval_at, timeout, timeout_at};
 use trifacet::client::{Backoff, Client, Descriptor, Endpoint, Heartbeat, Message, Options, PoseFrame};
 use trifacet::control::{self, Command};
-use trifacet::estimation::Status;
+use trifacet_wire::Status;
 
 use super::watch::{SILENCE, opening_failed, unavailable};
 use super::written;

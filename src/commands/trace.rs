@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use trifacet::config;
-use trifacet::publishing::columns::{POSE, SPOTS};
 use trifacet_optics::{Estimator, Model, Optics, Pose, Signals, Vec2};
+use trifacet_wire::layout::{POSE, SPOTS};
 
 use super::ConfigArg;
 use super::table::{Column, Row, convert, digits};

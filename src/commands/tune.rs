@@ -10,29 +10,27 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context;
+use report::Report;
+use show::Show;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{mpsc, watch};
 use tokio::task::LocalSet;
 use tokio_util::sync::CancellationToken;
 use trifacet::acquisition::{self, Channels, SerialSource, Source};
 use trifacet::clock::SystemClock;
-use trifacet::config::edit;
-use trifacet::config::{Config, SourceKind};
+use trifacet::config::{Config, SourceKind, edit};
 use trifacet::exit::{self, Failure};
 use trifacet::monitor::Counters;
 use trifacet::realtime;
-use trifacet::steering::{Outputs, Stage, Xy, gcs, outputs::Answers};
-use trifacet::tuning::{
-    findings::Findings,
-    look::Looker,
-    plan::{Choices, Settings},
-    task::{self, Recording},
-};
+use trifacet::steering::outputs::Answers;
+use trifacet::steering::{Outputs, Stage, Xy, gcs};
+use trifacet::tuning::findings::Findings;
+use trifacet::tuning::look::Looker;
+use trifacet::tuning::plan::{Choices, Settings};
+use trifacet::tuning::task::{self, Recording};
 use trifacet::twin::{Twin, TwinSource};
 
 use super::{ConfigArg, written};
-use report::Report;
-use show::Show;
 
 /// Samples that may wait for the tuner.
 const QUEUE: usize = 1024;

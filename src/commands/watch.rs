@@ -1,20 +1,19 @@
 //! `trifacet watch`: prints the frames of a running daemon.
 
-use std::{
-    io::{self, Write},
-    ops::ControlFlow,
-    time::Duration,
-};
+use std::io::{self, Write};
+use std::ops::ControlFlow;
+use std::time::Duration;
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use tokio::time::{Instant, timeout};
-use trifacet::{
-    client::{Backoff, Client, ClientError, Endpoint, Heartbeat, Losses, Message, Options, Pace, PoseFrame},
-    estimation::Status,
-    exit::{self, Failure},
-    publishing::{columns::Columns, request::MAX_DIVIDER},
+use trifacet::client::{
+    Backoff, Client, ClientError, Endpoint, Heartbeat, Losses, Message, Options, Pace, PoseFrame,
 };
+use trifacet::exit::{self, Failure};
+use trifacet::publishing::columns::Columns;
+use trifacet_wire::Status;
+use trifacet_wire::stream::request::MAX_DIVIDER;
 
 use super::written;
 

@@ -1,9 +1,9 @@
 //! `[estimation]`: from samples to poses.
 
 use serde::{Deserialize, Serialize};
+use trifacet_optics as optics;
 
 use super::check::{Checker, above_zero};
-use trifacet_optics as optics;
 
 /// Which model of the beam.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]

@@ -1,9 +1,9 @@
 //! `[frames]`: in which frame, and of which point, poses are told.
 
 use serde::{Deserialize, Serialize};
+use trifacet_optics::{Pose, Rigid, Vec3};
 
 use super::check::Checker;
-use trifacet_optics::{Pose, Rigid, Vec3};
 
 /// `[frames]`: pose = tare^-1 * base * (pose of the mirror in the sensor's world) * tool.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -1,9 +1,9 @@
 //! `[head]`: geometry of the sensor head.
 
 use serde::{Deserialize, Serialize};
+use trifacet_optics::{FACETS, Head, HeadError, Psd, Vec3};
 
 use super::check::Checker;
-use trifacet_optics::{FACETS, Head, HeadError, Psd, Vec3};
 
 /// `[head]`: four numbers build the nominal head; the rest is for heads that were calibrated.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

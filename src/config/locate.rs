@@ -73,8 +73,9 @@ pub(super) fn path_at(file: &DeValue<'_>, at: usize) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use toml::de::DeTable;
+
+    use super::*;
 
     const TEXT: &str =
         "[head]\nsize = 13 # ä\n[twin]\nx.y = [1, 2]\n[[twin.motion]]\na = 1\n[[twin.motion]]\na = 22\n";

@@ -37,8 +37,6 @@ mod text;
 mod together;
 mod twin;
 
-use serde::{Deserialize, Serialize};
-
 pub use acquisition::{AcquisitionConfig, SerialConfig, SourceKind};
 pub use centering::{CenteringConfig, Gains, LoopMode, Target};
 pub use channels::{Amplifier, ChannelsConfig, PsdChannels};
@@ -59,6 +57,7 @@ pub use publishing::{PublishingConfig, UdpTarget};
 pub use realtime::RealtimeConfig;
 pub use recording::{Compression, RecordingConfig, RecordingMode};
 pub use replay::ReplayConfig;
+use serde::{Deserialize, Serialize};
 pub use steering::{NO_TILT, OnExit, SteeringConfig, SteeringKind};
 pub use tables::{Meaning, TableError, Tables};
 pub use twin::{TwinConfig, TwinSteering};

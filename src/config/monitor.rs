@@ -3,10 +3,13 @@
 use std::fmt;
 use std::net::SocketAddr;
 
-use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use subtle::ConstantTimeEq;
 
-use super::{check::Checker, publishing::address_or_off, text::or_off};
+use super::check::Checker;
+use super::publishing::address_or_off;
+use super::text::or_off;
 
 /// `[monitor]`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -103,7 +106,8 @@ fn is_host_name(name: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use crate::config::{parse, reload::reload};
+    use crate::config::parse;
+    use crate::config::reload::reload;
 
     const SECRET: &str = "correct-horse-battery";
 

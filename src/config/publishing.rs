@@ -3,10 +3,13 @@
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
-use serde::de::{Error, MapAccess, Visitor, value::MapAccessDeserializer};
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::{check::Checker, network::Network, text::or_off};
+use super::check::Checker;
+use super::network::Network;
+use super::text::or_off;
 
 /// `[publishing]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

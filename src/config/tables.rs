@@ -3,8 +3,9 @@
 use std::fs;
 use std::path::PathBuf;
 
-use super::Config;
 use trifacet_optics::FACETS;
+
+use super::Config;
 
 /// The contents of the correction tables of A, B and C. Read once, so that fingerprint, channel map and
 /// recording mean the same ones.

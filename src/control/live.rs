@@ -7,10 +7,14 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::timeout;
+use trifacet_optics::Pose;
+use trifacet_wire::stream::{Descriptor, Replayed};
 
 use super::{Command, ToFast};
-use crate::acquisition::{Channels, task::Change};
-use crate::centering::{Tuning, task::Order};
+use crate::acquisition::Channels;
+use crate::acquisition::task::Change;
+use crate::centering::Tuning;
+use crate::centering::task::Order;
 use crate::clock::{Clock, Mono, SystemClock};
 use crate::config::edit::{self, Edit};
 use crate::config::reload::reload;
@@ -18,18 +22,15 @@ use crate::config::{
     self, Config, FramesConfig, LoopMode, Meaning, SourceKind, SteeringConfig, SteeringKind, Tables,
     TransformConfig,
 };
-use crate::estimation::{self, Frames, task::Question};
+use crate::estimation::task::Question;
+use crate::estimation::{self, Frames};
 use crate::exit::{self, Failure};
 use crate::logging::Logging;
 use crate::monitor::Counters;
 use crate::monitor::turns::{Drill, Task, Turns};
-use crate::publishing::{
-    Descriptor,
-    descriptor::{Replayed, StreamFacts},
-};
+use crate::publishing::descriptor::StreamFacts;
 use crate::recording::{Handle, Wish};
 use crate::steering::Xy;
-use trifacet_optics::Pose;
 
 /// How long the fast side may take to answer.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -287,7 +288,7 @@ impl Live {
             );
         }
         (self.facts, self.tables) = (facts, tables);
-        self.descriptor.send_replace(Descriptor::new(facts));
+        self.descriptor.send_replace(facts.descriptor());
         Ok(())
     }
 

@@ -12,14 +12,13 @@ pub mod command;
 pub mod live;
 pub mod server;
 
+pub use command::Command;
+pub use live::Live;
 use tokio::sync::mpsc;
 
 use crate::acquisition::task::Change;
 use crate::centering::task::Order;
 use crate::estimation::task::Question;
-
-pub use command::Command;
-pub use live::Live;
 
 /// Orders that may wait on each way. They come one at a time, so there is always room.
 const QUEUE: usize = 4;

@@ -1,23 +1,24 @@
 //! The socket: one line in, one line of JSON out.
 
-use std::fs;
-use std::io;
 use std::os::unix::fs::FileTypeExt;
 use std::os::unix::net as blocking;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
+use std::{fs, io};
 
 use rustix::fs::Mode;
 use rustix::process::umask;
 use serde_json::Value;
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
-use tokio::net::{UnixListener, UnixStream, unix::OwnedReadHalf};
+use tokio::net::unix::OwnedReadHalf;
+use tokio::net::{UnixListener, UnixStream};
 use tokio::sync::Mutex;
 use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 
-use super::{Command, Live, live::error};
+use super::live::error;
+use super::{Command, Live};
 use crate::config::ControlConfig;
 use crate::exit::{self, Failure};
 

@@ -9,6 +9,7 @@ use tokio::runtime::Builder;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::{self, LocalSet};
 use tokio_util::sync::CancellationToken;
+use trifacet_wire::stream::Descriptor;
 
 use crate::acquisition::{self, Channels, SerialSource, Source};
 use crate::centering::{self, Centering};
@@ -20,7 +21,7 @@ use crate::exit::{self, Failure};
 use crate::monitor::Counters;
 use crate::monitor::glance::Glance;
 use crate::monitor::turns::{Task, Turns, counted};
-use crate::publishing::{Descriptor, Publisher};
+use crate::publishing::Publisher;
 use crate::realtime;
 use crate::recording::{Entry, Tap, Witness};
 use crate::replay::{self, Beginning};

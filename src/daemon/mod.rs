@@ -20,34 +20,34 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::Context;
+use fast::{Parts, start};
+use slow::{Monitor, Server, Slow, control, listeners, serve};
 use tokio::runtime::Builder;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{Mutex, mpsc, watch};
 use tokio_util::sync::CancellationToken;
+use trifacet_wire::stream::Descriptor;
 
 use crate::acquisition::Channels;
 use crate::centering::Centering;
-use crate::clock::{Clock, SystemClock, utc::Utc};
+use crate::clock::utc::Utc;
+use crate::clock::{Clock, SystemClock};
 use crate::config::{Config, Meaning};
-use crate::control::{self, Live, server::Socket};
+use crate::control::server::Socket;
+use crate::control::{self, Live};
 use crate::estimation::{self, Estimation};
 use crate::logging::Logging;
+use crate::monitor::Counters;
 use crate::monitor::glance::Glance;
+use crate::monitor::page::control::Controls;
 use crate::monitor::turns::Turns;
-use crate::monitor::{
-    Counters,
-    page::control::Controls,
-    view::{self, View},
-};
+use crate::monitor::view::{self, View};
 use crate::publishing::descriptor::StreamFacts;
-use crate::publishing::{Descriptor, Outlets, Publisher, PublisherSettings, StreamId, subscribe};
+use crate::publishing::{Outlets, Publisher, PublisherSettings, StreamId, subscribe};
 use crate::recording;
 use crate::replay::Beginning;
 use crate::service::Service;
 use crate::steering::gcs;
-
-use fast::{Parts, start};
-use slow::{Monitor, Server, Slow, control, listeners, serve};
 
 /// Frames that may wait for TCP or for the monitor, each on an ordinary thread: the system may stop it for
 /// long (1.6 s of frames at 10 kHz). Takes memory only while they wait.
@@ -171,5 +171,5 @@ fn holding(config: &Config) -> anyhow::Result<(Config, Arc<Meaning>, Option<Begi
 /// What the stream says of itself; also what is replayed, if that is the source.
 fn described(facts: StreamFacts, config: &Config, beginning: Option<&Beginning>) -> Descriptor {
     let replay = beginning.map(|then| then.told(&config.replay));
-    Descriptor { replay, ..Descriptor::new(facts) }
+    Descriptor { replay, ..facts.descriptor() }
 }

@@ -8,17 +8,21 @@ use tokio::runtime::Runtime;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{Mutex, mpsc, watch};
 use tokio_util::sync::CancellationToken;
-
-use crate::clock::SystemClock;
-use crate::config::Config;
-use crate::control::{self, Command, Live, server::Socket};
-use crate::exit::{self, Failure};
-use crate::monitor::{self, Counters, guard::Hosts, view::View};
-use crate::publishing::{Descriptor, PoseFrame, subscribe, subscription, tcp};
-use crate::service::{Notify, Service};
-use crate::steering::gcs;
+use trifacet_wire::PoseFrame;
+use trifacet_wire::stream::Descriptor;
 
 use super::fast::{Fast, fast_end};
+use crate::clock::SystemClock;
+use crate::config::Config;
+use crate::control::server::Socket;
+use crate::control::{self, Command, Live};
+use crate::exit::{self, Failure};
+use crate::monitor::guard::Hosts;
+use crate::monitor::view::View;
+use crate::monitor::{self, Counters};
+use crate::publishing::{subscribe, subscription, tcp};
+use crate::service::{Notify, Service};
+use crate::steering::gcs;
 
 /// What the main thread serves.
 pub(super) struct Slow<'a> {

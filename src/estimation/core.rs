@@ -1,16 +1,17 @@
 //! Samples to reports. Pure: told the time and the state of the loop.
 
 use serde::{Deserialize, Serialize};
+use trifacet_optics::{Innovation, Model, Noise, Signals, Solution, SolveError, Spread};
+use trifacet_wire::{LockState, Status};
 
 use super::block::{Block, Mean};
 use super::integrity::Integrity;
 use super::noise::LiveNoise;
 use super::power_step::{Power, PowerSteps};
-use super::{PoseReport, Settings, Status, light};
+use super::{PoseReport, Settings, light};
 use crate::acquisition::{PsdState, Sample};
-use crate::centering::{LockState, LoopState};
+use crate::centering::LoopState;
 use crate::clock::Mono;
-use trifacet_optics::{Innovation, Model, Noise, Signals, Solution, SolveError, Spread};
 
 /// In a mean of so many samples the powers of one that was uneasy do no harm.
 const DILUTED: u16 = 4;

@@ -4,9 +4,9 @@
 //! the apex, so the covariance goes the same way as the pose, lever arm included, by the exact derivative.
 
 use nalgebra::Matrix6;
+use trifacet_optics::{Mat3, Pose, Rigid, Vec3};
 
 use crate::config::FramesConfig;
-use trifacet_optics::{Mat3, Pose, Rigid, Vec3};
 
 /// Nearer than this to a pitch of 90 degrees there is no telling roll from yaw: their deviations are 57
 /// times those of a turn at this place, and grow without bound. Cosine of 89 degrees.

@@ -1,10 +1,10 @@
 //! Whether the steering position that is read back fits the pose.
 
 use serde::{Deserialize, Serialize};
+use trifacet_optics::{Innovation, Sighting, Vec2};
 
 use crate::config::SteeringConfig;
 use crate::steering::BeamMap;
-use trifacet_optics::{Innovation, Sighting, Vec2};
 
 /// A residual of more of its deviations than this does not fit: chance makes one in 270 000.
 const LIMIT: f64 = 5.0;

@@ -1,10 +1,12 @@
 //! What the light says: whether a pose can come of it, and which status bits tell.
 
+use trifacet_optics::{Noise, SolveError};
+use trifacet_wire::Status;
+
+use super::Settings;
 use super::block::Mean;
 use super::power_step::Power;
-use super::{Settings, Status};
 use crate::acquisition::PsdState;
-use trifacet_optics::{Noise, SolveError};
 
 /// A power below so many of its deviations is no light to reckon with.
 const LIGHT: f64 = 5.0;

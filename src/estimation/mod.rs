@@ -19,14 +19,13 @@ pub mod power_step;
 pub mod pulse;
 pub mod report;
 pub mod settings;
-pub mod status;
 pub mod task;
 
-pub use self::core::{Estimation, Memory};
 pub use frames::Frames;
 pub use report::PoseReport;
 pub use settings::Settings;
-pub use status::Status;
+
+pub use self::core::{Estimation, Memory};
 
 #[cfg(test)]
 mod tests;

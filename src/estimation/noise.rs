@@ -71,9 +71,10 @@ impl LiveNoise {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use rand::{RngExt, SeedableRng};
     use rand_distr::StandardNormal;
+
+    use super::*;
 
     fn fed(sigma: f64, n: usize, movement: impl Fn(f64) -> f64) -> LiveNoise {
         let mut random = rand_pcg::Pcg64::seed_from_u64(3);

@@ -59,8 +59,9 @@ impl Pulse {
 
 #[cfg(test)]
 mod tests {
+    use trifacet_wire::LockState;
+
     use super::*;
-    use crate::centering::LockState;
 
     #[test]
     fn who_makes_turns_is_believed() {

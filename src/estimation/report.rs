@@ -1,11 +1,10 @@
 //! What estimation knows about one moment.
 
 use nalgebra::Matrix6;
-
-use super::Status;
-use crate::centering::LockState;
-use crate::clock::Mono;
 use trifacet_optics::Pose;
+use trifacet_wire::{LockState, Status};
+
+use crate::clock::Mono;
 
 /// The result of one sample (or of a block of them). What is not known is `None`, never a number.
 #[derive(Clone, Copy, Debug, PartialEq)]

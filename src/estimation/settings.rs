@@ -1,9 +1,11 @@
 //! What estimation is told by the configuration.
 
-use super::integrity::Readback;
-use super::{Frames, Status};
-use crate::config::Config;
 use trifacet_optics::{Estimator, HeadError, Optics};
+use trifacet_wire::Status;
+
+use super::Frames;
+use super::integrity::Readback;
+use crate::config::Config;
 
 /// What estimation needs to know.
 #[derive(Clone, Debug)]

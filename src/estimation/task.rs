@@ -5,13 +5,17 @@ use std::time::Duration;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::yield_now;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
+use trifacet_optics::Pose;
+use trifacet_wire::Status;
+use trifacet_wire::channel::Role;
 
-use super::{Estimation, PoseReport, Status, pulse::Loop};
-use crate::acquisition::{Identity, Role, task::Acquired};
+use super::pulse::Loop;
+use super::{Estimation, PoseReport};
+use crate::acquisition::Identity;
+use crate::acquisition::task::Acquired;
 use crate::clock::Clock;
 use crate::monitor::turns::HEARTBEAT;
 use crate::recording::Witness;
-use trifacet_optics::Pose;
 
 /// How often silence is reported, at most.
 const SILENCE_HZ: f64 = 100.0;

@@ -1,12 +1,14 @@
 //! Estimation as a whole: what its reports say about samples of light that is known.
 
+use trifacet_optics::{Model, Optics, Pose, Vec2};
+use trifacet_wire::Status;
+
 use super::*;
 use crate::acquisition::{PsdState, Sample};
 use crate::centering::LoopState;
 use crate::clock::Mono;
 use crate::config::Config;
 use crate::publishing::stamp::tests::report;
-use trifacet_optics::{Model, Optics, Pose, Vec2};
 
 fn estimation(text: &str, id: u32) -> Estimation {
     let config = crate::config::parse(text, None).unwrap();

@@ -3,13 +3,12 @@
 use std::time::Duration;
 
 use tokio::time::timeout;
+use trifacet_wire::{LockState, Status};
 
 use super::look::{Look, Mean, at_rest};
 use super::rest::parted;
 use super::twin::why_not;
-use crate::centering::LockState;
 use crate::client::{Client, ClientError, Endpoint, Message, PoseFrame};
-use crate::estimation::Status;
 
 /// A daemon says something each second. After this long without a word the link is dead.
 const SILENCE: Duration = Duration::from_secs(3);

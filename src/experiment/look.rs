@@ -1,6 +1,6 @@
 //! What the sensor says, and means of it.
 
-use crate::estimation::Status;
+use trifacet_wire::Status;
 
 /// What the sensor says at one moment, or in the mean over some.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -4,12 +4,13 @@ use std::collections::HashSet;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 
+use trifacet_wire::Status;
+use trifacet_wire::layout::{DEVIATIONS, POSE};
+
 use super::look::Look;
 use super::sheet::{Row, Sheet};
 use crate::config::Axis;
-use crate::estimation::Status;
 use crate::exit::{self, Failure};
-use crate::publishing::columns::{DEVIATIONS, POSE};
 
 /// Which part of the experiment a reading belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -7,11 +7,11 @@ use std::io::Read;
 
 use flate2::read::GzDecoder;
 use serde_json::{Value, json};
+use trifacet_wire::Status;
 
 use super::reading::{Part, Reading};
 use super::rest::Rest;
 use super::statistics::{Measured, measured};
-use crate::estimation::Status;
 use crate::exit::{self, Failure};
 
 const PAGE: &str = include_str!("assets/report.html");

@@ -128,8 +128,9 @@ fn stretches(values: &[f64]) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
+    use trifacet_wire::Status;
+
     use super::*;
-    use crate::estimation::Status;
 
     /// Readings at rest at these times (ms).
     fn at(times: &[i64]) -> Vec<Reading> {

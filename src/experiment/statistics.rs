@@ -161,8 +161,9 @@ fn point(axis: Axis, number: u32, readings: &[&Reading]) -> Result<Point, Failur
 
 #[cfg(test)]
 mod tests {
+    use trifacet_wire::Status;
+
     use super::*;
-    use crate::estimation::Status;
     use crate::experiment::look::Look;
 
     /// Readings about a line of slope 1.1 with an offset, and with yaw a tenth of tx.

@@ -1,16 +1,17 @@
 //! The experiment on the digital twin: the daemon's cores in lockstep, the loop closed, the twin's truth for
 //! the reference.
 
+use trifacet_optics::Pose;
+use trifacet_wire::{LockState, Status};
+
 use super::look::{Look, Mean, at_rest};
 use super::protocol::Protocol;
 use super::reading::{Part, Reading};
 use super::{place, rest};
-use crate::centering::LockState;
 use crate::config::{Axis, Config, FramesConfig};
-use crate::estimation::{PoseReport, Status};
+use crate::estimation::PoseReport;
 use crate::exit::{self, Failure};
 use crate::rig::Rig;
-use trifacet_optics::Pose;
 
 /// Without a pose that counts for so long, seconds of the twin, there will be none.
 const PATIENCE_S: f64 = 5.0;

@@ -156,10 +156,12 @@ fn capitals(name: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use std::sync::{Arc, Mutex};
+
     use tracing_subscriber::layer::SubscriberExt;
     use tracing_subscriber::util::SubscriberInitExt;
+
+    use super::*;
 
     /// What an event becomes.
     fn entry_of(log: impl FnOnce()) -> Vec<u8> {

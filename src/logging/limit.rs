@@ -145,9 +145,10 @@ fn message(event: &Event<'_>) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use tracing_subscriber::layer::SubscriberExt;
     use tracing_subscriber::util::SubscriberInitExt;
+
+    use super::*;
 
     /// Remembers lines.
     #[derive(Clone, Default)]

@@ -1,9 +1,11 @@
 //! The newest frame at a glance: its status and lock state in one word, for those who look now and then.
 
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::Relaxed;
 
-use crate::centering::LockState;
-use crate::estimation::{PoseReport, Status};
+use trifacet_wire::{LockState, Status};
+
+use crate::estimation::PoseReport;
 
 /// Written for every frame, read whenever somebody wants to know.
 #[derive(Debug, Default)]

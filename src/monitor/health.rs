@@ -2,10 +2,7 @@
 
 use jiff::Timestamp;
 use serde::Serialize;
-
-use crate::centering::LockState;
-use crate::estimation::Status;
-use crate::publishing::PoseFrame;
+use trifacet_wire::{LockState, PoseFrame, Status};
 
 /// What must hold before poses can be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -145,14 +142,9 @@ fn utc(ns: i64) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::publishing::stamp::tests::{report, stamp};
 
     fn frames() -> [PoseFrame; 3] {
-        let good = PoseFrame {
-            time_ns: 1_000_000_000,
-            lock: LockState::Locked,
-            ..PoseFrame::from_report(&report(), stamp())
-        };
+        let good = PoseFrame { time_ns: 1_000_000_000, lock: LockState::Locked, ..PoseFrame::example() };
         let dark = Status::PSD_A_LOW | Status::PSD_B_LOW | Status::UNCALIBRATED;
         let held = PoseFrame { time_ns: 2_000_000_000, status: dark, lock: LockState::Held, ..good };
         let lost = PoseFrame { time_ns: 3_000_000_000, lock: LockState::Lost, ..held };

@@ -22,10 +22,12 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
+use trifacet_wire::PoseFrame;
 
-use super::{guard::Hosts, page, view::View};
+use super::guard::Hosts;
+use super::page;
+use super::view::View;
 use crate::exit::Failure;
-use crate::publishing::PoseFrame;
 
 /// Most connections at a time; further ones are cut off.
 const CONNECTIONS: usize = 128;

@@ -7,17 +7,17 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use prometheus_client::collector::Collector;
 use prometheus_client::encoding::text::encode;
 use prometheus_client::encoding::{DescriptorEncoder, EncodeMetric, MetricEncoder};
-use prometheus_client::metrics::{
-    MetricType, counter::ConstCounter, gauge::ConstGauge, histogram::Histogram,
-};
+use prometheus_client::metrics::MetricType;
+use prometheus_client::metrics::counter::ConstCounter;
+use prometheus_client::metrics::gauge::ConstGauge;
+use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::Registry;
 use rustix::time::{ClockId, clock_gettime};
+use trifacet_wire::{LockState, Status};
 
 use super::Counters;
 use super::tally::{Second, Tally};
 use super::view::View;
-use crate::centering::LockState;
-use crate::estimation::Status;
 
 /// Of the page: OpenMetrics, which Prometheus reads as it reads its own older text.
 pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";

@@ -21,7 +21,7 @@ pub mod view;
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::centering::LockState;
+use trifacet_wire::LockState;
 
 macro_rules! counters {
     ($($(#[doc = $doc:literal])* $name:ident),* $(,)?) => {

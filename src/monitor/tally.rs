@@ -1,12 +1,10 @@
 //! What is added up over every frame, so that no scrape misses any. Pure.
 
 use prometheus_client::metrics::histogram::Histogram;
+use trifacet_wire::{LockState, PoseFrame, Status};
 
 use super::trend::Trend;
-use crate::centering::LockState;
 use crate::clock::{Mono, NS_PER_S};
-use crate::estimation::Status;
-use crate::publishing::PoseFrame;
 
 /// Bounds of the delays, seconds.
 const DELAYS_S: [f64; 16] =
@@ -176,7 +174,6 @@ fn seconds(ns: u32) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::publishing::stamp::tests::{report, stamp};
 
     fn close(a: f64, b: f64) -> bool {
         (a - b).abs() < 1e-6 * b.abs()
@@ -188,7 +185,7 @@ mod tests {
             beam_offset: [x, 0.0],
             spots: [u, 0.0, 0.0, 0.0, 0.0, -1e-3],
             powers: [power, 2e-4, 1e-4],
-            ..PoseFrame::from_report(&report(), stamp())
+            ..PoseFrame::example()
         };
         let mut tally = Tally::new(Mono(0));
         tally.frame(&frame(3e-6, 1e-3, 1e-4), 6.5e-3);
@@ -211,7 +208,7 @@ mod tests {
     #[test]
     fn a_spot_with_one_coordinate_has_no_distance() {
         let mut tally = Tally::new(Mono(0));
-        let frame = PoseFrame::from_report(&report(), stamp());
+        let frame = PoseFrame::example();
         tally.frame(&PoseFrame { spots: [0.0, f32::NAN, f32::NAN, 0.0, 0.0, 0.0], ..frame }, 6.5e-3);
         tally.tick(Mono(NS_PER_S));
         assert_eq!(tally.second.edge, [None, None, Some(6.5e-3)]);
@@ -221,7 +218,7 @@ mod tests {
     fn bits_and_states_are_counted_and_unknown_bits_do_no_harm() {
         let mut tally = Tally::new(Mono(0));
         let status = Status(Status::SOURCE_DOWN.0 | 1 << 31 | 1);
-        let frame = PoseFrame { status, lock: LockState::Held, ..PoseFrame::from_report(&report(), stamp()) };
+        let frame = PoseFrame { status, lock: LockState::Held, ..PoseFrame::example() };
         tally.frame(&frame, 6.5e-3);
         assert_eq!((tally.status[0], tally.status[16], tally.status.iter().sum::<u64>()), (1, 1, 2));
         assert_eq!((tally.lock[7], tally.lock.iter().sum::<u64>()), (1, 1));

@@ -7,7 +7,8 @@
 use std::fmt;
 use std::future::poll_fn;
 use std::pin::pin;
-use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64};
 use std::task::Poll;
 use std::time::Duration;
 
@@ -147,8 +148,9 @@ pub async fn counted(task: impl Future<Output = ()>, turn: &Turn) {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use tokio::task::yield_now;
+
+    use super::*;
 
     #[tokio::test]
     async fn every_poll_is_a_turn_until_the_end() {

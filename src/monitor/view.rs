@@ -4,19 +4,23 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use axum::extract::ws::Utf8Bytes;
-use tokio::sync::{Semaphore, broadcast, mpsc, mpsc::error::TryRecvError, watch};
+use tokio::sync::mpsc::error::TryRecvError;
+use tokio::sync::{Semaphore, broadcast, mpsc, watch};
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
+use trifacet_wire::PoseFrame;
+use trifacet_wire::stream::Descriptor;
 
 use super::Counters;
 use super::health::{Checks, Readiness, Standstill};
-use super::page::{bins::History, control::Controls, gathered::Gathered};
+use super::page::bins::History;
+use super::page::control::Controls;
+use super::page::gathered::Gathered;
 use super::tally::Tally;
 use super::turns::{Task, Turns};
 use crate::clock::{Clock, Mono, SystemClock};
 use crate::config::Config;
 use crate::publishing::target::Subscriber;
-use crate::publishing::{Descriptor, PoseFrame};
 use crate::recording::handle::State;
 
 /// How often new frames are looked for. A frame wakes nobody, so its rate costs little here.

@@ -1,8 +1,9 @@
 //! A frame as named values in SI units, for JSON and CSV.
 
-use serde::{Serialize, Serializer, ser::SerializeMap};
-
-use super::frame::{CLOCK_UNKNOWN, PoseFrame};
+use serde::ser::SerializeMap;
+use serde::{Serialize, Serializer};
+use trifacet_wire::frame::{CLOCK_UNKNOWN, PoseFrame};
+use trifacet_wire::layout::{BEAM, DEVIATIONS, POSE, POWERS, SPOTS, STEERING};
 
 /// A value of a column.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,63 +23,6 @@ pub enum Value {
 /// A frame's values by name, in order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Columns(pub Vec<(&'static str, Value)>);
-
-/// The names of all columns, in order.
-pub const NAMES: [&str; 41] = [
-    "sequence",
-    "sample_index",
-    "time",
-    "time_ns",
-    "lock",
-    "status",
-    "status_bits",
-    "tx_m",
-    "ty_m",
-    "tz_m",
-    "roll_rad",
-    "pitch_rad",
-    "yaw_rad",
-    "sd_tx_m",
-    "sd_ty_m",
-    "sd_tz_m",
-    "sd_roll_rad",
-    "sd_pitch_rad",
-    "sd_yaw_rad",
-    "beam_dx_m",
-    "beam_dy_m",
-    "steering_residual_m",
-    "u_a_m",
-    "v_a_m",
-    "u_b_m",
-    "v_b_m",
-    "u_c_m",
-    "v_c_m",
-    "power_a_w",
-    "power_b_w",
-    "power_c_w",
-    "steering_x_m",
-    "steering_y_m",
-    "averaged",
-    "lost",
-    "iterations",
-    "solve_delay_ns",
-    "send_delay_ns",
-    "clock_sigma_s",
-    "session",
-    "config",
-];
-
-/// The names of a pose: m and rad.
-pub const POSE: [&str; 6] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "yaw_rad"];
-/// The names of its deviations.
-pub const DEVIATIONS: [&str; 6] =
-    ["sd_tx_m", "sd_ty_m", "sd_tz_m", "sd_roll_rad", "sd_pitch_rad", "sd_yaw_rad"];
-const BEAM: [&str; 2] = ["beam_dx_m", "beam_dy_m"];
-/// The names of the spots, metres.
-pub const SPOTS: [&str; 6] = ["u_a_m", "v_a_m", "u_b_m", "v_b_m", "u_c_m", "v_c_m"];
-/// The names of the powers, watts.
-pub const POWERS: [&str; 3] = ["power_a_w", "power_b_w", "power_c_w"];
-const STEERING: [&str; 2] = ["steering_x_m", "steering_y_m"];
 
 impl Columns {
     /// Everything that is in a frame.
@@ -188,17 +132,18 @@ pub fn rfc3339(ns: i64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use trifacet_wire::layout::COLUMNS;
+
     use super::*;
-    use crate::{
-        clock::Mono,
-        publishing::stamp::{Stamp, tests::report},
-    };
+    use crate::clock::Mono;
+    use crate::publishing::stamp::Stamp;
+    use crate::publishing::stamp::tests::report;
 
     fn frame() -> PoseFrame {
         let time_ns = 1_795_262_400_000_000_001;
         let stamp =
             Stamp { session: 1, config: 2, sequence: 3, time_ns, synced: true, sent: Mono(1_090_000) };
-        PoseFrame { beam_offset: [f32::NAN, 1e-6], ..PoseFrame::from_report(&report(), stamp) }
+        PoseFrame { beam_offset: [f32::NAN, 1e-6], ..report().frame(stamp) }
     }
 
     #[test]
@@ -215,7 +160,7 @@ mod tests {
     #[test]
     fn the_list_of_names_is_that_of_the_columns() {
         let columns = Columns::of(&frame());
-        assert_eq!(columns.0.iter().map(|(name, _)| *name).collect::<Vec<_>>(), NAMES);
+        assert_eq!(columns.0.iter().map(|(name, _)| *name).collect::<Vec<_>>(), COLUMNS);
         let few = columns.select(Some(&["tz_m", "sequence"]));
         assert_eq!(few.csv_header(), "tz_m,sequence");
     }

@@ -1,90 +1,15 @@
-//! What the daemon says of itself, in JSON.
-//!
-//! Readers ignore keys that they do not know: a later minor version may add some.
+//! What this daemon says of itself in the descriptor and in heartbeats.
 
 use std::collections::BTreeMap;
 
-use serde::{Deserialize, Serialize};
+use trifacet_wire::layout::{COLUMNS, FIELDS};
+use trifacet_wire::message::{MAJOR, MINOR};
+use trifacet_wire::stream::{Descriptor, FieldEntry, Heartbeat};
+use trifacet_wire::{LockState, Status};
 
-use super::{
-    columns,
-    layout::{FIELDS, FieldEntry},
-    message::{MAJOR, MINOR},
-    publisher::StreamId,
-};
-use crate::{centering::LockState, config::Model, estimation::Status, monitor::Counters};
-
-/// The first message of every TCP stream: all that is needed to read the frames that follow.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Descriptor {
-    /// Version of the stream, "major.minor".
-    pub stream_version: String,
-    /// Version of the daemon.
-    pub daemon_version: String,
-    /// As in every frame: random at the daemon's start.
-    pub session: u32,
-    /// As in every frame: hash of geometry and calibration.
-    pub config: u32,
-    /// Frames a second.
-    pub rate_hz: f64,
-    /// Samples averaged into a frame.
-    pub average: u16,
-    /// How much older a frame's time is than its last sample: half the block of an average. The time
-    /// of a frame already is the mean of its samples' times.
-    pub group_delay_s: f64,
-    /// The sensor model: "ray" or "gaussian".
-    pub model: String,
-    /// Whether every PSD has a correction table; if not, frames carry `UNCALIBRATED`.
-    pub calibrated: bool,
-    /// Lengths, angles, powers and times are in these units.
-    pub units: BTreeMap<String, String>,
-    /// The coordinate frames in words.
-    pub coordinates: BTreeMap<String, String>,
-    /// How the three angles make a rotation.
-    pub euler: String,
-    /// Names of the status bits, from bit 0.
-    pub status_bits: Vec<String>,
-    /// Names of the lock states, from 0.
-    pub lock_states: Vec<String>,
-    /// The byte table of the pose frame.
-    pub fields: Vec<FieldEntry>,
-    /// The names of a frame's values in text (JSON, CSV).
-    pub columns: Vec<String>,
-    /// The recording that is replayed; absent where the samples come from a source.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub replay: Option<Replayed>,
-    /// What this client gets; absent where no stream was asked for.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub stream: Option<StreamForm>,
-}
-
-/// The recording that a daemon replays.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Replayed {
-    /// Name of the file.
-    pub file: String,
-    /// UTC of its first frame, as RFC 3339 has it.
-    pub recorded: String,
-    /// So many times as fast as it was recorded.
-    pub speed: f64,
-    /// Whether it begins again at its end.
-    pub repeat: bool,
-}
-
-/// The stream of one client, as it was asked for and is sent.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct StreamForm {
-    /// "binary", "json" or "csv".
-    pub format: String,
-    /// Frames whose sequence this divides are sent.
-    pub divider: u32,
-    /// So many a second.
-    pub rate_hz: f64,
-    /// Whether the last valid pose stays, marked with `POSE_HELD`.
-    pub held: bool,
-    /// The values of a line of text, in order; empty in binary.
-    pub columns: Vec<String>,
-}
+use super::publisher::StreamId;
+use crate::config::Model;
+use crate::monitor::Counters;
 
 /// What the daemon knows of its stream and does not get from this module.
 #[derive(Clone, Copy, Debug)]
@@ -101,11 +26,11 @@ pub struct StreamFacts {
     pub calibrated: bool,
 }
 
-impl Descriptor {
+impl StreamFacts {
     /// The descriptor of this daemon.
-    pub fn new(facts: StreamFacts) -> Self {
-        let average = facts.average.max(1);
-        Self {
+    pub fn descriptor(&self) -> Descriptor {
+        let (facts, average) = (self, self.average.max(1));
+        Descriptor {
             stream_version: format!("{MAJOR}.{MINOR}"),
             daemon_version: env!("CARGO_PKG_VERSION").into(),
             session: facts.id.session,
@@ -140,7 +65,7 @@ impl Descriptor {
             status_bits: Status::NAMES.iter().map(|(_, name)| (*name).to_owned()).collect(),
             lock_states: LockState::ALL.iter().map(|l| l.name().to_owned()).collect(),
             fields: FIELDS.iter().map(FieldEntry::from).collect(),
-            columns: columns::NAMES.map(str::to_owned).to_vec(),
+            columns: COLUMNS.map(str::to_owned).to_vec(),
             replay: None,
             stream: None,
         }
@@ -151,33 +76,8 @@ fn words(pairs: &[(&str, &str)]) -> BTreeMap<String, String> {
     pairs.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned())).collect()
 }
 
-/// Once a second on every TCP connection.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Heartbeat {
-    /// Frames sent to this client.
-    pub sent: u64,
-    /// Frames dropped for this client because it did not keep up.
-    pub dropped: u64,
-    /// Every counter of the daemon by name.
-    pub counters: BTreeMap<String, u64>,
-}
-
-impl Heartbeat {
-    /// The heartbeat of a client to which so many frames were sent, and for which so many were dropped.
-    pub fn new(sent: u64, dropped: u64, counters: &Counters) -> Self {
-        let counters = counters.list().into_iter().map(|(name, count)| (name.to_owned(), count)).collect();
-        Self { sent, dropped, counters }
-    }
-}
-
-/// The answer to a query, within a stream; the line that a client without a stream gets.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct Answer(pub String);
-
-/// Why the daemon ends a connection.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Refusal {
-    /// The reason, for people.
-    pub error: String,
+/// The heartbeat of a client: frames sent to it, frames dropped for it, and every counter of the daemon.
+pub fn heartbeat(sent: u64, dropped: u64, counters: &Counters) -> Heartbeat {
+    let counters = counters.list().into_iter().map(|(name, count)| (name.to_owned(), count)).collect();
+    Heartbeat { sent, dropped, counters }
 }

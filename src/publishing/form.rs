@@ -4,16 +4,15 @@ use std::io;
 
 use serde::Serialize;
 use tokio::time::Instant;
-
-use super::{
-    PoseFrame,
-    columns::Columns,
-    descriptor::{Answer, Descriptor, Heartbeat, Refusal, StreamForm},
-    frame::FrameBytes,
-    held::Hold,
-    message::{Kind, json},
-    request::{Format, Request},
+use trifacet_wire::PoseFrame;
+use trifacet_wire::frame::FrameBytes;
+use trifacet_wire::held::Hold;
+use trifacet_wire::message::Kind;
+use trifacet_wire::stream::{
+    Answer, Descriptor, Format, Heartbeat, Refusal, StreamForm, StreamRequest, json,
 };
+
+use super::columns::Columns;
 
 /// A frame as all TCP clients share it.
 #[derive(Clone, Debug)]
@@ -53,13 +52,13 @@ impl Issue {
 /// The form of a client's stream.
 #[derive(Clone, Debug)]
 pub struct Form {
-    request: Request,
+    request: StreamRequest,
     divider: u64,
 }
 
 impl Form {
     /// The form of a request, in a stream of so many frames a second.
-    pub fn new(request: Request, frames_hz: f64) -> Self {
+    pub fn new(request: StreamRequest, frames_hz: f64) -> Self {
         let divider = request.pace.divider(frames_hz).into();
         Self { request, divider }
     }

@@ -14,21 +14,13 @@
 pub mod client;
 pub mod columns;
 pub mod descriptor;
-pub mod endian;
 pub mod form;
-pub mod frame;
-pub mod held;
-pub mod layout;
-pub mod message;
 pub mod publisher;
 pub mod query;
-pub mod request;
 pub mod stamp;
 pub mod subscribe;
 pub mod subscription;
 pub mod target;
 pub mod tcp;
 
-pub use descriptor::{Descriptor, Heartbeat};
-pub use frame::PoseFrame;
 pub use publisher::{Outlets, Publisher, PublisherSettings, StreamId};

@@ -1,28 +1,22 @@
 //! The fast side of publishing: makes every frame, sends the datagrams, hands the frame on to TCP and to the monitor.
 //! Nothing here ever waits; what is not taken at once is dropped and counted.
 
-use std::{
-    hash::{BuildHasher, Hasher, RandomState},
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
-};
+use std::hash::{BuildHasher, Hasher, RandomState};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
-use tokio::sync::mpsc::{self, error::TrySendError};
+use tokio::sync::mpsc::error::TrySendError;
+use tokio::sync::mpsc::{self};
+use trifacet_wire::{PoseFrame, Status};
 
-use super::{
-    frame::PoseFrame,
-    stamp::Stamp,
-    target::{Subscribers, Targets},
-};
-use crate::{
-    clock::{Clock, utc::Utc},
-    config::UdpTarget,
-    estimation::{PoseReport, Status},
-    exit::Failure,
-    monitor::{Counter, Counters},
-};
+use super::stamp::Stamp;
+use super::target::{Subscribers, Targets};
+use crate::clock::Clock;
+use crate::clock::utc::Utc;
+use crate::config::UdpTarget;
+use crate::estimation::PoseReport;
+use crate::exit::Failure;
+use crate::monitor::{Counter, Counters};
 
 /// What tells the frames of one daemon, with one configuration, from all others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -107,7 +101,7 @@ impl<C: Clock> Publisher<C> {
         // Not that of the start: it changes when the meaning of poses does, with the sample.
         let (session, config) = (self.id.session, report.config);
         let stamp = Stamp { session, config, sequence: self.sequence, time_ns, synced, sent };
-        let mut frame = PoseFrame::from_report(report, stamp);
+        let mut frame = report.frame(stamp);
         frame.status.set(Status::RECORDING_FAULT, self.recording_fault.load(Ordering::Relaxed));
         self.sequence += 1;
         self.counters.frames.one();
@@ -132,13 +126,12 @@ fn hand_on(frame: PoseFrame, to: Option<&mpsc::Sender<PoseFrame>>, overflows: &C
 
 #[cfg(test)]
 mod tests {
-    use std::{
-        net::{SocketAddr, UdpSocket},
-        time::Duration,
-    };
+    use std::net::{SocketAddr, UdpSocket};
+    use std::time::Duration;
 
     use super::*;
-    use crate::{clock::Mono, publishing::stamp::tests::report};
+    use crate::clock::Mono;
+    use crate::publishing::stamp::tests::report;
 
     #[derive(Clone)]
     struct Fixed(Mono);

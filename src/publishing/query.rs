@@ -2,8 +2,11 @@
 
 use std::fmt::Write as _;
 
-use super::{PoseFrame, columns::POSE, descriptor::Descriptor, form::Issue};
-use crate::estimation::Status;
+use trifacet_wire::layout::POSE;
+use trifacet_wire::stream::Descriptor;
+use trifacet_wire::{PoseFrame, Status};
+
+use super::form::Issue;
 
 /// A pose older than this, and than three frames, is not given out as valid: the daemon itself is stuck.
 const STALE_S: f64 = 1.0;

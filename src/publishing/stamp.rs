@@ -1,9 +1,11 @@
 //! The frame of a report.
 
-use super::frame::{CLOCK_UNKNOWN, PoseFrame};
-use crate::clock::Mono;
-use crate::estimation::{PoseReport, Status};
 use trifacet_optics::Pose;
+use trifacet_wire::frame::CLOCK_UNKNOWN;
+use trifacet_wire::{PoseFrame, Status};
+
+use crate::clock::Mono;
+use crate::estimation::PoseReport;
 
 /// What a frame says besides the report: who sends it, as what number, and when.
 #[derive(Clone, Copy, Debug)]
@@ -22,10 +24,10 @@ pub struct Stamp {
     pub sent: Mono,
 }
 
-impl PoseFrame {
-    /// The frame of a report. What the report does not know becomes NaN; the pose is there exactly
-    /// if `POSE_VALID` is.
-    pub fn from_report(report: &PoseReport, stamp: Stamp) -> Self {
+impl PoseReport {
+    /// The frame of this report. An unknown value becomes NaN; the frame has a pose exactly if it has `POSE_VALID`.
+    pub fn frame(&self, stamp: Stamp) -> PoseFrame {
+        let report = self;
         let pose = report.pose.filter(|_| report.status.has(Status::POSE_VALID));
         let mut status = report.status;
         if pose.is_none() {
@@ -33,7 +35,7 @@ impl PoseFrame {
         }
         status.set(Status::CLOCK_UNSYNCED, !stamp.synced);
         let variances = pose.and(report.covariance).map(|c| c.diagonal());
-        Self {
+        PoseFrame {
             session: stamp.session,
             config: stamp.config,
             sequence: stamp.sequence,
@@ -71,9 +73,9 @@ fn clock_quality(sigma_ns: Option<f64>) -> u16 {
 #[cfg(test)]
 pub(crate) mod tests {
     use nalgebra::Matrix6;
+    use trifacet_wire::LockState;
 
     use super::*;
-    use crate::centering::LockState;
 
     /// A report with everything in it.
     pub(crate) fn report() -> PoseReport {
@@ -105,7 +107,7 @@ pub(crate) mod tests {
 
     #[test]
     fn a_report_becomes_a_frame() {
-        let frame = PoseFrame::from_report(&report(), stamp());
+        let frame = report().frame(stamp());
         assert_eq!(frame.pose, report().pose.unwrap().to_array());
         assert_eq!(frame.deviations, [2e-6; 6]);
         assert_eq!((frame.solve_delay_ns, frame.send_delay_ns), (80_000, 90_000));
@@ -120,12 +122,12 @@ pub(crate) mod tests {
             PoseReport { pose: None, offset: None, steering: None, steering_residual: None, ..report() };
         let not_valid = PoseReport { status: Status::OUT_OF_RANGE, ..report() };
         for report in [unknown, not_valid] {
-            let frame = PoseFrame::from_report(&report, stamp());
+            let frame = report.frame(stamp());
             assert!(!frame.status.has(Status::POSE_VALID));
             assert!(frame.pose.iter().all(|x| x.is_nan()), "{frame:?}");
             assert!(frame.deviations.iter().all(|x| x.is_nan()), "{frame:?}");
         }
-        let frame = PoseFrame::from_report(&unknown, stamp());
+        let frame = unknown.frame(stamp());
         let rest = [frame.beam_offset, frame.steering, [frame.steering_residual; 2]];
         assert!(rest.iter().flatten().all(|x| x.is_nan()), "{frame:?}");
     }
@@ -134,12 +136,12 @@ pub(crate) mod tests {
     fn numbers_too_large_for_their_field_saturate() {
         let late = Stamp { sent: Mono(i64::MAX), synced: false, ..stamp() };
         let report = PoseReport { lost: 70_000, time_sigma_ns: Some(1e9), ..report() };
-        let frame = PoseFrame::from_report(&report, late);
+        let frame = report.frame(late);
         assert_eq!(frame.send_delay_ns, u32::MAX);
         assert_eq!(frame.lost, u16::MAX);
         assert_eq!(frame.clock_quality, CLOCK_UNKNOWN - 1, "known to be bad is not unknown");
         assert!(frame.status.has(Status::CLOCK_UNSYNCED));
         let unknown = PoseReport { time_sigma_ns: None, ..report };
-        assert_eq!(PoseFrame::from_report(&unknown, late).clock_quality, CLOCK_UNKNOWN);
+        assert_eq!(unknown.frame(late).clock_quality, CLOCK_UNKNOWN);
     }
 }

@@ -1,16 +1,20 @@
 //! The task behind [`Subscriptions`]: the socket that takes requests, on the main thread. The fast side
 //! sends frames from the same socket.
 
-use std::{io, net::SocketAddr, net::UdpSocket, sync::Arc, time::Duration};
+use std::io;
+use std::net::{SocketAddr, UdpSocket};
+use std::sync::Arc;
+use std::time::Duration;
 
-use tokio::{sync::watch, time::sleep};
+use tokio::sync::watch;
+use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
 
-use super::{
-    subscription::Subscriptions,
-    target::{Subscriber, Subscribers},
-};
-use crate::{clock::Clock, exit::Failure, monitor::Counters};
+use super::subscription::Subscriptions;
+use super::target::{Subscriber, Subscribers};
+use crate::clock::Clock;
+use crate::exit::Failure;
+use crate::monitor::Counters;
 
 /// Longer requests are none.
 const LONGEST: usize = 512;

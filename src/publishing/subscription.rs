@@ -4,103 +4,18 @@
 //! shown that it hears: it must repeat a nonce, which is a keyed hash of its address. Until then an answer
 //! is at most twice as long as the request, so that nobody gains by sending it somewhere else.
 
-use std::{
-    fmt,
-    hash::{BuildHasher, RandomState},
-    net::SocketAddr,
-    sync::Arc,
-};
+use std::hash::{BuildHasher, RandomState};
+use std::net::SocketAddr;
+use std::sync::Arc;
 
-use super::{
-    request::{CommandError, divider, on_or_off},
-    target::{Delivery, Subscriber},
-};
-use crate::{
-    clock::{Mono, NS_PER_S},
-    config::Network,
-};
+use trifacet_wire::stream::{Delivery, SubscriptionRequest};
 
-/// The longest lease, in seconds.
-pub const MAX_LEASE_S: u32 = 60;
+use super::target::Subscriber;
+use crate::clock::{Mono, NS_PER_S};
+use crate::config::Network;
+
 /// A nonce is good for between one and two of these.
 const NONCE_S: i64 = 60;
-
-/// What someone asks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ask {
-    /// Send me frames.
-    Subscribe {
-        /// For so long, unless it is said again.
-        lease_s: u32,
-        /// These frames, so.
-        delivery: Delivery,
-        /// What the daemon challenged with.
-        nonce: Option<u64>,
-    },
-    /// Stop that.
-    Unsubscribe {
-        /// The nonce of the subscription.
-        nonce: u64,
-    },
-}
-
-impl Ask {
-    /// What a datagram asks. None: it is nothing of ours, and gets no answer.
-    pub fn parse(bytes: &[u8]) -> Option<Result<Self, String>> {
-        let text = std::str::from_utf8(bytes).ok()?;
-        let mut words = text.split_ascii_whitespace();
-        match words.next()? {
-            "subscribe" => Some(subscribe(words)),
-            "unsubscribe" => Some(match words.next().and_then(|w| w.strip_prefix("nonce=")).map(nonce) {
-                Some(nonce) => nonce.map(|nonce| Self::Unsubscribe { nonce }),
-                None => Err("allowed: unsubscribe nonce=HEX".into()),
-            }),
-            _ => None,
-        }
-    }
-}
-
-fn subscribe<'a>(options: impl Iterator<Item = &'a str>) -> Result<Ask, String> {
-    let (mut lease_s, mut nonce_said) = (None, None);
-    let mut delivery = Delivery { divider: 1, big_endian: false, held: false };
-    let said = |e: CommandError| e.to_string().trim_start_matches("error: ").to_owned();
-    for option in options {
-        match option.split_once('=').unwrap_or((option, "")) {
-            ("lease_s", value) => lease_s = value.parse().ok().filter(|s| (1..=MAX_LEASE_S).contains(s)),
-            ("divider", value) => delivery.divider = divider("divider", value).map_err(said)?,
-            ("held", value) => delivery.held = on_or_off("held", value).map_err(said)?,
-            ("big_endian", value) => delivery.big_endian = on_or_off("big_endian", value).map_err(said)?,
-            ("nonce", value) => nonce_said = Some(nonce(value)?),
-            _ => return Err("allowed: lease_s= divider= held= big_endian= nonce=".into()),
-        }
-    }
-    match lease_s {
-        Some(lease_s) => Ok(Ask::Subscribe { lease_s, delivery, nonce: nonce_said }),
-        None => Err(format!("allowed: lease_s=1 to {MAX_LEASE_S}")),
-    }
-}
-
-fn nonce(text: &str) -> Result<u64, String> {
-    u64::from_str_radix(text, 16).map_err(|_| "allowed: nonce=HEX".into())
-}
-
-/// As a client says it.
-impl fmt::Display for Ask {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Subscribe { lease_s, delivery: Delivery { divider, big_endian, held }, nonce } => {
-                write!(f, "subscribe lease_s={lease_s} divider={divider}")?;
-                for (name, on) in [("big_endian", big_endian), ("held", held)] {
-                    if *on {
-                        write!(f, " {name}=on")?;
-                    }
-                }
-                nonce.map_or(Ok(()), |nonce| write!(f, " nonce={nonce:016x}"))
-            }
-            Self::Unsubscribe { nonce } => write!(f, "unsubscribe nonce={nonce:016x}"),
-        }
-    }
-}
 
 /// What comes of a datagram.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -157,13 +72,16 @@ impl Subscriptions {
 
     /// Takes a datagram.
     pub fn datagram(&mut self, from: SocketAddr, bytes: &[u8], now: Mono) -> Outcome {
-        let Some(ask) = Ask::parse(bytes) else { return Outcome { refused: true, ..Outcome::default() } };
+        let Some(ask) = SubscriptionRequest::parse(bytes) else {
+            return Outcome { refused: true, ..Outcome::default() };
+        };
         let allowed = self.allow.iter().any(|network| network.contains(from.ip()));
         let mut outcome = match ask {
             _ if !allowed => refusal("you are not in [publishing] allow"),
             Err(why) => refusal(&why),
             Ok(ask) => {
-                let (Ask::Subscribe { nonce: Some(said), .. } | Ask::Unsubscribe { nonce: said }) = ask
+                let (SubscriptionRequest::Subscribe { nonce: Some(said), .. }
+                | SubscriptionRequest::Unsubscribe { nonce: said }) = ask
                 else {
                     return self.challenge(from, bytes, now);
                 };
@@ -186,9 +104,9 @@ impl Subscriptions {
         Outcome { answer: (answer.len() <= 2 * bytes.len()).then_some(answer), ..Outcome::default() }
     }
 
-    fn grant(&mut self, from: SocketAddr, ask: Ask, nonce: u64, now: Mono) -> Outcome {
+    fn grant(&mut self, from: SocketAddr, ask: SubscriptionRequest, nonce: u64, now: Mono) -> Outcome {
         let own = self.leases.iter().position(|lease| lease.to.address == from);
-        let Ask::Subscribe { lease_s, delivery, .. } = ask else {
+        let SubscriptionRequest::Subscribe { lease_s, delivery, .. } = ask else {
             own.map(|own| self.leases.swap_remove(own));
             return granted("ok unsubscribed".into(), own.is_some());
         };
@@ -334,14 +252,6 @@ mod tests {
             let outcome = all.datagram(client(1), &bytes, Mono(0));
             prop_assert!(outcome.answer.is_none_or(|a| a.len() <= 2 * bytes.len() && a.is_ascii()));
             prop_assert!(!outcome.changed);
-        }
-
-        #[test]
-        fn what_a_client_asks_is_what_is_understood(
-            lease_s in 1..=MAX_LEASE_S, divider in 1..1_000_000u32, big_endian: bool, held: bool, nonce: Option<u64>,
-        ) {
-            let ask = Ask::Subscribe { lease_s, delivery: Delivery { divider, big_endian, held }, nonce };
-            prop_assert_eq!(Ask::parse(ask.to_string().as_bytes()), Some(Ok(ask)));
         }
     }
 }

@@ -1,31 +1,21 @@
 //! Where datagrams go, and in which form. On the fast side.
 
-use std::{
-    io,
-    net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket},
-    sync::Arc,
-};
+use std::io;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
+use std::sync::Arc;
 
-use rustix::net::{netdevice::name_to_index, sockopt};
+use rustix::net::netdevice::name_to_index;
+use rustix::net::sockopt;
 use tokio::sync::watch;
+use trifacet_wire::PoseFrame;
+use trifacet_wire::byte_order::big_endian;
+use trifacet_wire::frame::FrameBytes;
+use trifacet_wire::held::Hold;
+use trifacet_wire::stream::Delivery;
 
-use super::{PoseFrame, endian::big_endian, frame::FrameBytes, held::Hold};
-use crate::{
-    config::UdpTarget,
-    exit::{self, Failure},
-    monitor::Counters,
-};
-
-/// Which frames a receiver of datagrams gets, and how.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Delivery {
-    /// Those whose sequence this divides.
-    pub divider: u32,
-    /// In network byte order.
-    pub big_endian: bool,
-    /// With the last valid pose (`POSE_HELD`) instead of NaN.
-    pub held: bool,
-}
+use crate::config::UdpTarget;
+use crate::exit::{self, Failure};
+use crate::monitor::Counters;
 
 /// A receiver that has subscribed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

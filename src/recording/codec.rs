@@ -4,14 +4,17 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use byteorder::LittleEndian;
-use serde::{Serialize, de::DeserializeOwned};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use trifacet_wire::Status;
 
 use super::message::{self, Time, Unknown};
 use super::{Entry, Keyframe, Topic};
 use crate::acquisition::{Identity, Scan};
-use crate::clock::{Mono, utc::Reading};
+use crate::clock::Mono;
+use crate::clock::utc::Reading;
 use crate::config::{ConfigError, Meaning, Tables, parse};
-use crate::estimation::{Memory, Status};
+use crate::estimation::Memory;
 
 /// The version of this program: the state of another one may have another form.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");

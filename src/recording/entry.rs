@@ -6,14 +6,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::Matrix6;
 use tokio::sync::mpsc;
+use trifacet_wire::{LockState, PoseFrame};
 
 use crate::acquisition::{Identity, Sample, Scan};
-use crate::centering::{LockState, LoopState};
+use crate::centering::LoopState;
 use crate::clock::Mono;
 use crate::config::Meaning;
 use crate::estimation::Memory;
 use crate::monitor::Counters;
-use crate::publishing::PoseFrame;
 
 /// Entries that may wait for the recorder, which may wait for a disk: 6 s at 10 kHz. Takes memory only
 /// while they wait.

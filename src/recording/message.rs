@@ -1,13 +1,13 @@
 //! The messages of the file: the fields of `msg/*.msg`, in their order.
 
 use serde::{Deserialize, Serialize};
-
-use crate::acquisition::{Converter, Identity, PsdState, Role, Sample as Taken, Scan};
-use crate::centering::{LockState, LoopState};
-use crate::clock::{Mono, NS_PER_S};
-use crate::estimation::Status;
-use crate::publishing::PoseFrame;
 use trifacet_optics::Pose;
+use trifacet_wire::channel::{Converter, Role};
+use trifacet_wire::{LockState, PoseFrame, Status};
+
+use crate::acquisition::{Identity, PsdState, Sample as Taken, Scan};
+use crate::centering::LoopState;
+use crate::clock::{Mono, NS_PER_S};
 
 /// `builtin_interfaces/Time`, UTC.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -374,8 +374,9 @@ fn quaternion(pose: &Pose) -> [f64; 4] {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use trifacet_optics::{Mat3, Vec3};
+
+    use super::*;
 
     #[test]
     fn the_quaternion_is_the_rotation() {

@@ -22,7 +22,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use tokio::sync::mpsc::{self, error::TryRecvError};
+use faults::Fault;
+use orders::Stopping;
+pub use thread::{Thread, start};
+use tokio::sync::mpsc::error::TryRecvError;
+use tokio::sync::mpsc::{self};
 
 use super::Entry;
 use super::codec::Encoder;
@@ -36,10 +40,6 @@ use super::trigger::Trigger;
 use crate::clock::{Clock, Mono, NS_PER_S, SystemClock, utc};
 use crate::config::{Compression, RecordingConfig, RecordingMode};
 use crate::monitor::Counters;
-use faults::Fault;
-use orders::Stopping;
-
-pub use thread::{Thread, start};
 
 /// How often the queue is looked at.
 const LOOK: Duration = Duration::from_millis(20);

@@ -1,10 +1,9 @@
 //! When something goes wrong. Pure.
 
+use trifacet_wire::{LockState, PoseFrame, Status};
+
 use super::Entry;
-use crate::centering::LockState;
 use crate::clock::{Mono, NS_PER_S};
-use crate::estimation::Status;
-use crate::publishing::PoseFrame;
 
 /// Looks for the beginnings of faults. While one lasts, it is no news.
 #[derive(Clone, Debug)]
@@ -58,10 +57,9 @@ fn what_is_wrong(frame: &PoseFrame) -> Option<&'static str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::publishing::stamp::tests::{report, stamp};
 
     fn frame(second: i64, status: Status, lost: u16) -> Entry {
-        let frame = PoseFrame { status, lost, ..PoseFrame::from_report(&report(), stamp()) };
+        let frame = PoseFrame { status, lost, ..PoseFrame::example() };
         Entry::Frame { frame, time: Mono(second * NS_PER_S), covariance: None }
     }
 

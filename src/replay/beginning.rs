@@ -3,12 +3,13 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use trifacet_wire::stream::Replayed;
+
 use crate::acquisition::Identity;
 use crate::clock::Mono;
 use crate::config::{Config, LoopMode, Meaning, ReplayConfig, SourceKind};
 use crate::exit::{self, Failure};
 use crate::publishing::columns::rfc3339;
-use crate::publishing::descriptor::Replayed;
 use crate::recording::reader::Read;
 use crate::recording::{Entry, Reader};
 

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use trifacet_wire::stream::Replayed;
+
 use super::pace::Pace;
 use super::tape::{Next, Tape};
 use super::task::Recording;
@@ -13,7 +15,6 @@ use crate::clock::{Clock, Mono, NS_PER_S};
 use crate::config::{Meaning, ReplayConfig};
 use crate::estimation::{Estimation, PoseReport};
 use crate::monitor::Counters;
-use crate::publishing::descriptor::Replayed;
 use crate::recording::reader::Read;
 use crate::recording::{Entry, Keyframe};
 

@@ -2,12 +2,13 @@
 
 use std::sync::Arc;
 
+use trifacet_wire::{PoseFrame, Status};
+
 use crate::centering::{LoopState, LoopView};
 use crate::clock::{Clock, Mono};
 use crate::config::LoopMode;
-use crate::estimation::{PoseReport, Status};
+use crate::estimation::PoseReport;
 use crate::monitor::Counters;
-use crate::publishing::PoseFrame;
 
 /// A report with the time at which its signals were taken, nanoseconds of UTC since 1970.
 #[derive(Clone, Copy, Debug)]

@@ -1,9 +1,11 @@
 //! What came out, beside what was published then.
 
+use trifacet_wire::{PoseFrame, Status};
+
 use crate::clock::Mono;
-use crate::estimation::{PoseReport, Status};
+use crate::estimation::PoseReport;
 use crate::publishing::columns::{Columns, Value};
-use crate::publishing::{PoseFrame, stamp::Stamp};
+use crate::publishing::stamp::Stamp;
 use crate::recording::Entry;
 
 /// Bits that do not come from the samples: from the clock, the recorder, and the replay itself.
@@ -116,7 +118,7 @@ fn pair<'a>(then: &'a PoseFrame, time: Mono, report: &PoseReport) -> Pair<'a> {
         synced: true,
         sent: report.time,
     };
-    let mut now = PoseFrame::from_report(report, stamp);
+    let mut now = report.frame(stamp);
     let of_the_moment = |frame: &PoseFrame| frame.status.0 & OF_THE_MOMENT;
     now.status.0 = now.status.0 & !OF_THE_MOMENT | of_the_moment(then);
     (now.solve_delay_ns, now.send_delay_ns) = (then.solve_delay_ns, then.send_delay_ns);

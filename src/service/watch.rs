@@ -65,10 +65,11 @@ impl Watch {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use crate::monitor::turns::{Turn, counted};
     use std::cell::RefCell;
     use std::task::{Context, Waker};
+
+    use super::*;
+    use crate::monitor::turns::{Turn, counted};
 
     fn turn_all(turns: &Turns, times: usize) {
         for task in Task::ALL {

@@ -13,10 +13,10 @@ pub mod outputs;
 
 use std::future::Future;
 
-pub use crate::acquisition::{Ack, Expiry};
 pub use gcs::Gcs;
 pub use map::BeamMap;
 pub use outputs::Outputs;
+use trifacet_wire::actuator::{Ack, LeaseAction};
 
 /// Two axes, metres.
 pub type Xy = [f64; 2];
@@ -31,7 +31,7 @@ pub struct Command {
     /// How long the command is good for, milliseconds, if the stage knows leases.
     pub lease_ms: u16,
     /// What happens then.
-    pub on_expiry: Expiry,
+    pub on_expiry: LeaseAction,
 }
 
 /// What a driver reports.

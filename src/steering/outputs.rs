@@ -7,9 +7,10 @@
 use std::sync::Arc;
 
 use tokio::sync::watch;
+use trifacet_wire::actuator::{Ack, OutputCommand};
 
 use super::{Command, Driver, Event, Xy};
-use crate::acquisition::{Ack, Identity, OutputCommand};
+use crate::acquisition::Identity;
 
 /// What the source says of its outputs.
 #[derive(Clone, Debug, Default)]
@@ -91,8 +92,9 @@ impl Driver for Outputs {
 
 #[cfg(test)]
 mod tests {
+    use trifacet_wire::actuator::LeaseAction;
+
     use super::*;
-    use crate::acquisition::Expiry;
     use crate::config::Config;
     use crate::twin::Twin;
 
@@ -101,7 +103,7 @@ mod tests {
         let (commands, sent) = watch::channel(None);
         let (answers, answered) = watch::channel(Answers::default());
         let mut outputs = Outputs::new(500e-6, commands, answered);
-        let command = |position| Command { id: 7, position, lease_ms: 200, on_expiry: Expiry::Park };
+        let command = |position| Command { id: 7, position, lease_ms: 200, on_expiry: LeaseAction::Park };
         outputs.steer(command([1e-6, 0.0]));
         assert_eq!(*sent.borrow(), None, "there is nothing to steer yet");
 

@@ -1,10 +1,11 @@
 //! What a sample says of beam and stage.
 
+use trifacet_optics::{Estimator, FACETS, HeadError, Model, Optics, Signals, Solution};
+
 use crate::acquisition::{PsdState, Sample};
 use crate::clock::Mono;
 use crate::config::Config;
 use crate::steering::Xy;
-use trifacet_optics::{Estimator, FACETS, HeadError, Model, Optics, Signals, Solution};
 
 /// What a sample says.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -122,9 +123,10 @@ pub fn unrest(points: &[Xy], samples: usize) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use rand::{RngExt, SeedableRng};
     use rand_distr::StandardNormal;
+
+    use super::*;
 
     #[test]
     fn noise_leaves_slow_movement_out_and_unrest_leaves_in_what_shakes() {

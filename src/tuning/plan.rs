@@ -1,9 +1,11 @@
 //! Which steps are safe: within the limits of the stage, small beside the beam, large beside the noise.
 
+use trifacet_wire::actuator::LeaseAction;
+
 use super::look::{self, Look};
 use crate::config::{Config, OnExit};
 use crate::exit::{self, Failure};
-use crate::steering::{Expiry, Xy};
+use crate::steering::Xy;
 
 /// A step by default at most, and a fraction of the beam's deviation: well within where its offset is
 /// measured well.
@@ -51,7 +53,7 @@ pub struct Settings {
     /// The lease of every command, milliseconds.
     pub lease_ms: u16,
     /// What happens when it ends.
-    pub on_expiry: Expiry,
+    pub on_expiry: LeaseAction,
 }
 
 /// What will be done.
@@ -100,8 +102,8 @@ impl Settings {
             park: (steering.on_exit == OnExit::Park).then(|| steering.park_um.map(|um| um * 1e-6)),
             lease_ms: steering.lease_ms,
             on_expiry: match steering.on_lease {
-                OnExit::Hold => Expiry::Hold,
-                OnExit::Park => Expiry::Park,
+                OnExit::Hold => LeaseAction::Hold,
+                OnExit::Park => LeaseAction::Park,
             },
         }
     }

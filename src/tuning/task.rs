@@ -6,6 +6,7 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
+use trifacet_wire::actuator::Ack;
 
 use super::look::{self, Look, Looker};
 use super::plan::{Plan, Settings, refused, um};
@@ -14,7 +15,7 @@ use crate::acquisition::Identity;
 use crate::acquisition::task::Acquired;
 use crate::clock::Clock;
 use crate::exit::{self, Failure};
-use crate::steering::{Ack, Command, Driver, Event, Xy};
+use crate::steering::{Command, Driver, Event, Xy};
 
 /// The longest wait for the first sample.
 const PATIENCE: Duration = Duration::from_secs(5);

@@ -3,12 +3,10 @@
 
 use rand::{Rng, RngExt};
 use rand_distr::StandardNormal;
+use trifacet_wire::channel::{Converter, SIGNALS};
 
 use super::light::Spot;
-use crate::{
-    acquisition::scan::{Converter, SIGNALS},
-    config::{Amplifier, Config, PsdChannels},
-};
+use crate::config::{Amplifier, Config, PsdChannels};
 
 /// The random numbers of one scan, as standard deviations. Every scan draws all of them, whatever is
 /// used, so that neither faults nor the settings of other parts change the noise of later scans.

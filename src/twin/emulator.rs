@@ -2,19 +2,13 @@
 //! wire.
 
 use serde::Serialize;
+use trifacet_wire::actuator::{LeaseAction, OutputCommand};
+use trifacet_wire::board::message::{BoardScan, ErrorReason, Reply, StartResult, SteerResult};
+use trifacet_wire::board::{Answer, BoardIdentity, Deframer, Request};
 
 use super::{Fate, OUTPUT_BITS, Outputs, Twin, TwinError, TwinScan};
-use crate::{
-    acquisition::{
-        Expiry, OutputCommand,
-        board::{
-            Answer, BoardIdentity, Deframer, Request,
-            message::{BoardScan, ErrorReason, Reply, StartResult, SteerResult},
-        },
-    },
-    clock::Mono,
-    config::{Config, FaultKind},
-};
+use crate::clock::Mono;
+use crate::config::{Config, FaultKind};
 
 /// The board's clock, ticks per second.
 const TICK_HZ: u32 = 10_000_000;
@@ -205,8 +199,8 @@ impl Emulator {
     /// What the outputs do by themselves when a lease runs out.
     fn expire(&mut self, now: Mono) {
         match self.outputs.expire(now) {
-            Some(Expiry::Park) => self.move_outputs(self.outputs.park(), now, Steering::Parked),
-            Some(Expiry::Hold) => self.state.steering = Steering::Held,
+            Some(LeaseAction::Park) => self.move_outputs(self.outputs.park(), now, Steering::Parked),
+            Some(LeaseAction::Hold) => self.state.steering = Steering::Held,
             None => {}
         }
         self.state.lease_expired = matches!(self.state.steering, Steering::Held | Steering::Parked);

@@ -1,10 +1,9 @@
 //! What goes wrong, and when.
 
+use trifacet_wire::channel::SIGNALS;
+
 use super::TwinError;
-use crate::{
-    acquisition::scan::SIGNALS,
-    config::{Fault, FaultKind},
-};
+use crate::config::{Fault, FaultKind};
 
 /// What becomes of a scan on its way to the host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

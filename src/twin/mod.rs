@@ -22,26 +22,25 @@ pub mod source;
 pub mod stage;
 pub mod trajectory;
 
-use rand::{RngExt, SeedableRng};
-use rand_pcg::Pcg64;
-
+use electronics::{Electronics, Noise, READBACK};
 pub use emulator::Emulator;
 pub use faults::Fate;
+use faults::{Active, Faults};
+use light::Lighting;
 pub use light::{Scene, Spot};
 pub use outputs::{OUTPUT_BITS, Outputs};
 pub use pty::Pty;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
 pub use source::TwinSource;
-
-use crate::acquisition::scan::SIGNALS;
-use crate::acquisition::{Identity, MAX_CHANNELS, Role, Scan};
-use crate::clock::Mono;
-use crate::config::{Config, Fault, FaultKind};
-use electronics::{Electronics, Noise, READBACK};
-use faults::{Active, Faults};
-use light::Lighting;
 use stage::Stage;
 use trajectory::Trajectory;
 use trifacet_optics::Pose;
+use trifacet_wire::channel::{MAX_CHANNELS, Role, SIGNALS};
+
+use crate::acquisition::{Identity, Scan};
+use crate::clock::Mono;
+use crate::config::{Config, Fault, FaultKind};
 
 /// The fastest rate of the twin, scans per second.
 pub const MAX_RATE_HZ: f64 = 20_000.0;

@@ -1,10 +1,9 @@
 //! The board's side of steering: which commands it takes, and what it does when a lease runs out.
 
-use crate::{
-    acquisition::{Expiry, OutputCommand},
-    clock::Mono,
-    config::SteeringConfig,
-};
+use trifacet_wire::actuator::{LeaseAction, OutputCommand};
+
+use crate::clock::Mono;
+use crate::config::SteeringConfig;
 
 /// Resolution of the steering outputs in bits, sign included.
 pub const OUTPUT_BITS: u8 = 16;
@@ -18,7 +17,7 @@ pub struct Outputs {
     /// Metres per code.
     step: f64,
     park: [i32; 2],
-    lease: Option<(Mono, Expiry)>,
+    lease: Option<(Mono, LeaseAction)>,
 }
 
 impl Outputs {
@@ -59,7 +58,7 @@ impl Outputs {
     /// Says, once, that the lease of the last command has run out, and what follows: the outputs stay,
     /// or go to [`Outputs::park`].
     #[must_use]
-    pub fn expire(&mut self, now: Mono) -> Option<Expiry> {
+    pub fn expire(&mut self, now: Mono) -> Option<LeaseAction> {
         self.lease.take_if(|(end, _)| *end <= now).map(|(_, on_expiry)| on_expiry)
     }
 
@@ -75,7 +74,7 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    fn command(codes: [i32; 2], on_expiry: Expiry) -> OutputCommand {
+    fn command(codes: [i32; 2], on_expiry: LeaseAction) -> OutputCommand {
         OutputCommand { id: 1, codes, lease_ms: 200, on_expiry }
     }
 
@@ -86,23 +85,23 @@ mod tests {
     #[test]
     fn a_lease_runs_out_once() {
         let mut parking = outputs();
-        assert!(parking.take(&command([5, 6], Expiry::Park), Mono(0)));
-        assert!(parking.take(&command([5, 6], Expiry::Park), Mono(150 * MS)));
+        assert!(parking.take(&command([5, 6], LeaseAction::Park), Mono(0)));
+        assert!(parking.take(&command([5, 6], LeaseAction::Park), Mono(150 * MS)));
         assert_eq!(parking.expire(Mono(349 * MS)), None);
-        assert_eq!(parking.expire(Mono(350 * MS)), Some(Expiry::Park));
+        assert_eq!(parking.expire(Mono(350 * MS)), Some(LeaseAction::Park));
         assert_eq!(parking.park(), [6554, -6554]);
         assert_eq!(parking.expire(Mono(900 * MS)), None);
         let mut holding = outputs();
-        assert!(holding.take(&command([5, 6], Expiry::Hold), Mono(0)));
-        assert_eq!(holding.expire(Mono(900 * MS)), Some(Expiry::Hold));
+        assert!(holding.take(&command([5, 6], LeaseAction::Hold), Mono(0)));
+        assert_eq!(holding.expire(Mono(900 * MS)), Some(LeaseAction::Hold));
     }
 
     #[test]
     fn codes_outside_the_range_are_refused_and_do_not_renew_the_lease() {
         let mut outputs = outputs();
-        assert!(outputs.take(&command([-32768, 32767], Expiry::Park), Mono(0)));
-        assert!(!outputs.take(&command([0, 32768], Expiry::Park), Mono(150 * MS)));
-        assert!(!outputs.take(&command([-32769, 0], Expiry::Park), Mono(150 * MS)));
+        assert!(outputs.take(&command([-32768, 32767], LeaseAction::Park), Mono(0)));
+        assert!(!outputs.take(&command([0, 32768], LeaseAction::Park), Mono(150 * MS)));
+        assert!(!outputs.take(&command([-32769, 0], LeaseAction::Park), Mono(150 * MS)));
         assert!(outputs.expire(Mono(200 * MS)).is_some());
     }
 

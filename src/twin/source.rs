@@ -4,15 +4,13 @@ use std::collections::VecDeque;
 use std::io;
 use std::sync::Arc;
 
+use trifacet_wire::actuator::{Ack, LeaseAction, OutputCommand};
+
 use super::{Fate, Outputs, Twin};
-use crate::{
-    acquisition::{Ack, Down, Event, Expiry, OutputCommand, Source},
-    clock::{
-        Mono, NS_PER_S,
-        pace::{Pace, Waiting},
-    },
-    monitor::Counters,
-};
+use crate::acquisition::{Down, Event, Source};
+use crate::clock::pace::{Pace, Waiting};
+use crate::clock::{Mono, NS_PER_S};
+use crate::monitor::Counters;
 
 /// Runs a [`Twin`] on an absolute schedule. What its faults do to the link shows as it would with a
 /// board: a lost scan as a gap before the next one, silence as [`Down::Stalled`]. It counts what no
@@ -62,7 +60,7 @@ impl<C: Waiting> TwinSource<C> {
         let time = self.pace.schedule().time(self.twin.next_index());
         if let Some(then) = self.outputs.expire(time) {
             self.counters.leases_expired.one();
-            if then == Expiry::Park {
+            if then == LeaseAction::Park {
                 self.twin.steer(self.outputs.park(), self.twin.next_s());
             }
         }
@@ -139,11 +137,10 @@ const MIN_SILENCE_NS: i64 = 20_000_000;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
-        acquisition::Scan,
-        clock::{Clock, manual::ManualClock},
-        config::{Config, Fault, FaultKind},
-    };
+    use crate::acquisition::Scan;
+    use crate::clock::Clock;
+    use crate::clock::manual::ManualClock;
+    use crate::config::{Config, Fault, FaultKind};
 
     const MS: i64 = 1_000_000;
 
@@ -187,7 +184,7 @@ mod tests {
             }
         }
 
-        fn command(&mut self, codes: [i32; 2], on_expiry: Expiry) {
+        fn command(&mut self, codes: [i32; 2], on_expiry: LeaseAction) {
             let command = OutputCommand { id: 9, codes, lease_ms: 50, on_expiry };
             let now = self.clock.now();
             self.source.steer(command, now);
@@ -260,8 +257,8 @@ mod tests {
     async fn commands_move_the_stage_and_are_answered() {
         let mut bench = bench(&[]);
         bench.now().await;
-        bench.command([6554, 0], Expiry::Hold);
-        bench.command([40_000, 0], Expiry::Hold);
+        bench.command([6554, 0], LeaseAction::Hold);
+        bench.command([40_000, 0], LeaseAction::Hold);
         let events = bench.now().await;
         assert_eq!(events, [true, false].map(|accepted| Event::Ack(Ack { id: 9, accepted })));
         let last = *scans(&bench.run(200).await).last().unwrap();
@@ -273,7 +270,7 @@ mod tests {
     async fn at_the_end_of_the_lease_the_stage_parks_by_itself() {
         let mut bench = bench(&[]);
         bench.now().await;
-        bench.command([6554, 0], Expiry::Park);
+        bench.command([6554, 0], LeaseAction::Park);
         let scans = scans(&bench.run(80).await);
         assert!((readback_um(&scans[48]) - 100.0).abs() < 1.0);
         assert!((readback_um(&scans[70]) - 250.0).abs() < 1.0);
@@ -283,7 +280,7 @@ mod tests {
     async fn a_stalled_board_does_not_answer() {
         let mut bench = bench(&[Fault { at_s: 0.0, for_s: Some(0.01), kind: FaultKind::Stalled }]);
         bench.now().await;
-        bench.command([1, 1], Expiry::Hold);
+        bench.command([1, 1], LeaseAction::Hold);
         assert!(bench.now().await.is_empty());
     }
 }

@@ -7,10 +7,10 @@ use std::f64::consts::TAU;
 
 use rand::RngExt;
 use rand_pcg::Pcg64;
+use trifacet_optics::Pose;
 
 use super::{TwinError, random};
 use crate::config::{Motion, MotionKind};
-use trifacet_optics::Pose;
 
 /// Sines that make up a vibration. With one in each of so many slices of the band, the sum is close to
 /// normally distributed and repeats only after the inverse of the slice's width, if at all.

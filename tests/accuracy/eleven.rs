@@ -1,8 +1,9 @@
 //! Eleven signals: the steering position, read back, counts as two more.
 
 use nalgebra::Vector6;
-use trifacet::estimation::{PoseReport, Status};
+use trifacet::estimation::PoseReport;
 use trifacet::twin::Scene;
+use trifacet_wire::Status;
 
 use crate::SAMPLES;
 use crate::bench::{Bench, stated};

@@ -1,6 +1,6 @@
 //! Steps of the laser's power under a converter that takes its channels one after the other.
 
-use trifacet::estimation::Status;
+use trifacet_wire::Status;
 
 use crate::bench::Bench;
 use crate::eleven::worst;

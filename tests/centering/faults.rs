@@ -5,10 +5,9 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
-use trifacet::centering::LockState;
 use trifacet::config::{Axis, Config, Fault, FaultKind, Motion, MotionKind};
-use trifacet::estimation::Status;
 use trifacet::rig::{Rig, Turn};
+use trifacet_wire::{LockState, Status};
 
 use crate::{bench, motion, wide_bench};
 

@@ -2,9 +2,9 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
-use trifacet::centering::LockState;
 use trifacet::config::{Axis, Config, MotionKind};
 use trifacet::rig::Rig;
+use trifacet_wire::LockState;
 
 use crate::{motion, wide_bench};
 

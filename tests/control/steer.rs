@@ -1,8 +1,8 @@
 //! The loop: mode, setpoint, gains.
 
 use serde_json::{Value, json};
-use trifacet::centering::LockState;
 use trifacet::exit;
+use trifacet_wire::LockState;
 
 use crate::fixture::{AT_REST, Daemon};
 

@@ -1,7 +1,7 @@
 //! Tare and frames.
 
-use trifacet::estimation::Status;
 use trifacet::exit;
+use trifacet_wire::Status;
 
 use crate::fixture::{AT_REST, Daemon};
 

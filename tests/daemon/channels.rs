@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use trifacet::estimation::Status;
+use trifacet_wire::Status;
 
 use crate::fixture::{Daemon, Frame, errors, truth};
 

@@ -1,6 +1,6 @@
 //! What the daemon says of light that lies: a displaced laser, a power that steps, a burst of noise.
 
-use trifacet::estimation::Status;
+use trifacet_wire::Status;
 
 use crate::fixture::{Daemon, Frame, truth};
 

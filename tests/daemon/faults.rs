@@ -5,8 +5,7 @@
 //! the daemon, and so does everything else that the machine does meanwhile. That noise can only make it
 //! later: so of several attempts the quickest counts, and each of them must be right in all else.
 
-use trifacet::centering::LockState;
-use trifacet::estimation::Status;
+use trifacet_wire::{LockState, Status};
 
 use crate::fixture::{Board, Daemon, Frame, Stream, now_ns, stamp_ns};
 

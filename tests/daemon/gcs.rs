@@ -3,7 +3,8 @@
 //! The light is that of the twin, which does not see the stage: the loop asks for more and more, up to
 //! the limits.
 
-use std::{path::Path, time::Duration};
+use std::path::Path;
+use std::time::Duration;
 
 use rustix::process::Signal;
 use serde_json::Value;

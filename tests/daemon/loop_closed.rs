@@ -1,7 +1,6 @@
 //! The beam comes to the apex and stays there, and the lock state says what is so.
 
-use trifacet::centering::LockState;
-use trifacet::estimation::Status;
+use trifacet_wire::{LockState, Status};
 
 use crate::fixture::{Board, Daemon, Frame, Stream, mean};
 

@@ -1,7 +1,7 @@
 //! What a daemon on its twin sends, and how it starts and ends.
 
 use rustix::process::Signal;
-use trifacet::estimation::Status;
+use trifacet_wire::Status;
 
 use crate::fixture::{Daemon, Frame, Stream, errors, mean, now_ns, truth};
 

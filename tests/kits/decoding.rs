@@ -1,17 +1,13 @@
 //! The same datagrams through all decoders.
 
-use std::{
-    io::{Seek, Write},
-    process::Command,
-};
+use std::io::{Seek, Write};
+use std::process::Command;
 
 use serde_json::{Value, json};
 use trifacet::client::{FrameError, PoseFrame};
 
-use crate::{
-    fixture::{Daemon, datagrams, frames_over_tcp},
-    tools::{compile, python, succeeded},
-};
+use crate::fixture::{Daemon, datagrams, frames_over_tcp};
+use crate::tools::{compile, python, succeeded};
 
 /// Undefined behaviour ends the program.
 const UNDEFINED_TRAPS: [&str; 2] = ["-fsanitize=undefined", "-fsanitize-undefined-trap-on-error"];

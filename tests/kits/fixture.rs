@@ -1,13 +1,11 @@
 //! A daemon on its twin whose light is blocked for a while, and what it sends.
 
-use std::{
-    fmt::Write as _,
-    io::{BufRead, BufReader, Read, Write},
-    net::{TcpStream, UdpSocket},
-    process::{Child, Command, Stdio},
-    sync::OnceLock,
-    time::Duration,
-};
+use std::fmt::Write as _;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpStream, UdpSocket};
+use std::process::{Child, Command, Stdio};
+use std::sync::OnceLock;
+use std::time::Duration;
 
 use tempfile::TempDir;
 

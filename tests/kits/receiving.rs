@@ -1,23 +1,18 @@
 //! The kits as receivers: beside a running daemon, and of a stream with every kind of loss.
 
-use std::{
-    io::{BufRead, BufReader, Read, Write},
-    net::{TcpListener, UdpSocket},
-    process::{Command, Stdio},
-    thread::sleep,
-    time::Duration,
-};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, UdpSocket};
+use std::process::{Command, Stdio};
+use std::thread::sleep;
+use std::time::Duration;
 
 use serde_json::Value;
-use trifacet::{
-    client::PoseFrame,
-    publishing::message::{Decoder, Kind, json},
-};
+use trifacet::client::PoseFrame;
+use trifacet_wire::message::Kind;
+use trifacet_wire::stream::{Decoder, json};
 
-use crate::{
-    fixture::{Daemon, PATIENCE, Running, datagrams, receive, udp_socket},
-    tools::{compile, python, succeeded},
-};
+use crate::fixture::{Daemon, PATIENCE, Running, datagrams, receive, udp_socket};
+use crate::tools::{compile, python, succeeded};
 
 /// A program of a kit that has opened its port.
 struct Receiver {

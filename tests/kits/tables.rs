@@ -1,16 +1,11 @@
 //! What the kits repeat of the stream's tables is what the code says.
 
 use serde_json::{Value, json};
-use trifacet::{
-    centering::LockState,
-    estimation::Status,
-    publishing::layout::{FIELDS, FRAME_SIZE},
-};
+use trifacet_wire::layout::{FIELDS, FRAME_SIZE};
+use trifacet_wire::{LockState, Status};
 
-use crate::{
-    fixture::datagrams,
-    tools::{python_with_packages, read, succeeded},
-};
+use crate::fixture::datagrams;
+use crate::tools::{python_with_packages, read, succeeded};
 
 #[test]
 fn python_knows_every_status_bit_lock_state_and_field() {

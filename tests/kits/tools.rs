@@ -1,10 +1,8 @@
 //! The programs that the kits are made for. A missing one fails the test: it would have tested nothing.
 
-use std::{
-    path::{Path, PathBuf},
-    process::Command,
-    sync::OnceLock,
-};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::OnceLock;
 
 use tempfile::TempDir;
 

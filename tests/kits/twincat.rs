@@ -1,10 +1,8 @@
 //! The TwinCAT kit: its type has the layout of the stream's byte table, its constants are those of the
 //! code, and TwinCAT's grammar accepts every file. No PLC runs here.
 
-use trifacet::{
-    estimation::Status,
-    publishing::layout::{FIELDS, FRAME_SIZE},
-};
+use trifacet_wire::Status;
+use trifacet_wire::layout::{FIELDS, FRAME_SIZE};
 
 use crate::tools::{python_with_packages, read, root, succeeded};
 

@@ -1,19 +1,15 @@
 //! Healthy, ready, and the way there and back.
 
-use std::{
-    io::{BufRead, BufReader, Write},
-    net::SocketAddr,
-    path::Path,
-    process::{Child, ChildStdin, Command, Stdio},
-};
+use std::io::{BufRead, BufReader, Write};
+use std::net::SocketAddr;
+use std::path::Path;
+use std::process::{Child, ChildStdin, Command, Stdio};
 
 use serde_json::Value;
 use tempfile::NamedTempFile;
 
-use crate::{
-    fixture::{Board, Daemon, now_ns},
-    page::{get, monitor, nothing_stays_green, opened, until},
-};
+use crate::fixture::{Board, Daemon, now_ns};
+use crate::page::{get, monitor, nothing_stays_green, opened, until};
 
 const ON: &str = "monitor.listen = \"127.0.0.1:0\"\n";
 

@@ -1,16 +1,12 @@
 //! What the metrics say, held against the documents, the stream and the dashboard.
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    path::Path,
-};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
 use serde_json::Value;
 
-use crate::{
-    fixture::{Daemon, Stream},
-    page::{Metrics, monitor, until},
-};
+use crate::fixture::{Daemon, Stream};
+use crate::page::{Metrics, monitor, until};
 
 fn read(path: &str) -> String {
     std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).unwrap()

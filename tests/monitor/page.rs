@@ -1,21 +1,17 @@
 //! A client as small as can be: one request, one answer.
 
-use std::{
-    collections::BTreeMap,
-    io::{Read, Write},
-    net::{SocketAddr, TcpStream},
-    path::{Path, PathBuf},
-    process::{Command, Stdio},
-    sync::OnceLock,
-};
+use std::collections::BTreeMap;
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::OnceLock;
 
 use serde::Deserialize;
 use serde_json::Value;
 
-use crate::{
-    fixture::{Daemon, PATIENCE},
-    venv,
-};
+use crate::fixture::{Daemon, PATIENCE};
+use crate::venv;
 
 /// An answer.
 #[derive(Debug)]

@@ -1,15 +1,11 @@
 //! Who is let in, and what it costs the others.
 
-use std::{
-    io::Read,
-    net::{SocketAddr, TcpListener, TcpStream},
-    process::Command,
-};
+use std::io::Read;
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::process::Command;
 
-use crate::{
-    fixture::{Daemon, PATIENCE, Stream},
-    page::{Metrics, ask, get, monitor, until},
-};
+use crate::fixture::{Daemon, PATIENCE, Stream};
+use crate::page::{Metrics, ask, get, monitor, until};
 
 const ON: &str = "monitor.listen = \"127.0.0.1:0\"";
 

@@ -1,14 +1,14 @@
 //! A task that makes no turns: nothing stays green, and everybody hears which it is.
 
-use std::{net::SocketAddr, path::Path, process::Command};
+use std::net::SocketAddr;
+use std::path::Path;
+use std::process::Command;
 
 use serde_json::Value;
-use trifacet::{centering::LockState, estimation::Status};
+use trifacet_wire::{LockState, Status};
 
-use crate::{
-    fixture::{Daemon, Stream, now_ns},
-    page::{get, monitor, nothing_stays_green, until},
-};
+use crate::fixture::{Daemon, Stream, now_ns};
+use crate::page::{get, monitor, nothing_stays_green, until};
 
 /// A daemon that leaves time to look before it ends, where its stream is, and its pages.
 fn daemon(folder: &Path) -> (Daemon, SocketAddr, SocketAddr) {

@@ -2,8 +2,8 @@
 
 use std::f64::consts::{FRAC_PI_4, TAU};
 
-use trifacet::optics::beam::Split;
-use trifacet::optics::{Head, Model, Optics, Pose, TraceError, Vec2, Vec3};
+use trifacet_optics::beam::Split;
+use trifacet_optics::{Head, Model, Optics, Pose, TraceError, Vec2, Vec3};
 
 use crate::heads::{self, Draw};
 

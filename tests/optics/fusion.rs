@@ -1,7 +1,7 @@
 //! Eleven signals against weighted least squares by brute force.
 
 use nalgebra::{SMatrix, SVector};
-use trifacet::optics::{Estimator, Innovation, Model, Noise, Optics, Pose, Sighting, Vec2};
+use trifacet_optics::{Estimator, Innovation, Model, Noise, Optics, Pose, Sighting, Vec2};
 
 use crate::heads::{self, Draw};
 use crate::slopes::{Unknowns, differences};

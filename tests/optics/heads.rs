@@ -6,7 +6,7 @@ use nalgebra::{Rotation3, Unit};
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64Mcg;
-use trifacet::optics::{
+use trifacet_optics::{
     Estimator, Head, Model, Optics, Pose, Psd, Reading, Signals, Solution, TraceError, Vec2, Vec3,
 };
 

@@ -1,7 +1,7 @@
 //! Warm starts from far away, and signals that mean nothing: the right pose or a reason, never another pose.
 
 use proptest::prelude::*;
-use trifacet::optics::{
+use trifacet_optics::{
     Estimator, Head, HeadError, Model, Optics, Pose, Psd, Signals, SolveError, Vec2, Vec3,
 };
 

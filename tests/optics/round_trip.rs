@@ -1,6 +1,6 @@
 //! Signals of known states, solved from a cold start.
 
-use trifacet::optics::{Estimator, Model, Optics};
+use trifacet_optics::{Estimator, Model, Optics};
 
 use crate::heads::{self, Draw};
 

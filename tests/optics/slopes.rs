@@ -1,7 +1,7 @@
 //! Derivatives against central differences of the traced signals.
 
 use nalgebra::{SMatrix, SVector};
-use trifacet::optics::{Estimator, Model, Optics, Pose, Vec2};
+use trifacet_optics::{Estimator, Model, Optics, Pose, Vec2};
 
 use crate::heads::{self, Draw, State};
 

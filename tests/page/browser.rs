@@ -1,16 +1,15 @@
 //! Chromium without a window, told what to do by the DevTools protocol.
 
-use std::{
-    io::{BufRead, BufReader},
-    net::TcpStream,
-    path::Path,
-    process::{Child, Command, Stdio},
-    sync::Once,
-    time::Duration,
-};
+use std::io::{BufRead, BufReader};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::Once;
+use std::time::Duration;
 
 use serde_json::{Value, json};
-use tungstenite::{Message, WebSocket, stream::MaybeTlsStream};
+use tungstenite::stream::MaybeTlsStream;
+use tungstenite::{Message, WebSocket};
 
 use crate::fixture::PATIENCE;
 

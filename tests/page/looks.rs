@@ -4,9 +4,12 @@
 //! cargo test --test page portrait -- --ignored
 //! ```
 
-use std::{collections::BTreeSet, path::Path, time::Duration};
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::time::Duration;
 
-use crate::{DESK, FINE, daemon, fixture::PATIENCE, page};
+use crate::fixture::PATIENCE;
+use crate::{DESK, FINE, daemon, page};
 
 /// Everything fits into the width of the window: nothing is cut off, and nothing lies over anything else.
 pub(crate) const MISFITS: &str = "(() => {

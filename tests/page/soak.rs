@@ -10,7 +10,9 @@ use std::time::Duration;
 use serde_json::json;
 use tungstenite::Message;
 
-use crate::{browser::Browser, daemon, page, socket::connect};
+use crate::browser::Browser;
+use crate::socket::connect;
+use crate::{daemon, page};
 
 /// The past that the daemon keeps for charts, MB, with room for what its containers hold in reserve.
 const PAST_MB: f64 = 8.0;

@@ -1,15 +1,16 @@
 //! What a viewer costs, and who may be one.
 
-use std::{
-    io::Read,
-    net::{SocketAddr, TcpStream},
-    time::Duration,
-};
+use std::io::Read;
+use std::net::{SocketAddr, TcpStream};
+use std::time::Duration;
 
 use serde_json::Value;
-use tungstenite::{Message, WebSocket, client::IntoClientRequest, error::Error};
+use tungstenite::client::IntoClientRequest;
+use tungstenite::error::Error;
+use tungstenite::{Message, WebSocket};
 
-use crate::{daemon, fixture::PATIENCE};
+use crate::daemon;
+use crate::fixture::PATIENCE;
 
 type Socket = WebSocket<TcpStream>;
 

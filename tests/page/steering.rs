@@ -1,14 +1,13 @@
 //! The page steers only where it may, and only for whoever knows the token.
 
-use std::{
-    io::{Read, Write},
-    net::{SocketAddr, TcpStream},
-};
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
 
 use serde_json::Value;
-use trifacet::centering::LockState;
+use trifacet_wire::LockState;
 
-use crate::{daemon, fixture::PATIENCE, page};
+use crate::fixture::PATIENCE;
+use crate::{daemon, page};
 
 const TOKEN: &str = "an-honest-secret-of-the-lab";
 

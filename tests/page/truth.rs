@@ -1,15 +1,11 @@
 //! That the page tells the truth, soon, and stops telling anything when it knows nothing.
 
 use serde_json::Value;
-use trifacet::estimation::Status;
+use trifacet_wire::Status;
 
-use crate::{
-    DESK, FINE,
-    browser::Browser,
-    daemon,
-    fixture::{Daemon, Stream},
-    page,
-};
+use crate::browser::Browser;
+use crate::fixture::{Daemon, Stream};
+use crate::{DESK, FINE, daemon, page};
 
 /// What the table of poses shows, with the frame that it is of.
 fn shown(page: &mut Browser) -> Value {

@@ -1,10 +1,8 @@
 //! `trifacet ctl record`, rotation, budget, and what is refused.
 
-use std::{
-    io::{Read as _, Write as _},
-    net::TcpStream,
-    process::Command,
-};
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
+use std::process::Command;
 
 use crate::fixture::{Content, Daemon, recordings, same};
 

@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use trifacet::estimation::Status;
+use trifacet_wire::Status;
 
 use crate::fixture::{Content, Daemon, recordings};
 

@@ -1,21 +1,21 @@
 //! A daemon that records, and what is in its files.
 
-use std::{
-    io::{BufRead, BufReader},
-    net::UdpSocket,
-    os::unix::process::CommandExt,
-    path::{Path, PathBuf},
-    process::{Child, Command, ExitStatus, Stdio},
-    sync::{Arc, Mutex, mpsc},
-    time::Duration,
-};
+use std::io::{BufRead, BufReader};
+use std::net::UdpSocket;
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Mutex, mpsc};
+use std::time::Duration;
 
-use mcap::{MessageStream, read::Options};
+use mcap::MessageStream;
+use mcap::read::Options;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use trifacet::client::PoseFrame;
 use trifacet::recording::codec::{Decoder, read};
-use trifacet::recording::{Entry, Topic, message::Gap};
+use trifacet::recording::message::Gap;
+use trifacet::recording::{Entry, Topic};
 
 /// Longer than anything here takes on the slowest machine.
 pub(crate) const PATIENCE: Duration = Duration::from_mins(1);

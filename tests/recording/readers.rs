@@ -1,18 +1,14 @@
 //! Programs that others wrote read what we record, and find in it what the stream said, bit by bit.
 
-use std::{
-    collections::{BTreeMap, HashMap},
-    fmt::Write as _,
-    process::Command,
-};
+use std::collections::{BTreeMap, HashMap};
+use std::fmt::Write as _;
+use std::process::Command;
 
 use trifacet::client::PoseFrame;
-use trifacet::estimation::Status;
+use trifacet_wire::Status;
 
-use crate::{
-    fixture::{Content, Daemon, recordings, same},
-    venv,
-};
+use crate::fixture::{Content, Daemon, recordings, same};
+use crate::venv;
 
 const PACKAGES: [&str; 3] = ["mcap==1.6.0", "mcap-ros2-support==0.6.0", "rosbags==0.11.9"];
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
-use trifacet::estimation::Status;
+use trifacet_wire::Status;
 
 use crate::fixture::{Content, Daemon, recordings, same};
 

@@ -9,9 +9,9 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use trifacet::client::PoseFrame;
 use trifacet::clock::{Clock, SystemClock};
-use trifacet::estimation::Status;
 use trifacet::recording::reader::{Read, Reader};
 use trifacet::recording::{Entry, Topic};
+use trifacet_wire::Status;
 
 use crate::fixture::{Done, Lab, on, run, trifacet};
 

@@ -4,9 +4,8 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 
 use serde_json::Value;
-use trifacet::centering::LockState;
 use trifacet::client::PoseFrame;
-use trifacet::estimation::Status;
+use trifacet_wire::{LockState, Status};
 
 use crate::daemon::{Daemon, bytes, frames};
 use crate::fixture::{Lab, on, run, trifacet};

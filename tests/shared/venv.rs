@@ -1,10 +1,8 @@
 //! Python with packages, which are installed under `target/` once.
 
-use std::{
-    fs::File,
-    path::{Path, PathBuf},
-    process::{Command, Output},
-};
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
 
 /// The Python of a virtual environment in which these modules can be imported; made of these packages
 /// where it is not there yet.

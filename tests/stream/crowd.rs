@@ -1,16 +1,16 @@
 //! Many clients of a daemon at once: none of them costs another one a frame, or the daemon a sample.
 
-use std::{net::SocketAddr, time::Duration};
+use std::net::SocketAddr;
+use std::time::Duration;
 
-use tokio::{
-    io::{AsyncReadExt, AsyncWriteExt},
-    net::{TcpSocket, TcpStream},
-    task::JoinSet,
-    time::{sleep, timeout},
-};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpSocket, TcpStream};
+use tokio::task::JoinSet;
+use tokio::time::{sleep, timeout};
 use trifacet::client::{Client, Endpoint, Heartbeat, Losses, Message};
 
-use crate::{daemon::Daemon, fixture::PATIENCE};
+use crate::daemon::Daemon;
+use crate::fixture::PATIENCE;
 
 async fn connect(address: SocketAddr) -> Client {
     let mut client = Client::connect(&Endpoint::Tcp(address.to_string())).await.unwrap();

@@ -1,14 +1,14 @@
 //! `trifacet doctor`: each trouble is named, with what to do.
 
-use std::{
-    io::Write,
-    net::{TcpListener, UdpSocket},
-    process::Command,
-};
+use std::io::Write;
+use std::net::{TcpListener, UdpSocket};
+use std::process::Command;
 
-use trifacet::{client::PoseFrame, exit};
+use trifacet::client::PoseFrame;
+use trifacet::exit;
 
-use crate::{daemon::Daemon, fixture::frame};
+use crate::daemon::Daemon;
+use crate::fixture::frame;
 
 /// Exit code, and what it says.
 fn doctor(args: &[&str]) -> (i32, String) {

@@ -1,11 +1,10 @@
 //! `docs/stream.md` is true: its tables are those of the code, its example decodes and comes back byte for byte.
 
-use trifacet::{
-    centering::LockState,
-    client::PoseFrame,
-    estimation::Status,
-    publishing::{endian::big_endian, layout::FIELDS, message::Decoder, request::Command, subscription::Ask},
-};
+use trifacet::client::PoseFrame;
+use trifacet_wire::byte_order::big_endian;
+use trifacet_wire::layout::FIELDS;
+use trifacet_wire::stream::{ClientCommand, Decoder, SubscriptionRequest};
+use trifacet_wire::{LockState, Status};
 
 const DOCUMENT: &str = include_str!("../../docs/stream.md");
 
@@ -99,17 +98,20 @@ fn what_can_be_said_is_documented_and_understood() {
     let commands = first_words("## TCP: lines");
     assert_eq!(commands[1..6], ["pose?", "status?", "descriptor?", "help", "bye"]);
     for command in &commands[1..6] {
-        Command::parse(command.as_bytes()).unwrap();
+        ClientCommand::parse(command.as_bytes()).unwrap();
     }
     let options = first_words("Options of `stream`");
     for option in ["format", "divider", "rate_hz", "fields", "held"] {
         assert!(options.iter().any(|o| o.starts_with(&format!("{option}="))), "{options:?} lack {option}");
-        assert!(Command::help().contains(&format!("{option}=")));
+        assert!(ClientCommand::help().contains(&format!("{option}=")));
     }
     assert_eq!(options.len(), 5);
     // What the examples of a subscription say is understood too.
     let asks = DOCUMENT.lines().filter_map(|l| l.strip_prefix("> ")).filter(|l| l.contains("subscribe "));
-    assert_eq!(asks.filter(|ask| matches!(Ask::parse(ask.as_bytes()), Some(Ok(_)))).count(), 3);
+    assert_eq!(
+        asks.filter(|ask| matches!(SubscriptionRequest::parse(ask.as_bytes()), Some(Ok(_)))).count(),
+        3
+    );
 }
 
 #[test]

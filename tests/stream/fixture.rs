@@ -1,21 +1,20 @@
 //! A TCP server with frames made by hand.
 
-use std::{net::SocketAddr, sync::Arc, time::Duration};
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
 
-use tokio::{sync::mpsc, task::JoinHandle};
+use tokio::sync::mpsc;
+use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
-use trifacet::{
-    centering::LockState,
-    client::PoseFrame,
-    config::Model,
-    estimation::Status,
-    monitor::Counters,
-    publishing::{
-        Descriptor, StreamId,
-        descriptor::StreamFacts,
-        tcp::{self, Limits},
-    },
-};
+use trifacet::client::PoseFrame;
+use trifacet::config::Model;
+use trifacet::monitor::Counters;
+use trifacet::publishing::StreamId;
+use trifacet::publishing::descriptor::StreamFacts;
+use trifacet::publishing::tcp::{self, Limits};
+use trifacet_wire::stream::Descriptor;
+use trifacet_wire::{LockState, Status};
 
 /// Long enough for any machine; nothing here waits so long unless it hangs.
 pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
@@ -47,13 +46,8 @@ pub(crate) async fn start(limits: Limits) -> Server {
 }
 
 pub(crate) fn descriptor() -> Descriptor {
-    Descriptor::new(StreamFacts {
-        id: ID,
-        sample_rate_hz: 1000.0,
-        average: 1,
-        model: Model::Gaussian,
-        calibrated: false,
-    })
+    StreamFacts { id: ID, sample_rate_hz: 1000.0, average: 1, model: Model::Gaussian, calibrated: false }
+        .descriptor()
 }
 
 /// A plain, valid frame.

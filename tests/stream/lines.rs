@@ -1,18 +1,15 @@
 //! What TCP clients say and hear in lines of text.
 
-use std::{net::SocketAddr, time::Duration};
+use std::net::SocketAddr;
+use std::time::Duration;
 
 use serde_json::Value;
-use tokio::{
-    io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader},
-    net::TcpStream,
-    time::timeout,
-};
-use trifacet::{
-    client::{Client, Message, Options, Pace, PoseFrame},
-    estimation::Status,
-    publishing::tcp::Limits,
-};
+use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
+use tokio::net::TcpStream;
+use tokio::time::timeout;
+use trifacet::client::{Client, Message, Options, Pace, PoseFrame};
+use trifacet::publishing::tcp::Limits;
+use trifacet_wire::Status;
 
 use crate::fixture::{PATIENCE, Server, frame, start};
 
@@ -165,7 +162,7 @@ async fn a_binary_stream_can_be_held_and_divided_and_answers_within() {
     assert!(frames[1].deviations.iter().all(|d| *d == f32::INFINITY));
     assert_eq!(client.losses().missed_frames, 0, "a divided sequence has no gaps");
 
-    let mut decoder = trifacet::publishing::message::Decoder::default();
+    let mut decoder = trifacet_wire::stream::Decoder::default();
     loop {
         match decoder.next_message() {
             Some(Ok(Message::Answer(answer))) => {

@@ -1,20 +1,15 @@
 //! The TCP server and its client over real loopback sockets.
 
-use std::{net::SocketAddr, time::Duration};
+use std::net::SocketAddr;
+use std::time::Duration;
 
-use tokio::{
-    io::{AsyncReadExt, AsyncWriteExt},
-    net::{TcpSocket, TcpStream},
-    time::timeout,
-};
-use trifacet::{
-    client::{Client, ClientError, Endpoint, Heartbeat, Losses, Message},
-    exit,
-    publishing::{
-        message::Decoder,
-        tcp::{self, Limits},
-    },
-};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpSocket, TcpStream};
+use tokio::time::timeout;
+use trifacet::client::{Client, ClientError, Endpoint, Heartbeat, Losses, Message};
+use trifacet::exit;
+use trifacet::publishing::tcp::{self, Limits};
+use trifacet_wire::stream::Decoder;
 
 use crate::fixture::{PATIENCE, Server, descriptor, frame, start};
 

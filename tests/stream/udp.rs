@@ -1,17 +1,14 @@
 //! Datagrams of a daemon: targets with options, multicast, leased subscriptions.
 
-use std::{
-    net::{SocketAddr, UdpSocket},
-    time::Duration,
-};
+use std::net::{SocketAddr, UdpSocket};
+use std::time::Duration;
 
 use tokio::time::timeout;
-use trifacet::{
-    client::{Backoff, Client, ClientError, Endpoint, Losses, Message, Options, Pace, PoseFrame},
-    estimation::Status,
-};
+use trifacet::client::{Backoff, Client, ClientError, Endpoint, Losses, Message, Options, Pace, PoseFrame};
+use trifacet_wire::Status;
 
-use crate::{daemon::Daemon, fixture::PATIENCE};
+use crate::daemon::Daemon;
+use crate::fixture::PATIENCE;
 
 fn receiver() -> UdpSocket {
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();

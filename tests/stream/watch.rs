@@ -1,13 +1,14 @@
 //! `trifacet watch` as a user runs it.
 
-use std::{
-    io::{BufRead, BufReader},
-    net::{SocketAddr, UdpSocket},
-    process::{Command, Output, Stdio},
-    time::Duration,
-};
+use std::io::{BufRead, BufReader};
+use std::net::{SocketAddr, UdpSocket};
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
 
-use trifacet::{client::PoseFrame, estimation::Status, exit, publishing::tcp::Limits};
+use trifacet::client::PoseFrame;
+use trifacet::exit;
+use trifacet::publishing::tcp::Limits;
+use trifacet_wire::Status;
 
 use crate::fixture::{frame, start};
 

@@ -68,8 +68,9 @@ impl Sequence {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use proptest::prelude::*;
+
+    use super::*;
 
     fn new(index: u64, lost: u32) -> Arrival {
         Arrival::New { index, lost }

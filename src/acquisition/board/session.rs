@@ -1,18 +1,19 @@
 //! The host's side of the conversation, without the wire: bytes and times in, events and bytes out.
 
-use std::{collections::VecDeque, sync::Arc};
+use std::collections::VecDeque;
+use std::sync::Arc;
 
-use super::{
-    Answer, Arrival, BoardIdentity, Deframer, MessageError, Request, Sequence,
-    message::{BoardScan, ErrorReason, Reply, StartResult},
-    tally::{Mishap, Tally},
-};
-use crate::{
-    acquisition::{Down, Event, OutputCommand, Scan, timebase::Timebase},
-    clock::{Mono, NS_PER_S},
-    config::{Config, SteeringKind},
-    monitor::Counters,
-};
+use trifacet_wire::actuator::OutputCommand;
+use trifacet_wire::board::message::{BoardScan, ErrorReason, Reply, StartResult};
+use trifacet_wire::board::{Answer, BoardIdentity, Deframer, MessageError, Request};
+
+use super::tally::{Mishap, Tally};
+use super::{Arrival, Sequence, compatibility};
+use crate::acquisition::timebase::Timebase;
+use crate::acquisition::{Down, Event, Scan};
+use crate::clock::{Mono, NS_PER_S};
+use crate::config::{Config, SteeringKind};
+use crate::monitor::Counters;
 
 const MS: i64 = NS_PER_S / 1000;
 /// How long a board may take to answer, milliseconds.
@@ -256,10 +257,10 @@ impl Session {
     }
 
     fn identified(&mut self, board: BoardIdentity, now: Mono) {
-        if let Err(reason) = board.check(&self.settings) {
+        if let Err(reason) = compatibility::check(&board, &self.settings) {
             return self.unfit(format!("{}: {reason}", board.name), now);
         }
-        let park = board.output_codes(self.settings.park);
+        let park = compatibility::output_codes(&board, self.settings.park);
         let rate_mhz = (self.settings.rate_hz * 1e3).round() as u32;
         Request::Start { rate_mhz, park }.encode(&mut self.out);
         self.state = State::Starting { board, until: now + i64::from(ANSWER_MS) * MS };
@@ -286,7 +287,7 @@ impl Session {
         });
         tracing::debug!("board started: {}, {} channels at {rate_hz} Hz", board.name, board.roles.len());
         self.told = None;
-        self.events.push_back(Event::Up(board.identity(rate_hz)));
+        self.events.push_back(Event::Up(compatibility::identity(&board, rate_hz)));
     }
 
     fn scanned(&mut self, scan: &BoardScan, now: Mono) {

@@ -2,10 +2,8 @@
 
 use std::sync::Arc;
 
-use crate::{
-    clock::{Mono, NS_PER_S},
-    monitor::Counters,
-};
+use crate::clock::{Mono, NS_PER_S};
+use crate::monitor::Counters;
 
 /// What goes wrong between the board and here; in the order of the names below.
 #[derive(Clone, Copy, Debug)]

@@ -14,11 +14,10 @@
 //!                         waiting: held
 //! ```
 
-mod state;
 #[cfg(test)]
 mod tests;
 
-pub use state::LockState;
+use trifacet_wire::LockState;
 
 use crate::config::{CenteringConfig, LoopMode};
 

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
+use trifacet::centering::Tuning;
+use trifacet::centering::search::Spiral;
 use trifacet::config::{Config, GcsConfig, LoopMode, OnExit, SourceKind, SteeringKind, Target};
-
-use trifacet::centering::{Tuning, search::Spiral};
 
 use super::Lines;
 

@@ -1,11 +1,8 @@
 //! What the frames themselves say.
 
-use trifacet::{
-    centering::LockState,
-    client::{Descriptor, Heartbeat, Losses, PoseFrame},
-    estimation::Status,
-    publishing::columns::rfc3339,
-};
+use trifacet::client::{Descriptor, Heartbeat, Losses, PoseFrame};
+use trifacet::publishing::columns::rfc3339;
+use trifacet_wire::{LockState, Status};
 
 use super::Report;
 

@@ -1,18 +1,17 @@
 //! What is wrong between here and the daemon.
 
-use std::{io, net::SocketAddr, time::Duration};
+use std::io;
+use std::net::SocketAddr;
+use std::time::Duration;
 
-use tokio::{
-    io::{AsyncBufReadExt, AsyncWriteExt, BufReader},
-    net::TcpStream,
-    time::timeout,
-};
-use trifacet::{
-    client::{ClientError, Endpoint, Losses, MessageError},
-    config::Config,
-};
+use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
+use tokio::net::TcpStream;
+use tokio::time::timeout;
+use trifacet::client::{ClientError, Endpoint, Losses, MessageError};
+use trifacet::config::Config;
 
-use super::{Report, frames::Seen, port};
+use super::frames::Seen;
+use super::{Report, port};
 
 /// The endpoint cannot be opened.
 pub(super) fn not_open(endpoint: &Endpoint, error: &ClientError, config: &Config, report: &mut Report) {

@@ -1,10 +1,8 @@
 //! A symbolic link to a port, gone when the port is.
 
-use std::{
-    fs, io,
-    os::unix::fs::symlink,
-    path::{Path, PathBuf},
-};
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::{fs, io};
 
 use trifacet::exit::{Failure, IO};
 

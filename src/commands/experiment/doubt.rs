@@ -64,8 +64,8 @@ fn mean<'l>(axis: usize, looks: impl Iterator<Item = &'l Look>) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use trifacet::config::Axis;
-    use trifacet::estimation::Status;
     use trifacet::experiment::reading::Part;
+    use trifacet_wire::Status;
 
     use super::*;
 

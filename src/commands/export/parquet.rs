@@ -9,7 +9,6 @@ use parquet::errors::{ParquetError, Result};
 use parquet::file::properties::WriterProperties;
 use parquet::file::writer::{SerializedColumnWriter, SerializedFileWriter};
 use parquet::schema::types::Type;
-
 use trifacet::publishing::columns::Value;
 
 use super::{Row, Table};

@@ -2,7 +2,8 @@
 
 use trifacet::acquisition::{PsdState, Sample, Scan};
 use trifacet::centering::LoopState;
-use trifacet::publishing::columns::{POWERS, SPOTS, Value};
+use trifacet::publishing::columns::Value;
+use trifacet_wire::layout::{POWERS, SPOTS};
 
 use super::Row;
 

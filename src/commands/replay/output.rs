@@ -11,7 +11,8 @@ use trifacet::recording::Entry;
 use trifacet::recording::codec::Encoder;
 use trifacet::recording::reader::Gap;
 use trifacet::recording::writer::{RecordError, Writer};
-use trifacet::replay::{Engine, verdict::Pair};
+use trifacet::replay::Engine;
+use trifacet::replay::verdict::Pair;
 
 use crate::commands::new_file::{NewFile, cannot_write};
 

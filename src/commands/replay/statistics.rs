@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use trifacet::estimation::Status;
 use trifacet::replay::verdict::Pair;
+use trifacet_wire::Status;
 
 const AXES: [(&str, &str); 6] =
     [("tx", "um"), ("ty", "um"), ("tz", "um"), ("roll", "urad"), ("pitch", "urad"), ("yaw", "urad")];

@@ -1,9 +1,8 @@
 //! What `trifacet status` says, as text.
 
 use serde_json::Value;
-use trifacet::centering::LockState;
 use trifacet::client::PoseFrame;
-use trifacet::estimation::Status;
+use trifacet_wire::{LockState, Status};
 
 use super::Known;
 
@@ -195,8 +194,9 @@ pub(super) fn mood(line: &str) -> Option<&'static str> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use trifacet::client::Heartbeat;
+
+    use super::*;
 
     fn frame() -> PoseFrame {
         PoseFrame {

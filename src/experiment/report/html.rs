@@ -2,10 +2,11 @@
 
 use std::fmt::Write;
 
+use trifacet_wire::Status;
+
 use super::Report;
 use super::cells::{escaped, micro, paper, percent, seconds, table, with_sigma};
 use crate::config::Axis;
-use crate::estimation::Status;
 use crate::experiment::rest::Rest;
 use crate::experiment::statistics::Measured;
 

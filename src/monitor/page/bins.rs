@@ -3,10 +3,11 @@
 
 use std::collections::VecDeque;
 
-use serde::{Serialize, Serializer, ser::SerializeSeq};
+use serde::ser::SerializeSeq;
+use serde::{Serialize, Serializer};
+use trifacet_wire::PoseFrame;
 
 use crate::clock::NS_PER_S;
-use crate::publishing::PoseFrame;
 
 /// How long a stretch is, nanoseconds, and how many are kept: a minute, ten minutes, six hours.
 const LEVELS: [(i64, usize); 3] = [(FINE_NS, 3000), (NS_PER_S / 10, 6000), (NS_PER_S, 21_600)];
@@ -152,10 +153,9 @@ impl Past {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::publishing::stamp::tests::{report, stamp};
 
     fn frame(time_ns: i64, x: f64) -> PoseFrame {
-        PoseFrame { time_ns, pose: [x; 6], ..PoseFrame::from_report(&report(), stamp()) }
+        PoseFrame { time_ns, pose: [x; 6], ..PoseFrame::example() }
     }
 
     /// Frames of a saw tooth, a spike among them, without poses from the fourth to the sixth second.

@@ -3,14 +3,13 @@
 use std::collections::BTreeMap;
 
 use serde::Serialize;
+use trifacet_wire::{PoseFrame, Status};
 
 use super::bins::{Bin, History, Past};
 use super::spectrum::{Spectrum, Welch};
 use super::spells::{Spell, Spells};
-use crate::estimation::Status;
 use crate::monitor::Counters;
 use crate::monitor::health::{Readiness, Standstill};
-use crate::publishing::PoseFrame;
 use crate::publishing::columns::Columns;
 
 /// Updates from one with counters and spectrum to the next.

@@ -5,10 +5,10 @@ use std::f64::consts::PI;
 use std::fmt;
 use std::sync::Arc;
 
-use rustfft::{Fft, FftPlanner, num_complex::Complex64};
+use rustfft::num_complex::Complex64;
+use rustfft::{Fft, FftPlanner};
 use serde::Serialize;
-
-use crate::publishing::PoseFrame;
+use trifacet_wire::PoseFrame;
 
 /// A segment is at most so long: 0.8 s at 10 kHz.
 const LONGEST: usize = 8192;
@@ -155,11 +155,10 @@ mod tests {
     use rand_distr::StandardNormal;
 
     use super::*;
-    use crate::publishing::stamp::tests::{report, stamp};
 
     fn fed(rate_hz: f64, seconds: f64, mut x: impl FnMut(usize, f64) -> f64) -> Welch {
         let mut welch = Welch::new(rate_hz);
-        let frame = PoseFrame { lost: 0, ..PoseFrame::from_report(&report(), stamp()) };
+        let frame = PoseFrame { lost: 0, ..PoseFrame::example() };
         for i in 0..(seconds * rate_hz) as usize {
             let pose = std::array::from_fn(|axis| x(axis, i as f64 / rate_hz));
             let time_ns = (i as f64 / rate_hz * 1e9) as i64;

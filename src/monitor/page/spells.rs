@@ -1,10 +1,7 @@
 //! What the frames complained of, since when, and until when. Pure.
 
 use serde::Serialize;
-
-use crate::centering::LockState;
-use crate::estimation::Status;
-use crate::publishing::PoseFrame;
+use trifacet_wire::{LockState, PoseFrame, Status};
 
 /// Every status bit that was ever set, and the lock state.
 #[derive(Debug, Default)]
@@ -67,13 +64,12 @@ impl Spells {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::publishing::stamp::tests::{report, stamp};
 
     #[test]
     fn a_fault_of_one_frame_is_remembered_with_its_times() {
         let mut spells = Spells::default();
         let mut take = |ms: i64, status: Status, lock: LockState| {
-            let frame = PoseFrame::from_report(&report(), stamp());
+            let frame = PoseFrame::example();
             spells.frame(&PoseFrame { time_ns: ms * 1_000_000, status, lock, ..frame });
         };
         take(10, Status::POSE_VALID, LockState::Locked);

@@ -1,8 +1,9 @@
 //! Where a stream comes from, and why there is none.
 
-use std::{fmt, io, str::FromStr};
+use std::str::FromStr;
+use std::{fmt, io};
 
-use crate::publishing::message::MessageError;
+use trifacet_wire::stream::MessageError;
 
 /// Where a stream comes from.
 #[derive(Clone, Debug, PartialEq, Eq)]

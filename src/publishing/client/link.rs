@@ -1,28 +1,22 @@
 //! The three ways in which frames come: TCP, datagrams from a daemon that knows this address, and
 //! datagrams that were subscribed to.
 
-use std::{
-    io,
-    net::{IpAddr, Ipv4Addr, SocketAddr},
-    time::Duration,
-};
+use std::io;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::time::Duration;
 
-use rustix::net::{AddressFamily, SocketType, bind, netdevice::name_to_index, socket, sockopt};
-use tokio::{
-    io::{AsyncReadExt, AsyncWriteExt},
-    net::{TcpStream, UdpSocket, lookup_host},
-    time::{Instant, sleep_until, timeout},
+use rustix::net::netdevice::name_to_index;
+use rustix::net::{AddressFamily, SocketType, bind, socket, sockopt};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpStream, UdpSocket, lookup_host};
+use tokio::time::{Instant, sleep_until, timeout};
+use trifacet_wire::layout::FRAME_SIZE;
+use trifacet_wire::stream::{
+    Decoder, Delivery, Format, Message, MessageError, Pace, StreamRequest, SubscriptionRequest,
 };
+use trifacet_wire::{FrameError, PoseFrame};
 
 use super::{ClientError, Endpoint, Options};
-use crate::publishing::{
-    frame::{FrameError, PoseFrame},
-    layout::FRAME_SIZE,
-    message::{Decoder, Message, MessageError},
-    request::{Format, Pace, Request},
-    subscription::Ask,
-    target::Delivery,
-};
 
 /// The default of Linux holds 256 frames, which 10 kHz fill in 26 ms.
 const RECEIVE_BUFFER: usize = 1024 * 1024;
@@ -93,7 +87,8 @@ impl Link {
 async fn open_tcp(place: &str, options: &Options) -> io::Result<Link> {
     let mut stream = TcpStream::connect(place).await?;
     stream.set_nodelay(true)?;
-    let request = Request { format: Format::Binary, pace: options.pace, fields: None, held: options.held };
+    let request =
+        StreamRequest { format: Format::Binary, pace: options.pace, fields: None, held: options.held };
     stream.write_all(format!("{request}\n").as_bytes()).await?;
     Ok(Link::Tcp { stream, decoder: Decoder::default(), opened: false })
 }
@@ -234,7 +229,7 @@ impl Subscribed {
     /// Says, or says again, what is wanted.
     async fn say(&mut self) -> io::Result<()> {
         let lease_s = self.lease.as_secs() as u32;
-        let ask = Ask::Subscribe { lease_s, delivery: self.delivery, nonce: self.nonce };
+        let ask = SubscriptionRequest::Subscribe { lease_s, delivery: self.delivery, nonce: self.nonce };
         self.renew = Instant::now() + self.lease / 3;
         self.socket.send(ask.to_string().as_bytes()).await.map(|_| ())
     }
@@ -277,7 +272,7 @@ impl Drop for Subscribed {
     fn drop(&mut self) {
         if let Some(nonce) = self.nonce {
             // If it gets lost, the lease ends it.
-            let _ = self.socket.try_send(Ask::Unsubscribe { nonce }.to_string().as_bytes());
+            let _ = self.socket.try_send(SubscriptionRequest::Unsubscribe { nonce }.to_string().as_bytes());
         }
     }
 }

@@ -22,22 +22,20 @@ mod endpoint;
 mod link;
 mod order;
 
-use std::{io, net::SocketAddr, time::Duration};
+use std::io;
+use std::net::SocketAddr;
+use std::time::Duration;
 
 use tokio::time::{Instant, sleep_until, timeout, timeout_at};
-
-use self::{link::Link, order::Order};
-
-pub use self::{
-    endpoint::{ClientError, Endpoint},
-    order::Losses,
+pub use trifacet_wire::stream::{
+    Answer, Descriptor, Heartbeat, Message, MessageError, Pace, Refusal, StreamForm,
 };
-pub use super::{
-    descriptor::{Answer, Descriptor, Heartbeat, Refusal, StreamForm},
-    frame::{FrameError, PoseFrame},
-    message::{Message, MessageError},
-    request::Pace,
-};
+pub use trifacet_wire::{FrameError, PoseFrame};
+
+pub use self::endpoint::{ClientError, Endpoint};
+use self::link::Link;
+pub use self::order::Losses;
+use self::order::Order;
 
 /// A daemon is heard each second. If it is not for so long, the link is dead: a client that connects
 /// again by itself does so.
@@ -221,18 +219,16 @@ impl Client {
 
 #[cfg(test)]
 mod tests {
+    use trifacet_wire::byte_order::big_endian;
+
     use super::*;
-    use crate::{
-        clock::Mono,
-        publishing::{
-            endian::big_endian,
-            stamp::{Stamp, tests::report},
-        },
-    };
+    use crate::clock::Mono;
+    use crate::publishing::stamp::Stamp;
+    use crate::publishing::stamp::tests::report;
 
     fn frame(session: u32, sequence: u64) -> PoseFrame {
         let stamp = Stamp { session, config: 0, sequence, time_ns: 0, synced: true, sent: Mono(0) };
-        PoseFrame::from_report(&report(), stamp)
+        report().frame(stamp)
     }
 
     #[tokio::test]

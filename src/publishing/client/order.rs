@@ -1,6 +1,6 @@
 //! What went missing, by the sequence numbers.
 
-use crate::publishing::PoseFrame;
+use trifacet_wire::PoseFrame;
 
 /// What went missing on the way, counted by the client itself.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -55,16 +55,15 @@ fn common_divisor(a: u64, b: u64) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
-        clock::Mono,
-        publishing::stamp::{Stamp, tests::report},
-    };
+    use crate::clock::Mono;
+    use crate::publishing::stamp::Stamp;
+    use crate::publishing::stamp::tests::report;
 
     fn losses(step: Option<u64>, frames: &[(u32, u64)]) -> Losses {
         let mut order = Order::new(step);
         for &(session, sequence) in frames {
             let stamp = Stamp { session, config: 0, sequence, time_ns: 0, synced: true, sent: Mono(0) };
-            order.note(&PoseFrame::from_report(&report(), stamp));
+            order.note(&report().frame(stamp));
         }
         order.losses
     }

@@ -1,24 +1,22 @@
 //! The talk with one TCP client: lines in; answers, frames and heartbeats out.
 
-use std::{io, net::SocketAddr, sync::Arc, time::Duration};
+use std::io;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
 
-use tokio::{
-    io::AsyncWriteExt,
-    net::TcpStream,
-    sync::broadcast::{
-        self,
-        error::{RecvError, TryRecvError},
-    },
-    time::{Instant, Interval, MissedTickBehavior, interval, sleep_until, timeout},
-};
+use tokio::io::AsyncWriteExt;
+use tokio::net::TcpStream;
+use tokio::sync::broadcast::error::{RecvError, TryRecvError};
+use tokio::sync::broadcast::{self};
+use tokio::time::{Instant, Interval, MissedTickBehavior, interval, sleep_until, timeout};
+use trifacet_wire::stream::request::{Lines, MAX_LINE};
+use trifacet_wire::stream::{ClientCommand, StreamRequest};
 
 use super::{House, part};
-use crate::publishing::{
-    descriptor::Heartbeat,
-    form::{Form, Issue, answer, farewell},
-    query,
-    request::{Command, Lines, MAX_LINE, Request},
-};
+use crate::publishing::descriptor::heartbeat;
+use crate::publishing::form::{Form, Issue, answer, farewell};
+use crate::publishing::query;
 
 /// Bytes that the kernel may hold for a client. The default grows to megabytes: seconds of old frames.
 const SEND_BUFFER: usize = 256 * 1024;
@@ -180,14 +178,14 @@ impl Client {
         if line.trim_ascii().is_empty() {
             return Ok(None);
         }
-        let text = match Command::parse(line) {
-            Ok(Command::Stream(request)) => {
+        let text = match ClientCommand::parse(line) {
+            Ok(ClientCommand::Stream(request)) => {
                 self.start(request).await?;
                 return Ok(None);
             }
-            Ok(Command::Bye) => return Ok(Some(End::Client)),
-            Ok(Command::Help) => Command::help().to_owned(),
-            Ok(Command::Descriptor) => {
+            Ok(ClientCommand::Bye) => return Ok(Some(End::Client)),
+            Ok(ClientCommand::Help) => ClientCommand::help().to_owned(),
+            Ok(ClientCommand::Descriptor) => {
                 let bytes = match &self.form {
                     Some(form) => form.descriptor(&self.house.descriptor.borrow())?,
                     None => query::descriptor(&self.house.descriptor.borrow())?,
@@ -195,8 +193,8 @@ impl Client {
                 self.write(&bytes).await?;
                 return Ok(None);
             }
-            Ok(Command::Pose) => self.ask(query::pose),
-            Ok(Command::Status) => self.ask(query::status),
+            Ok(ClientCommand::Pose) => self.ask(query::pose),
+            Ok(ClientCommand::Status) => self.ask(query::status),
             Err(error) => {
                 self.bad_lines += 1;
                 if self.bad_lines >= BAD_LINES {
@@ -221,7 +219,7 @@ impl Client {
     }
 
     /// Starts a stream, or changes the one that runs.
-    async fn start(&mut self, request: Request) -> io::Result<()> {
+    async fn start(&mut self, request: StreamRequest) -> io::Result<()> {
         let descriptor = self.house.descriptor.borrow().clone();
         let form = Form::new(request, descriptor.rate_hz);
         let greeting = form.greeting(&descriptor)?;
@@ -279,7 +277,7 @@ impl Client {
 
     async fn beat(&mut self) -> io::Result<()> {
         let Some(form) = &self.form else { return Ok(()) };
-        let bytes = form.heartbeat(&Heartbeat::new(self.sent, self.dropped, &self.house.counters))?;
+        let bytes = form.heartbeat(&heartbeat(self.sent, self.dropped, &self.house.counters))?;
         self.write(&bytes).await
     }
 
@@ -294,7 +292,7 @@ impl Client {
 }
 
 fn allowed() -> String {
-    format!("allowed: {}", Command::help())
+    format!("allowed: {}", ClientCommand::help())
 }
 
 /// The first one at once.

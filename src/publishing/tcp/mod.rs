@@ -7,25 +7,26 @@
 
 mod client;
 
-use std::{io, net::SocketAddr, sync::Arc, time::Duration};
+use std::io;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
 
-use tokio::{
-    io::{AsyncReadExt, AsyncWriteExt},
-    net::{TcpListener, TcpStream},
-    sync::{broadcast, mpsc, watch},
-    task::JoinSet,
-    time::{sleep, timeout},
-};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{broadcast, mpsc, watch};
+use tokio::task::JoinSet;
+use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
+use trifacet_wire::PoseFrame;
+use trifacet_wire::held::Hold;
+use trifacet_wire::stream::Descriptor;
 
 use self::client::Client;
-use super::{
-    PoseFrame,
-    descriptor::Descriptor,
-    form::{Issue, farewell},
-    held::Hold,
-};
-use crate::{config::Network, exit::Failure, monitor::Counters};
+use super::form::{Issue, farewell};
+use crate::config::Network;
+use crate::exit::Failure;
+use crate::monitor::Counters;
 
 /// At shutdown: how long the last frames may take to come in, and then to go out.
 const DRAIN: Duration = Duration::from_millis(500);

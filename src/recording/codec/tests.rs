@@ -1,12 +1,13 @@
 use nalgebra::Matrix6;
 use proptest::prelude::*;
+use trifacet_wire::channel::{Converter, Role, SIGNALS};
+use trifacet_wire::{LockState, PoseFrame};
 
 use super::*;
-use crate::acquisition::{Converter, PsdState, Role, Sample, scan::SIGNALS};
-use crate::centering::{LockState, LoopState};
+use crate::acquisition::{PsdState, Sample};
+use crate::centering::LoopState;
 use crate::estimation::{Estimation, Settings};
-use crate::publishing::PoseFrame;
-use crate::publishing::stamp::tests::{report, stamp};
+use crate::publishing::stamp::tests::report;
 use crate::recording::writer::Writer;
 
 type Messages = Vec<(Topic, i64, Vec<u8>)>;
@@ -85,7 +86,7 @@ proptest! {
 
     #[test]
     fn frames_survive(body in prop::collection::vec(any::<u8>(), 180), lock in 0_u8..8, ahead: i32) {
-        let mut bytes = PoseFrame::from_report(&report(), stamp()).encode();
+        let mut bytes = PoseFrame::example().encode();
         bytes[8..188].copy_from_slice(&body);
         bytes[39] = 0x10; // a time of this century
         bytes[54] = lock;
@@ -240,8 +241,7 @@ fn times_are_those_of_the_frames() {
     let steering = LoopState::default();
     let silence = |time| Entry::Silence { time: Mono(time), steering, why: None };
     assert_eq!(encode(&mut encoder, &silence(3_000))[0].1, 1_700_000_000_000_002_000);
-    let frame =
-        PoseFrame { time_ns: 1_800_000_000_000_000_000, ..PoseFrame::from_report(&report(), stamp()) };
+    let frame = PoseFrame { time_ns: 1_800_000_000_000_000_000, ..PoseFrame::example() };
     let frame = Entry::Frame { frame, time: Mono(5_000), covariance: Some(Matrix6::identity()) };
     let messages = encode(&mut encoder, &frame);
     assert_eq!(
@@ -257,7 +257,7 @@ fn a_file_reads_back_and_its_torn_end_costs_one_chunk() {
         let mut writer = Writer::new(Vec::new(), compression).unwrap();
         let mut encoder = encoder();
         let keyframe = Entry::Keyframe(Box::new(keyframe()));
-        let frame = PoseFrame::from_report(&report(), stamp());
+        let frame = PoseFrame::example();
         let entries = (0..100).map(|n| Entry::Frame {
             frame: PoseFrame { sequence: n, ..frame },
             time: Mono(0),

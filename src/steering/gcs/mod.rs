@@ -15,13 +15,13 @@ mod settings;
 pub mod task;
 mod unit;
 
-use tokio::sync::watch;
-
-use super::{Command, Driver, Event, Xy};
-use crate::acquisition::Ack;
-use crate::config::{Config, SteeringConfig};
 use settings::Settings;
 use task::Task;
+use tokio::sync::watch;
+use trifacet_wire::actuator::Ack;
+
+use super::{Command, Driver, Event, Xy};
+use crate::config::{Config, SteeringConfig};
 
 /// A command, and the connection of which its sender knew.
 type Addressed = (u32, Command);
@@ -119,12 +119,13 @@ impl Driver for Gcs {
 
 #[cfg(test)]
 mod tests {
+    use trifacet_wire::actuator::LeaseAction;
+
     use super::*;
     use crate::config;
-    use crate::steering::Expiry;
 
     fn command(id: u32) -> Command {
-        Command { id, position: [1e-6, 2e-6], lease_ms: 200, on_expiry: Expiry::Hold }
+        Command { id, position: [1e-6, 2e-6], lease_ms: 200, on_expiry: LeaseAction::Hold }
     }
 
     #[tokio::test]

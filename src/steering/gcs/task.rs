@@ -5,12 +5,12 @@ use std::time::Duration;
 
 use tokio::sync::watch;
 use tokio::time::{Interval, MissedTickBehavior, interval, sleep};
+use trifacet_wire::actuator::Ack;
 
 use super::fault::{FINE, Fault, OUT_OF_LIMITS, meaning};
 use super::session::{Session, rounded_um};
 use super::settings::Settings;
 use super::{Addressed, Report};
-use crate::acquisition::Ack;
 use crate::config::SteeringConfig;
 use crate::monitor::Counters;
 use crate::steering::{Command, Xy};

@@ -1,8 +1,9 @@
-use super::*;
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64;
+
+use super::*;
 
 const STEP: f64 = 20e-6;
 

@@ -53,7 +53,7 @@ impl Bench {
         scans
     }
 
-    fn steer(&mut self, codes: [i32; 2], lease_ms: u16, on_expiry: Expiry) -> SteerResult {
+    fn steer(&mut self, codes: [i32; 2], lease_ms: u16, on_expiry: LeaseAction) -> SteerResult {
         match self.ask(Request::Steer(OutputCommand { id: 5, codes, lease_ms, on_expiry }))[..] {
             [Answer::Ack { id: 5, result }] => result,
             ref other => panic!("{other:?}"),
@@ -77,7 +77,7 @@ fn it_says_nothing_unasked_and_numbers_its_scans_from_the_start() {
 #[test]
 fn what_is_out_of_range_is_refused_and_changes_nothing() {
     let mut bench = Bench::new();
-    assert_eq!(bench.steer([0, 0], 200, Expiry::Hold), SteerResult::NotStarted);
+    assert_eq!(bench.steer([0, 0], 200, LeaseAction::Hold), SteerResult::NotStarted);
     for (rate_mhz, park, result) in
         [(999_000, PARK, StartResult::RateOutOfRange), (1_000_000, [0, 32_768], StartResult::ParkOutOfRange)]
     {
@@ -85,10 +85,10 @@ fn what_is_out_of_range_is_refused_and_changes_nothing() {
         assert_eq!(bench.ask(Request::Start { rate_mhz, park }), [refused]);
     }
     let mut bench = Bench::started();
-    assert_eq!(bench.steer([100, 0], 50, Expiry::Park), SteerResult::Accepted);
+    assert_eq!(bench.steer([100, 0], 50, LeaseAction::Park), SteerResult::Accepted);
     bench.run(40);
-    assert_eq!(bench.steer([0, 40_000], 50, Expiry::Park), SteerResult::OutOfRange);
-    assert_eq!(bench.steer([0, 0], 0, Expiry::Park), SteerResult::OutOfRange);
+    assert_eq!(bench.steer([0, 40_000], 50, LeaseAction::Park), SteerResult::OutOfRange);
+    assert_eq!(bench.steer([0, 0], 0, LeaseAction::Park), SteerResult::OutOfRange);
     bench.run(20);
     assert_eq!(bench.board.state().steering, Steering::Parked, "the old lease ran on");
 }
@@ -96,7 +96,7 @@ fn what_is_out_of_range_is_refused_and_changes_nothing() {
 #[test]
 fn a_lease_that_ends_holds_or_parks_and_shows_in_the_scans() {
     for (on_expiry, steering, codes) in
-        [(Expiry::Hold, Steering::Held, [100, 200]), (Expiry::Park, Steering::Parked, PARK)]
+        [(LeaseAction::Hold, Steering::Held, [100, 200]), (LeaseAction::Park, Steering::Parked, PARK)]
     {
         let mut bench = Bench::started();
         bench.steer([100, 200], 50, on_expiry);

@@ -1,5 +1,8 @@
+use trifacet_wire::actuator::{Ack, LeaseAction};
+use trifacet_wire::board::message::SteerResult;
+use trifacet_wire::channel::{Converter, Role, SIGNALS};
+
 use super::*;
-use crate::acquisition::{Ack, Converter, Expiry, Role, board::message::SteerResult, scan::SIGNALS};
 
 const START: Mono = Mono(50 * NS_PER_S);
 
@@ -115,7 +118,7 @@ fn every_mishap_is_counted_in_its_place() {
     bench.session.received(&[5, 5, 5, 0], bench.now);
     bench.answer(&Answer::Scan(BoardScan { sequence: 4, channels: 12, ..BoardScan::default() }));
     let mut frame = Vec::new();
-    crate::acquisition::board::frame::encode(&[0x99, 1], &mut frame);
+    trifacet_wire::board::framing::encode(&[0x99, 1], &mut frame);
     bench.session.received(&frame, bench.now);
     bench.answer(&Answer::Error { reason: ErrorReason::Corrupted, kind: 0 });
     let counters = &bench.counters;
@@ -136,7 +139,7 @@ fn a_stall_is_told_and_scans_may_come_back_by_themselves() {
     assert_eq!(bench.session.event(), None);
     bench.wait(MS);
     assert_eq!(bench.session.event(), Some(Event::Down(Down::Stalled { silence_ms: 20 })));
-    let command = OutputCommand { id: 1, codes: [1, 1], lease_ms: 200, on_expiry: Expiry::Hold };
+    let command = OutputCommand { id: 1, codes: [1, 1], lease_ms: 200, on_expiry: LeaseAction::Hold };
     bench.session.steer(command);
     assert_eq!(bench.requests(), [Request::Steer(command)], "it may hear, and its lease counts from then");
     bench.answer(&Answer::Ack { id: 1, result: SteerResult::Accepted });
@@ -153,7 +156,7 @@ fn a_board_that_lost_its_power_is_started_again_and_the_index_goes_on() {
     (0..100).for_each(|k| drop(bench.scan(k)));
     bench.wait(20 * MS);
     assert!(matches!(bench.session.event(), Some(Event::Down(Down::Stalled { .. }))));
-    bench.session.steer(OutputCommand { id: 1, codes: [1, 1], lease_ms: 200, on_expiry: Expiry::Hold });
+    bench.session.steer(OutputCommand { id: 1, codes: [1, 1], lease_ms: 200, on_expiry: LeaseAction::Hold });
     bench.wait(NS_PER_S);
     assert_eq!(bench.requests(), [Request::Identify], "an old command is dropped");
     bench.wait(500 * MS);
@@ -189,7 +192,7 @@ fn a_scan_after_a_reconnect_is_younger_than_those_before() {
 #[test]
 fn only_the_newest_command_is_sent_and_its_answer_is_told() {
     let mut bench = Bench::running();
-    let command = |id| OutputCommand { id, codes: [-5, 5], lease_ms: 200, on_expiry: Expiry::Park };
+    let command = |id| OutputCommand { id, codes: [-5, 5], lease_ms: 200, on_expiry: LeaseAction::Park };
     (1..=3).for_each(|id| bench.session.steer(command(id)));
     assert_eq!(bench.requests(), [Request::Steer(command(3))]);
     bench.answer(&Answer::Ack { id: 3, result: SteerResult::OutOfRange });
@@ -231,7 +234,7 @@ fn a_board_of_another_version_is_told_as_such() {
     let mut bench = Bench::new();
     bench.session.connected(bench.now);
     let mut frame = Vec::new();
-    crate::acquisition::board::frame::encode(&[0x81, 2, 9, 9, 9], &mut frame);
+    trifacet_wire::board::framing::encode(&[0x81, 2, 9, 9, 9], &mut frame);
     bench.session.received(&frame, bench.now);
     let Some(Event::Down(Down::Unfit(reason))) = bench.session.event() else { panic!("no reason") };
     assert!(reason.contains("version 2"), "{reason}");

@@ -1,19 +1,16 @@
-//! The byte table of the pose frame, as data: the descriptor sends it to every client.
-
-use serde::{Deserialize, Serialize};
+//! The byte table of the pose frame as data, which the descriptor carries to every client; the names of its values in text.
 
 /// Bytes of a pose frame.
 pub const FRAME_SIZE: usize = 192;
 
 /// One field of the pose frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Field {
     /// Name.
     pub name: &'static str,
     /// First byte.
     pub offset: u16,
     /// Type of an element: `u8`, `u16`, `u32`, `u64`, `i64`, `f32`, `f64`; little-endian.
-    #[serde(rename = "type")]
     pub kind: &'static str,
     /// Number of elements.
     pub count: u16,
@@ -30,29 +27,6 @@ impl Field {
             [_, b'3', b'2'] => 4,
             _ => 8,
         }
-    }
-}
-
-/// A [`Field`] as a client reads it from a descriptor.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
-pub struct FieldEntry {
-    /// Name.
-    pub name: String,
-    /// First byte.
-    pub offset: u16,
-    /// Type of an element.
-    #[serde(rename = "type")]
-    pub kind: String,
-    /// Number of elements.
-    pub count: u16,
-    /// Unit of an element.
-    pub unit: String,
-}
-
-impl From<&Field> for FieldEntry {
-    fn from(f: &Field) -> Self {
-        let &Field { name, offset, kind, count, unit } = f;
-        Self { name: name.into(), offset, kind: kind.into(), count, unit: unit.into() }
     }
 }
 
@@ -95,6 +69,65 @@ pub const FIELDS: [Field; 32] = [
     field(184, "f32", 1, "steering_y", "m"),
     field(188, "u32", 1, "crc", ""),
 ];
+
+/// The names of a frame's values in text (JSON, CSV), in order.
+pub const COLUMNS: [&str; 41] = [
+    "sequence",
+    "sample_index",
+    "time",
+    "time_ns",
+    "lock",
+    "status",
+    "status_bits",
+    "tx_m",
+    "ty_m",
+    "tz_m",
+    "roll_rad",
+    "pitch_rad",
+    "yaw_rad",
+    "sd_tx_m",
+    "sd_ty_m",
+    "sd_tz_m",
+    "sd_roll_rad",
+    "sd_pitch_rad",
+    "sd_yaw_rad",
+    "beam_dx_m",
+    "beam_dy_m",
+    "steering_residual_m",
+    "u_a_m",
+    "v_a_m",
+    "u_b_m",
+    "v_b_m",
+    "u_c_m",
+    "v_c_m",
+    "power_a_w",
+    "power_b_w",
+    "power_c_w",
+    "steering_x_m",
+    "steering_y_m",
+    "averaged",
+    "lost",
+    "iterations",
+    "solve_delay_ns",
+    "send_delay_ns",
+    "clock_sigma_s",
+    "session",
+    "config",
+];
+
+/// The names of a pose: m and rad.
+pub const POSE: [&str; 6] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "yaw_rad"];
+/// The names of its deviations.
+pub const DEVIATIONS: [&str; 6] =
+    ["sd_tx_m", "sd_ty_m", "sd_tz_m", "sd_roll_rad", "sd_pitch_rad", "sd_yaw_rad"];
+/// The names of the beam offset, metres.
+pub const BEAM: [&str; 2] = ["beam_dx_m", "beam_dy_m"];
+/// The names of the spots, metres.
+pub const SPOTS: [&str; 6] = ["u_a_m", "v_a_m", "u_b_m", "v_b_m", "u_c_m", "v_c_m"];
+/// The names of the powers, watts.
+pub const POWERS: [&str; 3] = ["power_a_w", "power_b_w", "power_c_w"];
+/// The names of the steering position, metres.
+pub const STEERING: [&str; 2] = ["steering_x_m", "steering_y_m"];
 
 #[cfg(test)]
 mod tests {

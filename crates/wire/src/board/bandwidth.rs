@@ -1,6 +1,6 @@
 //! How fast the wire has to be.
 
-use super::frame::OVERHEAD;
+use super::framing::OVERHEAD;
 
 /// Bits on the wire for a byte: start, eight data bits, stop.
 const BITS_PER_BYTE: f64 = 10.0;
@@ -22,20 +22,18 @@ const ACK_BYTES: usize = OVERHEAD + 5;
 /// board's is the busier one: a scan and an acknowledgement against one command.
 pub fn required_baud(channels: usize, rate_hz: f64) -> u32 {
     let bytes = scan_bytes(channels) + ACK_BYTES;
-    (bytes as f64 * rate_hz * BITS_PER_BYTE / LOAD).ceil() as u32
+    let bits_per_s = bytes as f64 * rate_hz * BITS_PER_BYTE / LOAD;
+    let whole = bits_per_s as u32;
+    whole.saturating_add(u32::from(f64::from(whole) < bits_per_s))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::acquisition::{
-        MAX_CHANNELS,
-        board::{
-            Answer, Request,
-            message::{BoardScan, SteerResult},
-        },
-        source::{Expiry, OutputCommand},
-    };
+    use crate::actuator::{LeaseAction, OutputCommand};
+    use crate::board::message::{BoardScan, SteerResult};
+    use crate::board::{Answer, Request};
+    use crate::channel::MAX_CHANNELS;
 
     #[test]
     fn the_budget_counts_what_is_sent() {
@@ -43,7 +41,7 @@ mod tests {
         Answer::Ack { id: 1, result: SteerResult::Accepted }.encode(&mut ack);
         assert_eq!(ack.len(), ACK_BYTES);
         let mut steer = Vec::new();
-        let command = OutputCommand { id: 1, codes: [-1, 1], lease_ms: 200, on_expiry: Expiry::Park };
+        let command = OutputCommand { id: 1, codes: [-1, 1], lease_ms: 200, on_expiry: LeaseAction::Park };
         Request::Steer(command).encode(&mut steer);
         for channels in 9..=MAX_CHANNELS {
             let mut scan = Vec::new();

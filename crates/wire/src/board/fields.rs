@@ -1,9 +1,10 @@
 //! The fields of a message, one after the other.
 
-use super::{
-    frame,
-    message::{MessageError, VERSION},
-};
+use alloc::vec;
+use alloc::vec::Vec;
+
+use super::framing;
+use super::message::{MessageError, VERSION};
 
 /// Writes a message field by field.
 pub(super) struct Writer(Vec<u8>);
@@ -39,7 +40,7 @@ impl Writer {
     }
 
     pub(super) fn frame(self, out: &mut Vec<u8>) {
-        frame::encode(&self.0, out);
+        framing::encode(&self.0, out);
     }
 }
 

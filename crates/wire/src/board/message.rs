@@ -2,11 +2,12 @@
 //!
 //! Every message starts with its type and the protocol's version. All numbers are little-endian.
 
-use super::{
-    fields::{Reader, Writer},
-    identity::BoardIdentity,
-};
-use crate::acquisition::{Ack, Expiry, MAX_CHANNELS, OutputCommand};
+use alloc::vec::Vec;
+
+use super::fields::{Reader, Writer};
+use super::identity::BoardIdentity;
+use crate::actuator::{Ack, LeaseAction, OutputCommand};
+use crate::channel::MAX_CHANNELS;
 
 /// The version of the protocol that is spoken here.
 pub const VERSION: u8 = 1;
@@ -210,7 +211,7 @@ impl Request {
                 .i32(codes[0])
                 .i32(codes[1])
                 .u16(lease_ms)
-                .u8(u8::from(on_expiry == Expiry::Park)),
+                .u8(u8::from(on_expiry == LeaseAction::Park)),
         };
         message.frame(out);
     }
@@ -227,8 +228,8 @@ impl Request {
                 codes: [body.i32()?, body.i32()?],
                 lease_ms: body.u16()?,
                 on_expiry: match body.u8()? {
-                    0 => Expiry::Hold,
-                    1 => Expiry::Park,
+                    0 => LeaseAction::Hold,
+                    1 => LeaseAction::Park,
                     _ => return Err(body.meaningless("action on expiry")),
                 },
             }),
@@ -328,9 +329,10 @@ impl BoardScan {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use crate::acquisition::board::frame;
     use proptest::prelude::*;
+
+    use super::*;
+    use crate::board::framing;
 
     proptest! {
         #[test]
@@ -349,7 +351,7 @@ mod tests {
         #[test]
         fn codes_of_24_bits_keep_their_sign(codes in prop::array::uniform16(-(1_i32 << 23)..1 << 23)) {
             let scan = BoardScan { channels: 16, codes, ..BoardScan::default() };
-            let (mut frame, mut deframer) = (Vec::new(), frame::Deframer::default());
+            let (mut frame, mut deframer) = (Vec::new(), framing::Deframer::default());
             Answer::Scan(scan).encode(&mut frame);
             let message = deframer.next(&mut &frame[..]).unwrap().unwrap();
             prop_assert_eq!(Answer::decode(message), Ok(Answer::Scan(scan)));

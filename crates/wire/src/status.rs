@@ -1,6 +1,6 @@
 //! The status bits of a pose.
 
-use std::ops::{BitOr, BitOrAssign};
+use core::ops::{BitOr, BitOrAssign};
 
 /// A set of status bits; the numbers are those of the pose frame (`docs/stream.md`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -1,64 +1,12 @@
-//! How messages follow each other on TCP: an 8-byte header, a body, a CRC-32 of everything before.
-//!
-//! The header never changes, not even with a new major version, so that any reader can step over what
-//! it does not know. [`Decoder`] finds messages in a byte stream, also after a damaged piece.
+//! Messages on TCP: the pose frame, and four kinds in JSON. [`Decoder`] finds them in a byte stream, also after a
+//! damaged piece.
 
-use super::{
-    descriptor::{Answer, Descriptor, Heartbeat, Refusal},
-    frame::{FrameError, PoseFrame},
-    layout::FRAME_SIZE,
-};
+use super::descriptor::{Answer, Descriptor, Heartbeat, Refusal};
+use crate::frame::{FrameError, PoseFrame};
+use crate::message::{CRC_SIZE, HEADER_SIZE, Header, Kind, MAJOR, crcs, header};
 
-/// Major version of the stream: the layout of frames and messages.
-pub const MAJOR: u8 = 1;
-/// Minor version: what readers may ignore (new status bits, new kinds of message, new JSON keys).
-pub const MINOR: u8 = 0;
-/// Magic (4 bytes), major, minor, size (u16, of the whole message, little-endian).
-pub const HEADER_SIZE: usize = 8;
-/// The CRC at the end.
-pub const CRC_SIZE: usize = 4;
 /// Bytes for which a [`Decoder`] keeps room.
 const ROOM: usize = 16 * 1024;
-
-/// The kinds of message that this version knows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    /// A pose frame.
-    Pose,
-    /// The descriptor, in JSON: the first message of every stream.
-    Descriptor,
-    /// A heartbeat, in JSON: once a second.
-    Heartbeat,
-    /// The answer to a query, as a string in JSON.
-    Answer,
-    /// Why the daemon ends the connection, in JSON.
-    Refusal,
-}
-
-impl Kind {
-    const ALL: [Kind; 5] = [Kind::Pose, Kind::Descriptor, Kind::Heartbeat, Kind::Answer, Kind::Refusal];
-
-    /// The first four bytes of such a message.
-    pub const fn magic(self) -> [u8; 4] {
-        match self {
-            Kind::Pose => *b"TFP1",
-            Kind::Descriptor => *b"TFD1",
-            Kind::Heartbeat => *b"TFH1",
-            Kind::Answer => *b"TFA1",
-            Kind::Refusal => *b"TFE1",
-        }
-    }
-
-    /// The key under which such a message stands in JSON lines; none if it has one of its own.
-    pub const fn key(self) -> Option<&'static str> {
-        match self {
-            Kind::Descriptor => Some("descriptor"),
-            Kind::Heartbeat => Some("heartbeat"),
-            Kind::Answer => Some("answer"),
-            Kind::Pose | Kind::Refusal => None,
-        }
-    }
-}
 
 /// A message as a client gets it.
 #[derive(Clone, Debug, PartialEq)]
@@ -97,47 +45,6 @@ pub enum MessageError {
         /// What is wrong with it.
         source: serde_json::Error,
     },
-}
-
-/// The first eight bytes of a message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Header {
-    /// The kind of message.
-    pub magic: [u8; 4],
-    /// Major version.
-    pub major: u8,
-    /// Minor version.
-    pub minor: u8,
-    /// Bytes of the whole message, header and CRC included.
-    pub size: u16,
-}
-
-impl Header {
-    /// The header at the beginning of `bytes`, whatever it says; none if there are too few.
-    pub fn read(bytes: &[u8]) -> Option<Self> {
-        let &[a, b, c, d, major, minor, low, high] = bytes.first_chunk()?;
-        Some(Self { magic: [a, b, c, d], major, minor, size: u16::from_le_bytes([low, high]) })
-    }
-
-    /// Whether a message could begin so.
-    fn plausible(self) -> bool {
-        let size = usize::from(self.size);
-        let pose = self.magic == Kind::Pose.magic() && self.major == MAJOR;
-        self.magic.starts_with(b"TF") && size >= HEADER_SIZE + CRC_SIZE && (!pose || size == FRAME_SIZE)
-    }
-}
-
-/// The header of a message of this version with `size` bytes in all.
-pub fn header(kind: Kind, size: u16) -> [u8; HEADER_SIZE] {
-    let [a, b, c, d] = kind.magic();
-    let [low, high] = size.to_le_bytes();
-    [a, b, c, d, MAJOR, MINOR, low, high]
-}
-
-/// The CRC of a whole message as its bytes give it, and as it says; none if it is too short for one.
-pub fn crcs(message: &[u8]) -> Option<(u32, u32)> {
-    let (body, received) = message.split_last_chunk::<CRC_SIZE>()?;
-    Some((crc32fast::hash(body), u32::from_le_bytes(*received)))
 }
 
 /// A message of this kind that says `body` in JSON. Fails if that is longer than 65 523 bytes.
@@ -236,14 +143,9 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::publishing::stamp::{Stamp, tests::report};
 
     fn pose(sequence: u64) -> PoseFrame {
-        let sent = crate::clock::Mono(2_000_000);
-        PoseFrame::from_report(
-            &report(),
-            Stamp { session: 1, config: 2, sequence, time_ns: 3, synced: true, sent },
-        )
+        PoseFrame { sequence, ..PoseFrame::example() }
     }
 
     fn sequences(decoder: &mut Decoder) -> Vec<u64> {

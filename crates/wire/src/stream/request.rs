@@ -1,8 +1,9 @@
 //! What a client can say, one ASCII line each. Pure: text in, commands out; and back, for clients.
 
-use std::{collections::BTreeSet, fmt};
+use std::collections::BTreeSet;
+use std::fmt;
 
-use super::columns;
+use crate::layout::COLUMNS;
 
 /// The most bytes of a line, without its end.
 pub const MAX_LINE: usize = 256;
@@ -16,9 +17,9 @@ const HELP: &str = "stream [format=binary|json|csv] [divider=N | rate_hz=F] [fie
 
 /// A line that was understood.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Command {
+pub enum ClientCommand {
     /// Send frames, from now on in this form.
-    Stream(Request),
+    Stream(StreamRequest),
     /// Say the newest pose in one line.
     Pose,
     /// Say the newest state in one line.
@@ -33,7 +34,7 @@ pub enum Command {
 
 /// The frames that a client wants.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Request {
+pub struct StreamRequest {
     /// How they are written.
     pub format: Format,
     /// How many of them.
@@ -116,7 +117,7 @@ fn quoted(text: &[u8]) -> String {
     format!("\"{}{more}\"", some.escape_ascii())
 }
 
-impl Command {
+impl ClientCommand {
     /// The command of a line without its end.
     pub fn parse(line: &[u8]) -> Result<Self, CommandError> {
         let Ok(text) = std::str::from_utf8(line) else {
@@ -125,7 +126,7 @@ impl Command {
         let mut words = text.split_ascii_whitespace();
         let name = words.next().unwrap_or_default().to_ascii_lowercase();
         let command = match name.as_str() {
-            "stream" => return Request::parse(words).map(Self::Stream),
+            "stream" => return StreamRequest::parse(words).map(Self::Stream),
             "pose?" => Self::Pose,
             "status?" => Self::Status,
             "descriptor?" => Self::Descriptor,
@@ -145,7 +146,7 @@ impl Command {
     }
 }
 
-impl Request {
+impl StreamRequest {
     fn parse<'a>(options: impl Iterator<Item = &'a str>) -> Result<Self, CommandError> {
         let mut request = Self::default();
         let mut seen = BTreeSet::new();
@@ -209,13 +210,13 @@ pub(super) fn on_or_off(told: &str, value: &str) -> Result<bool, CommandError> {
 fn fields(value: &str) -> Result<Vec<&'static str>, CommandError> {
     let mut names = Vec::new();
     for name in value.split(',') {
-        match columns::NAMES.into_iter().find(|known| *known == name) {
+        match COLUMNS.into_iter().find(|known| *known == name) {
             Some(known) if names.contains(&known) => {
                 return wrong(format!("{known} twice"), "each field once");
             }
             Some(known) => names.push(known),
             None => {
-                return wrong(format!("{} is no field", quoted(name.as_bytes())), columns::NAMES.join(", "));
+                return wrong(format!("{} is no field", quoted(name.as_bytes())), COLUMNS.join(", "));
             }
         }
     }
@@ -223,7 +224,7 @@ fn fields(value: &str) -> Result<Vec<&'static str>, CommandError> {
 }
 
 /// As a client says it, without the end of the line.
-impl fmt::Display for Request {
+impl fmt::Display for StreamRequest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "stream format={}", self.format.name())?;
         match self.pace {
@@ -274,22 +275,22 @@ mod tests {
 
     use super::*;
 
-    fn parse(line: &str) -> Result<Command, String> {
-        Command::parse(line.as_bytes()).map_err(|e| e.to_string())
+    fn parse(line: &str) -> Result<ClientCommand, String> {
+        ClientCommand::parse(line.as_bytes()).map_err(|e| e.to_string())
     }
 
-    fn request(line: &str) -> Request {
+    fn request(line: &str) -> StreamRequest {
         match parse(line) {
-            Ok(Command::Stream(request)) => request,
+            Ok(ClientCommand::Stream(request)) => request,
             other => panic!("{other:?}"),
         }
     }
 
     #[test]
     fn commands_are_understood_whatever_their_case() {
-        assert_eq!(parse("pose?"), Ok(Command::Pose));
-        assert_eq!(parse("  BYE "), Ok(Command::Bye));
-        assert_eq!(parse("Stream"), Ok(Command::Stream(Request::default())));
+        assert_eq!(parse("pose?"), Ok(ClientCommand::Pose));
+        assert_eq!(parse("  BYE "), Ok(ClientCommand::Bye));
+        assert_eq!(parse("Stream"), Ok(ClientCommand::Stream(StreamRequest::default())));
         let all = request("stream format=csv rate_hz=12.5 fields=sequence,tx_m held=on");
         assert_eq!(all.format, Format::Csv);
         assert_eq!(all.pace, Pace::RateHz(12.5));
@@ -352,7 +353,7 @@ mod tests {
     proptest! {
         #[test]
         fn any_line_gets_one_line_back(line in prop::collection::vec(any::<u8>(), 0..=MAX_LINE)) {
-            if let Err(error) = Command::parse(&line) {
+            if let Err(error) = ClientCommand::parse(&line) {
                 let text = error.to_string();
                 prop_assert!(text.is_ascii() && !text.contains(['\n', '\r']), "{}", text);
             }
@@ -363,11 +364,11 @@ mod tests {
             format in prop::sample::select(vec![Format::Binary, Format::Json, Format::Csv]),
             pace in prop_oneof![(1..=MAX_DIVIDER).prop_map(Pace::Divider), (1e-3..1e6).prop_map(Pace::RateHz)],
             held: bool,
-            fields in prop::option::of(prop::sample::subsequence(columns::NAMES.to_vec(), 1..8)),
+            fields in prop::option::of(prop::sample::subsequence(COLUMNS.to_vec(), 1..8)),
         ) {
             let fields = fields.filter(|_| format != Format::Binary);
-            let request = Request { format, pace, fields, held };
-            prop_assert_eq!(Command::parse(request.to_string().as_bytes()), Ok(Command::Stream(request)));
+            let request = StreamRequest { format, pace, fields, held };
+            prop_assert_eq!(ClientCommand::parse(request.to_string().as_bytes()), Ok(ClientCommand::Stream(request)));
         }
     }
 }

@@ -2,6 +2,8 @@
 //!
 //! A zero byte stands nowhere else, so a receiver that lost its place is back after the next one.
 
+use alloc::vec::Vec;
+
 /// The longest message in bytes, check sum included; COBS then adds exactly one byte.
 pub const MAX_MESSAGE: usize = 250;
 
@@ -49,7 +51,7 @@ impl Deframer {
             if byte != 0 {
                 self.push(byte);
             } else if self.length > 0 {
-                let length = std::mem::take(&mut self.length);
+                let length = core::mem::take(&mut self.length);
                 return Some(self.buffer.get_mut(..length).and_then(unpack).ok_or(Corrupted));
             }
         }
@@ -73,8 +75,9 @@ fn unpack(frame: &mut [u8]) -> Option<&[u8]> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use proptest::prelude::*;
+
+    use super::*;
 
     /// Everything that comes out when `stream` arrives in pieces of `piece` bytes.
     fn deframe(stream: &[u8], piece: usize) -> Vec<Result<Vec<u8>, Corrupted>> {

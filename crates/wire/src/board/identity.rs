@@ -1,10 +1,12 @@
 //! What a board says of itself, on the wire.
 
-use super::{
-    fields::{Reader, Writer},
-    message::MessageError,
-};
-use crate::acquisition::{Converter, Role};
+use alloc::borrow::ToOwned;
+use alloc::string::String;
+use alloc::vec::Vec;
+
+use super::fields::{Reader, Writer};
+use super::message::MessageError;
+use crate::channel::{Converter, Role, round};
 
 /// The longest name of a board in bytes.
 pub const MAX_NAME: usize = 64;
@@ -36,7 +38,7 @@ impl BoardIdentity {
             .u32(self.tick_hz)
             .u8(self.converter.bits)
             .u8(self.output_bits)
-            .u32((self.converter.range_v * 1e3).round() as u32)
+            .u32(round(self.converter.range_v * 1e3) as u32)
             .u32(self.rate_mhz[0])
             .u32(self.rate_mhz[1])
             .u8(u8::from(self.simulated))

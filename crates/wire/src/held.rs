@@ -1,7 +1,6 @@
 //! The last valid pose, for those who asked to keep it (`POSE_HELD`).
 
-use super::PoseFrame;
-use crate::estimation::Status;
+use crate::{PoseFrame, Status};
 
 /// Remembers the last valid pose of a stream.
 #[derive(Clone, Debug, Default)]
@@ -31,11 +30,10 @@ impl Hold {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::publishing::stamp::tests::{report, stamp};
 
     #[test]
     fn the_last_valid_pose_stays_marked_and_only_as_long_as_it_means_something() {
-        let valid = PoseFrame::from_report(&report(), stamp());
+        let valid = PoseFrame::example();
         let dark = PoseFrame {
             sequence: 10,
             time_ns: 11,

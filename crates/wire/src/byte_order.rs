@@ -1,11 +1,9 @@
 //! The pose frame in network byte order, for targets that ask for it: every field turned round, the
 //! magic bytes as they are, the CRC over the bytes as they are sent.
 
-use super::{
-    frame::{FrameBytes, FrameError, PoseFrame},
-    layout::{FIELDS, FRAME_SIZE},
-    message::CRC_SIZE,
-};
+use crate::frame::{FrameBytes, FrameError, PoseFrame};
+use crate::layout::{FIELDS, FRAME_SIZE};
+use crate::message::CRC_SIZE;
 
 /// Where the size stands, and how it reads in network order.
 const SIZE_AT: usize = 6;
@@ -29,7 +27,7 @@ impl PoseFrame {
         }
         let mut little = turned(&big);
         let expected = crc32fast::hash(&big[..CRC_AT]);
-        let received = u32::from_le_bytes(std::array::from_fn(|i| little[CRC_AT + i]));
+        let received = u32::from_le_bytes(core::array::from_fn(|i| little[CRC_AT + i]));
         if expected != received {
             return Err(FrameError::Crc { expected, received });
         }
@@ -53,11 +51,10 @@ fn turned(bytes: &FrameBytes) -> FrameBytes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::publishing::stamp::tests::{report, stamp};
 
     #[test]
     fn network_order_reads_back_and_damage_is_seen() {
-        let frame = PoseFrame::from_report(&report(), stamp());
+        let frame = PoseFrame::example();
         let little = frame.encode();
         let big = big_endian(&little);
         assert_eq!(&big[..8], b"TFP1\x01\x00\x00\xc0");

@@ -1,0 +1,15 @@
+//! The stream beyond the pose frame: messages in JSON, and what clients ask for (`docs/stream.md`).
+//!
+//! - [`message`]: messages in a byte stream, found again after damage.
+//! - [`descriptor`]: descriptor, heartbeat, answer and refusal.
+//! - [`request`]: the lines of a TCP client. [`subscription`]: datagrams under a lease.
+
+pub mod descriptor;
+pub mod message;
+pub mod request;
+pub mod subscription;
+
+pub use descriptor::{Answer, Descriptor, FieldEntry, Heartbeat, Refusal, Replayed, StreamForm};
+pub use message::{Decoder, Message, MessageError, json};
+pub use request::{ClientCommand, CommandError, Format, Pace, StreamRequest};
+pub use subscription::{Delivery, MAX_LEASE_S, SubscriptionRequest};

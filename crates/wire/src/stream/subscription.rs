@@ -1,0 +1,112 @@
+//! Requests for datagrams under a lease, one ASCII line each.
+
+use std::fmt;
+
+use super::request::{CommandError, divider, on_or_off};
+
+/// The longest lease, in seconds.
+pub const MAX_LEASE_S: u32 = 60;
+/// Which frames a receiver of datagrams gets, and how.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Delivery {
+    /// Those whose sequence this divides.
+    pub divider: u32,
+    /// In network byte order.
+    pub big_endian: bool,
+    /// With the last valid pose (`POSE_HELD`) instead of NaN.
+    pub held: bool,
+}
+
+/// What someone asks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SubscriptionRequest {
+    /// Send me frames.
+    Subscribe {
+        /// For so long, unless it is said again.
+        lease_s: u32,
+        /// These frames, so.
+        delivery: Delivery,
+        /// What the daemon challenged with.
+        nonce: Option<u64>,
+    },
+    /// Stop that.
+    Unsubscribe {
+        /// The nonce of the subscription.
+        nonce: u64,
+    },
+}
+
+impl SubscriptionRequest {
+    /// What a datagram asks. None: it is nothing of ours, and gets no answer.
+    pub fn parse(bytes: &[u8]) -> Option<Result<Self, String>> {
+        let text = std::str::from_utf8(bytes).ok()?;
+        let mut words = text.split_ascii_whitespace();
+        match words.next()? {
+            "subscribe" => Some(subscribe(words)),
+            "unsubscribe" => Some(match words.next().and_then(|w| w.strip_prefix("nonce=")).map(nonce) {
+                Some(nonce) => nonce.map(|nonce| Self::Unsubscribe { nonce }),
+                None => Err("allowed: unsubscribe nonce=HEX".into()),
+            }),
+            _ => None,
+        }
+    }
+}
+
+fn subscribe<'a>(options: impl Iterator<Item = &'a str>) -> Result<SubscriptionRequest, String> {
+    let (mut lease_s, mut nonce_said) = (None, None);
+    let mut delivery = Delivery { divider: 1, big_endian: false, held: false };
+    let said = |e: CommandError| e.to_string().trim_start_matches("error: ").to_owned();
+    for option in options {
+        match option.split_once('=').unwrap_or((option, "")) {
+            ("lease_s", value) => lease_s = value.parse().ok().filter(|s| (1..=MAX_LEASE_S).contains(s)),
+            ("divider", value) => delivery.divider = divider("divider", value).map_err(said)?,
+            ("held", value) => delivery.held = on_or_off("held", value).map_err(said)?,
+            ("big_endian", value) => delivery.big_endian = on_or_off("big_endian", value).map_err(said)?,
+            ("nonce", value) => nonce_said = Some(nonce(value)?),
+            _ => return Err("allowed: lease_s= divider= held= big_endian= nonce=".into()),
+        }
+    }
+    match lease_s {
+        Some(lease_s) => Ok(SubscriptionRequest::Subscribe { lease_s, delivery, nonce: nonce_said }),
+        None => Err(format!("allowed: lease_s=1 to {MAX_LEASE_S}")),
+    }
+}
+
+fn nonce(text: &str) -> Result<u64, String> {
+    u64::from_str_radix(text, 16).map_err(|_| "allowed: nonce=HEX".into())
+}
+
+/// As a client says it.
+impl fmt::Display for SubscriptionRequest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Subscribe { lease_s, delivery: Delivery { divider, big_endian, held }, nonce } => {
+                write!(f, "subscribe lease_s={lease_s} divider={divider}")?;
+                for (name, on) in [("big_endian", big_endian), ("held", held)] {
+                    if *on {
+                        write!(f, " {name}=on")?;
+                    }
+                }
+                nonce.map_or(Ok(()), |nonce| write!(f, " nonce={nonce:016x}"))
+            }
+            Self::Unsubscribe { nonce } => write!(f, "unsubscribe nonce={nonce:016x}"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn what_a_client_asks_is_what_is_understood(
+            lease_s in 1..=MAX_LEASE_S, divider in 1..1_000_000u32, big_endian: bool, held: bool, nonce: Option<u64>,
+        ) {
+            let ask = SubscriptionRequest::Subscribe { lease_s, delivery: Delivery { divider, big_endian, held }, nonce };
+            prop_assert_eq!(SubscriptionRequest::parse(ask.to_string().as_bytes()), Some(Ok(ask)));
+        }
+    }
+}
