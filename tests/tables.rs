@@ -106,7 +106,7 @@ fn the_gaussian_model_agrees_with_the_reference_both_ways() {
     );
 }
 
-/// The figures of docs/sensor-model.md, section "What a ray does not know".
+/// The figures of docs/sensor-model.md, section "Errors of the ray model".
 #[test]
 fn the_ray_model_is_off_by_what_the_documentation_says() {
     let poses = "tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad,beam_dx_m,beam_dy_m\n\
