@@ -7,8 +7,9 @@
 use std::path::Path;
 use std::process::Command;
 
-use trifacet::clock::{Clock, SystemClock};
+use trifacet::clock::SystemClock;
 use trifacet::config::Config;
+use trifacet::core::time::Clock;
 use trifacet::recording::reader::{Read, Reader};
 use trifacet::recording::{Entry, Topic};
 use trifacet::replay::feed::{self, News};

@@ -29,7 +29,6 @@ pub mod exit;
 pub mod experiment;
 pub mod logging;
 pub mod monitor;
-pub use {trifacet_optics as optics, trifacet_wire as wire};
 pub mod publishing;
 pub mod realtime;
 pub mod recording;
@@ -41,3 +40,6 @@ pub mod tuning;
 pub mod twin;
 
 pub use publishing::client;
+pub use trifacet_core as core;
+pub use trifacet_optics as optics;
+pub use trifacet_wire as wire;

@@ -7,20 +7,21 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
+use trifacet_core::centering::lock::Transition;
+use trifacet_core::centering::{Centering, LoopState, Outcome, TimedPose};
+use trifacet_core::channels::ChannelMap;
+use trifacet_core::estimation::{Estimation, PoseReport};
+use trifacet_core::signals::{Sample, Scan};
+use trifacet_core::stamp::Stamp;
+use trifacet_core::steering::{Command, codes};
+use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_optics::Pose;
 use trifacet_wire::actuator::{Ack, LeaseAction, OutputCommand};
 
-use crate::acquisition::{ChannelMap, Channels, Sample, Scan};
-use crate::centering::lock::Transition;
-use crate::centering::{Centering, LoopState, Outcome, TimedPose};
-use crate::clock::{Mono, NS_PER_S};
 use crate::config::{Config, FaultKind, Meaning};
-use crate::estimation::{Estimation, PoseReport, Settings};
 use crate::exit::{self, Failure};
-use crate::publishing::stamp::Stamp;
 use crate::recording::entry::Outflow;
 use crate::recording::{Entry, Tap, Witness};
-use crate::steering::{Command, outputs};
 use crate::twin::{OUTPUT_BITS, Outputs, Twin, TwinError, TwinScan};
 
 /// Silence is noticed after this time, and again after each half of it, as in the daemon.
@@ -72,17 +73,17 @@ impl Rig {
     pub fn new(config: &Config) -> Result<Self, Failure> {
         let wrong = |message: String| Failure::new(exit::CONFIG, message);
         let meaning = Arc::new(Meaning::read(config.clone()).map_err(|e| wrong(e.to_string()))?);
-        let channels = Channels::new(config, &meaning.tables)?;
+        let channels = config.channels(&meaning.tables)?;
         let (calibrated, id) = (channels.calibrated(), meaning.id());
-        let settings = Settings::new(config, calibrated, id).map_err(|e| wrong(e.to_string()))?;
+        let settings = config.estimation_settings(calibrated, id).map_err(|e| wrong(e.to_string()))?;
         let twin = Twin::new(config).map_err(|e| wrong(e.to_string()))?;
         let mut estimation = Estimation::new(settings);
         estimation.source(true);
         Ok(Self {
             outputs: twin.outputs().clone(),
-            channels: channels.map(twin.identity()).map_err(wrong)?,
+            channels: channels.map(twin.identity()).map_err(|e| wrong(e.to_string()))?,
             twin,
-            centering: Centering::new(config).map_err(|e| wrong(e.to_string()))?,
+            centering: config.centering_loop().map_err(|e| wrong(e.to_string()))?,
             estimation,
             full_scale: config.steering.full_scale_um * 1e-6,
             pose: None,
@@ -211,7 +212,7 @@ impl Rig {
     }
 
     fn steer(&mut self, command: Command, t_s: f64, time: Mono) {
-        let codes = outputs::codes(command.position, self.full_scale, OUTPUT_BITS);
+        let codes = codes(command.position, self.full_scale, OUTPUT_BITS);
         let Command { id, lease_ms, on_expiry, .. } = command;
         let accepted = self.outputs.take(&OutputCommand { id, codes, lease_ms, on_expiry }, time);
         if accepted {

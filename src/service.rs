@@ -13,13 +13,13 @@ use std::time::Duration;
 
 pub use notify::Notify;
 use tokio::time::{MissedTickBehavior, interval};
+use trifacet_core::telemetry::LatestStatus;
+use trifacet_core::telemetry::heartbeat::{Task, Turns};
 use trifacet_wire::{LockState, Status};
 use watch::Watch;
 
 use crate::config::RealtimeConfig;
 use crate::exit::{self, Failure};
-use crate::monitor::glance::Glance;
-use crate::monitor::turns::{Task, Turns};
 
 /// How often it looks, at least.
 const TICK: Duration = Duration::from_millis(250);
@@ -34,7 +34,7 @@ pub struct Service {
     /// The way to systemd.
     pub notify: Notify,
     turns: Arc<Turns>,
-    glance: Arc<Glance>,
+    glance: Arc<LatestStatus>,
     /// `realtime.stall_ms`, unless that is never.
     patience: Option<Duration>,
     ending: Cell<bool>,
@@ -42,7 +42,7 @@ pub struct Service {
 
 impl Service {
     /// For the daemon with these tasks and frames.
-    pub fn new(config: &RealtimeConfig, turns: Arc<Turns>, glance: Arc<Glance>) -> Self {
+    pub fn new(config: &RealtimeConfig, turns: Arc<Turns>, glance: Arc<LatestStatus>) -> Self {
         let patience = (config.stall_ms > 0).then(|| Duration::from_millis(config.stall_ms.into()));
         let notify = Notify::from_environment();
         Self { notify, turns, glance, patience, ending: Cell::new(false) }

@@ -8,11 +8,12 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
-use trifacet::acquisition::{Down, Event, Scan, SerialSource, Source};
+use trifacet::acquisition::{Down, Event, SerialSource, Source};
 use trifacet::clock::SystemClock;
 use trifacet::config::{self, Config};
+use trifacet::core::signals::Scan;
+use trifacet::core::telemetry::Counters;
 use trifacet::exit;
-use trifacet::monitor::Counters;
 use trifacet_wire::actuator::{Ack, LeaseAction, OutputCommand};
 
 /// Longer than anything here takes on the slowest machine.
@@ -131,7 +132,7 @@ impl Host {
 
     fn steer(&mut self, id: u32, codes: [i32; 2], on_expiry: LeaseAction) {
         let command = OutputCommand { id, codes, lease_ms: 200, on_expiry };
-        self.source.steer(command, trifacet::clock::Mono::default());
+        self.source.steer(command, trifacet::core::time::Mono::default());
     }
 
     async fn ack(&mut self) -> Ack {

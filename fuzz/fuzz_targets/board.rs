@@ -8,8 +8,8 @@ use std::{fmt::Debug, sync::Arc};
 use libfuzzer_sys::fuzz_target;
 use trifacet::acquisition::Event;
 use trifacet::acquisition::board::{Session, Settings};
-use trifacet::clock::Mono;
-use trifacet::monitor::Counters;
+use trifacet::core::time::Mono;
+use trifacet::core::telemetry::Counters;
 use trifacet_wire::board::{Answer, Deframer, MessageError, Request, framing as frame};
 use trifacet_wire::channel::MAX_CHANNELS;
 

@@ -6,7 +6,7 @@
 use std::net::SocketAddr;
 
 use libfuzzer_sys::fuzz_target;
-use trifacet::clock::Mono;
+use trifacet::core::time::Mono;
 use trifacet::config::Network;
 use trifacet::publishing::subscription::Subscriptions;
 use trifacet_wire::stream::{ClientCommand, SubscriptionRequest};

@@ -13,15 +13,15 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::task::JoinHandle;
 use tokio::time::{sleep, timeout};
 use tokio_serial::SerialStream;
+use trifacet_core::telemetry::Counters;
+use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::actuator::OutputCommand;
 
 use super::board::{Session, Settings};
 use super::port::{self, PortError};
 use super::{Down, Event, Source};
-use crate::clock::{Clock, Mono};
 use crate::config::Config;
 use crate::exit::{Failure, IN_USE};
-use crate::monitor::Counters;
 
 /// Between two attempts to open the port.
 const RETRY: Duration = Duration::from_millis(200);

@@ -2,10 +2,9 @@
 
 use std::future::Future;
 
+use trifacet_core::signals::{Identity, Scan};
+use trifacet_core::time::Mono;
 use trifacet_wire::actuator::{Ack, OutputCommand};
-
-use super::scan::{Identity, Scan};
-use crate::clock::Mono;
 
 /// Why no scans come.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -7,14 +7,15 @@ use tokio::sync::mpsc::{self};
 use tokio::sync::{oneshot, watch};
 use tokio::time::interval;
 use tokio_util::sync::CancellationToken;
+use trifacet_core::channels::{ChannelMap, Channels};
+use trifacet_core::signals::{Identity, Sample, Scan};
+use trifacet_core::telemetry::Counters;
+use trifacet_core::telemetry::heartbeat::HEARTBEAT;
+use trifacet_core::time::Clock;
 use trifacet_wire::actuator::OutputCommand;
 
-use super::{ChannelMap, Channels, Down, Event, Identity, Sample, Scan, Source};
-use crate::clock::Clock;
+use super::{Down, Event, Source};
 use crate::config::Meaning;
-use crate::estimation;
-use crate::monitor::Counters;
-use crate::monitor::turns::HEARTBEAT;
 use crate::steering::outputs::Answers;
 
 /// What estimation gets, in order.
@@ -37,7 +38,7 @@ pub struct Change {
     /// Another channel map; taken out on its way.
     pub channels: Option<Channels>,
     /// For estimation.
-    pub settings: estimation::Settings,
+    pub settings: trifacet_core::estimation::Settings,
     /// What says so, for who keeps a record.
     pub meaning: Arc<Meaning>,
     /// Hears that it is so.
@@ -161,7 +162,7 @@ impl Intake {
                 self.source = Some((Arc::clone(&identity), map));
                 self.tell(Acquired::Up(identity));
             }
-            Err(reason) => self.down(Down::Unfit(reason)),
+            Err(missing) => self.down(Down::Unfit(missing.to_string())),
         }
     }
 
@@ -227,11 +228,11 @@ impl Intake {
 
 #[cfg(test)]
 mod tests {
+    use trifacet_core::signals::PsdState;
+    use trifacet_core::time::Mono;
     use trifacet_wire::channel::MAX_CHANNELS;
 
     use super::*;
-    use crate::acquisition::PsdState;
-    use crate::clock::Mono;
     use crate::config::Config;
 
     fn sample(index: u64) -> Sample {
@@ -256,7 +257,7 @@ mod tests {
     #[test]
     fn no_sample_overtakes_a_change_and_none_is_lost_uncounted() {
         let config = Config::default();
-        let channels = Channels::load(&config).unwrap();
+        let channels = config.read_channels().unwrap();
         let (samples, mut estimation) = mpsc::channel(3);
         let mut intake = Intake {
             channels,
@@ -270,7 +271,7 @@ mod tests {
             change: None,
         };
         let change = || {
-            let settings = estimation::Settings::new(&config, false, 7).unwrap();
+            let settings = config.estimation_settings(false, 7).unwrap();
             Change { channels: None, settings, meaning: Arc::default(), done: oneshot::channel().0 }
         };
         for index in 1..=3 {

@@ -7,7 +7,7 @@
 //! the prediction late at once. What remains is the fixed part of the way, which only the
 //! configuration can know (`latency_us`).
 
-use crate::clock::{Mono, NS_PER_S};
+use trifacet_core::time::{Mono, NS_PER_S};
 
 /// One standard deviation of the offset at the start, nanoseconds: how late a first arrival may be.
 const FIRST_SIGMA_NS: f64 = 1e6;

@@ -4,9 +4,9 @@ use std::io;
 use std::sync::Arc;
 
 use tokio::sync::watch;
+use trifacet_core::time::{Clock, Mono};
 
 use super::pace::{Timer, Waiting};
-use super::{Clock, Mono};
 
 /// Stands still until it is advanced; its copies show the same time.
 #[derive(Clone, Debug)]

@@ -14,8 +14,9 @@ use rustix::time::{
 };
 use tokio::io::Interest;
 use tokio::io::unix::AsyncFd;
+use trifacet_core::time::{Clock, Mono, NS_PER_S};
 
-use super::{Clock, Mono, NS_PER_S, SystemClock};
+use super::SystemClock;
 
 /// Waits for a moment of one clock.
 pub trait Timer {

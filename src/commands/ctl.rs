@@ -4,11 +4,11 @@ use std::io::Write as _;
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
-use trifacet::config::LoopMode;
 use trifacet::control::{self, Command};
 use trifacet::exit::{self, Failure};
-use trifacet::monitor::turns::{Drill, Task};
 use trifacet::recording::Wish;
+use trifacet_core::centering::LoopMode;
+use trifacet_core::telemetry::heartbeat::{Drill, Task};
 
 use super::written;
 

@@ -7,14 +7,14 @@ use std::time::Duration;
 
 use anyhow::Context;
 use tokio::time::{Instant, timeout_at};
-use trifacet::acquisition::dark::{DarkOffsets, Darkness};
 use trifacet::acquisition::{Event, SerialSource, Source};
 use trifacet::clock::SystemClock;
 use trifacet::config::edit::{self, Edit};
 use trifacet::config::{Config, FaultKind, SourceKind};
 use trifacet::exit::{self, Failure};
-use trifacet::monitor::Counters;
 use trifacet::twin::{Twin, TwinSource};
+use trifacet_core::channels::dark::{DarkOffsets, Darkness};
+use trifacet_core::telemetry::Counters;
 use trifacet_optics::FACETS;
 
 use super::{ConfigArg, written};

@@ -14,10 +14,11 @@ use clap::Args;
 use frames::Seen;
 use tokio::time::{Instant, timeout, timeout_at};
 use trifacet::client::{Client, ClientError, Endpoint, Message, Options};
+use trifacet::clock::SystemClock;
 use trifacet::clock::utc::Utc;
-use trifacet::clock::{Clock, Mono, SystemClock};
 use trifacet::config::Config;
 use trifacet::exit::{self, Failure};
+use trifacet_core::time::{Clock, Mono};
 
 use super::{ConfigArg, written};
 

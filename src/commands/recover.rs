@@ -7,12 +7,12 @@ use std::process::Command;
 
 use anyhow::Context;
 use rustix::process::{Resource, Rlimit, setrlimit};
-use trifacet::clock::Mono;
 use trifacet::exit::{self, Failure};
 use trifacet::recording::codec::{Encoded, Encoder};
 use trifacet::recording::reader::Tally;
 use trifacet::recording::writer::{RecordError, Writer};
 use trifacet::recording::{Reader, Topic};
+use trifacet_core::time::Mono;
 
 use super::new_file::{NewFile, cannot_write};
 

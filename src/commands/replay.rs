@@ -12,13 +12,14 @@ use std::time::Duration;
 use indicatif::{ProgressBar, ProgressStyle};
 use output::Output;
 use statistics::Statistics;
-use trifacet::clock::{Clock, Mono, NS_PER_S, SystemClock};
+use trifacet::clock::SystemClock;
 use trifacet::config::{self, Meaning};
 use trifacet::exit::{self, Failure};
 use trifacet::recording::reader::{Gap, Read, Tally};
 use trifacet::recording::{Entry, Keyframe};
 use trifacet::replay::feed::{self, News};
 use trifacet::replay::{Engine, Verdict};
+use trifacet_core::time::{Clock, Mono, NS_PER_S};
 
 use super::written;
 
@@ -125,7 +126,7 @@ impl Pace {
 
     /// Waits until it is the turn of a recorded moment.
     fn wait(&mut self, entry: &Entry) {
-        let (Entry::Sample { scan: trifacet::acquisition::Scan { time, .. }, .. }
+        let (Entry::Sample { scan: trifacet_core::signals::Scan { time, .. }, .. }
         | Entry::Silence { time, .. }) = entry
         else {
             return;

@@ -6,14 +6,15 @@
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use trifacet::acquisition::{ChannelMap, Channels, Sample};
-use trifacet::clock::{Mono, NS_PER_S};
 use trifacet::config::Config;
 use trifacet::exit::{self, Failure};
 use trifacet::recording::codec::{Encoded, Encoder};
 use trifacet::recording::writer::Writer;
 use trifacet::rig::{Rig, Turn};
 use trifacet::twin::{Twin, TwinScan};
+use trifacet_core::channels::ChannelMap;
+use trifacet_core::signals::Sample;
+use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_optics::Pose;
 use trifacet_wire::layout::{POSE, SPOTS};
 
@@ -49,9 +50,9 @@ pub(crate) fn simulate(args: &SimulateArgs) -> anyhow::Result<()> {
         let rig = Rig::new(&config)?;
         return written(closed_loop(rig, args.samples, io::stdout().lock()));
     }
-    let wrong = |message| Failure::new(exit::CONFIG, message);
+    let wrong = |message: String| Failure::new(exit::CONFIG, message);
     let mut twin = Twin::new(&config).map_err(|e| wrong(e.to_string()))?;
-    let mut map = Channels::load(&config)?.map(twin.identity()).map_err(wrong)?;
+    let mut map = config.read_channels()?.map(twin.identity()).map_err(|e| wrong(e.to_string()))?;
     written(table(&mut twin, &mut map, args.samples, io::stdout().lock()))
 }
 
@@ -142,7 +143,7 @@ mod tests {
 
     fn text(config: &Config, samples: u64) -> String {
         let (mut out, mut twin) = (Vec::new(), Twin::new(config).unwrap());
-        let mut map = Channels::load(config).unwrap().map(twin.identity()).unwrap();
+        let mut map = config.read_channels().unwrap().map(twin.identity()).unwrap();
         table(&mut twin, &mut map, samples, &mut out).unwrap();
         String::from_utf8(out).unwrap()
     }

@@ -16,19 +16,20 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{mpsc, watch};
 use tokio::task::LocalSet;
 use tokio_util::sync::CancellationToken;
-use trifacet::acquisition::{self, Channels, SerialSource, Source};
+use trifacet::acquisition::{SerialSource, Source};
 use trifacet::clock::SystemClock;
 use trifacet::config::{Config, SourceKind, edit};
 use trifacet::exit::{self, Failure};
-use trifacet::monitor::Counters;
-use trifacet::realtime;
 use trifacet::steering::outputs::Answers;
-use trifacet::steering::{Outputs, Stage, Xy, gcs};
+use trifacet::steering::{Outputs, Stage, gcs};
 use trifacet::tuning::findings::Findings;
 use trifacet::tuning::look::Looker;
 use trifacet::tuning::plan::{Choices, Settings};
 use trifacet::tuning::task::{self, Recording};
 use trifacet::twin::{Twin, TwinSource};
+use trifacet::{acquisition, realtime};
+use trifacet_core::steering::Xy;
+use trifacet_core::telemetry::Counters;
 
 use super::{ConfigArg, written};
 
@@ -158,7 +159,7 @@ async fn with<S: Source + 'static>(
     let stop_acquisition = CancellationToken::new();
     let acquisition = tokio::task::spawn_local(acquisition::task::run(
         source().context("cannot start the source")?,
-        Channels::load(config)?,
+        config.read_channels()?,
         SystemClock,
         Arc::clone(&counters),
         acquisition::task::Edges {

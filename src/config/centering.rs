@@ -1,47 +1,9 @@
 //! `[centering]`: the loop that keeps the beam on the apex.
 
 use serde::{Deserialize, Serialize};
+use trifacet_core::centering::{LoopMode, Target};
 
 use super::check::{Checker, above_zero};
-
-/// What the loop brings to zero.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Target {
-    /// The offset between beam and apex, by the wedges of the last pose.
-    Apex,
-    /// The differences between the three powers, as in the paper.
-    Balance,
-}
-
-/// What the loop does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum LoopMode {
-    /// It moves the stage.
-    On,
-    /// It does nothing.
-    Off,
-    /// It computes what it would do, reports it, and moves nothing: for the first contact with hardware.
-    Shadow,
-    /// The stage stands where a person puts it.
-    Manual,
-}
-
-impl LoopMode {
-    /// Every mode.
-    pub const ALL: [LoopMode; 4] = [LoopMode::On, LoopMode::Off, LoopMode::Shadow, LoopMode::Manual];
-
-    /// The mode as a word: "on", "shadow".
-    pub fn name(self) -> &'static str {
-        match self {
-            LoopMode::On => "on",
-            LoopMode::Off => "off",
-            LoopMode::Shadow => "shadow",
-            LoopMode::Manual => "manual",
-        }
-    }
-}
 
 /// `[centering]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -155,5 +117,26 @@ mod tests {
         assert!((config.gains(10.0).ki_per_s - 2.5).abs() < 1e-12);
         let given = CenteringConfig { kp: Some(0.3), ki_per_s: Some(7.0), ..config };
         assert_eq!(given.gains(10.0), Gains { kp: 0.3, ki_per_s: 7.0 });
+    }
+
+    #[test]
+    fn the_simc_rule_is_stable_everywhere() {
+        for delay_ms in [0.01, 0.4, 2.5, 100.0, 10_000.0] {
+            for lag_ms in [0.0, 0.5, 50.0, 10_000.0] {
+                for rate_hz in [10.0, 1000.0, 20_000.0] {
+                    let config = CenteringConfig { loop_delay_ms: delay_ms, lag_ms, ..Default::default() };
+                    let (gains, delay_s) = (config.gains(rate_hz), config.loop_delay_s(rate_hz));
+                    assert!(
+                        trifacet_core::centering::stability::is_stable(
+                            [gains.kp, gains.ki_per_s],
+                            delay_s,
+                            lag_ms * 1e-3,
+                            1.0 / rate_hz
+                        ),
+                        "{delay_ms} {lag_ms} {rate_hz}"
+                    );
+                }
+            }
+        }
     }
 }

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
+use trifacet_core::channels::Amplifier;
 
 use super::check::{Checker, above_zero};
 
@@ -19,27 +20,17 @@ pub struct ChannelsConfig {
     /// Position of the stage per volt of its readback signal.
     pub readback_um_per_v: f64,
     /// PSD A.
-    pub a: PsdChannels,
+    pub a: PsdChannelsConfig,
     /// PSD B.
-    pub b: PsdChannels,
+    pub b: PsdChannelsConfig,
     /// PSD C.
-    pub c: PsdChannels,
-}
-
-/// What the amplifier of a PSD puts out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Amplifier {
-    /// Positions, already divided by the sum: `full_scale_v` is the edge of the PSD.
-    Normalised,
-    /// Differences, not divided: a difference equal to the sum is the edge of the PSD.
-    Difference,
+    pub c: PsdChannelsConfig,
 }
 
 /// `[channels.a]`, `[channels.b]`, `[channels.c]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct PsdChannels {
+pub struct PsdChannelsConfig {
     /// What the amplifier puts out.
     pub amplifier: Amplifier,
     /// Volts at the edge of the PSD, for a normalised amplifier.
@@ -59,14 +50,14 @@ impl Default for ChannelsConfig {
             clip_limit: 0.999,
             power_mw_per_v: 0.0667,
             readback_um_per_v: 50.0,
-            a: PsdChannels::default(),
-            b: PsdChannels::default(),
-            c: PsdChannels::default(),
+            a: PsdChannelsConfig::default(),
+            b: PsdChannelsConfig::default(),
+            c: PsdChannelsConfig::default(),
         }
     }
 }
 
-impl Default for PsdChannels {
+impl Default for PsdChannelsConfig {
     fn default() -> Self {
         Self {
             amplifier: Amplifier::Normalised,
@@ -80,11 +71,11 @@ impl Default for PsdChannels {
 
 impl ChannelsConfig {
     /// The channels of the three PSDs in order.
-    pub fn psds(&self) -> [&PsdChannels; 3] {
+    pub fn psds(&self) -> [&PsdChannelsConfig; 3] {
         [&self.a, &self.b, &self.c]
     }
 
-    pub(super) fn psds_mut(&mut self) -> [&mut PsdChannels; 3] {
+    pub(super) fn psds_mut(&mut self) -> [&mut PsdChannelsConfig; 3] {
         [&mut self.a, &mut self.b, &mut self.c]
     }
 
@@ -99,7 +90,7 @@ impl ChannelsConfig {
     }
 }
 
-impl PsdChannels {
+impl PsdChannelsConfig {
     fn check(&self, mut at: Checker<'_>) {
         at.number("full_scale_v", self.full_scale_v, above_zero(100.0));
         at.numbers("gain", &self.gain, -100.0..=100.0);

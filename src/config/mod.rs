@@ -8,10 +8,12 @@
 //!   the lines.
 
 mod acquisition;
+mod assembly;
 mod centering;
 mod channels;
 mod check;
 mod control;
+mod correction;
 pub mod edit;
 mod error;
 mod estimation;
@@ -38,8 +40,9 @@ mod together;
 mod twin;
 
 pub use acquisition::{AcquisitionConfig, SerialConfig, SourceKind};
-pub use centering::{CenteringConfig, Gains, LoopMode, Target};
-pub use channels::{Amplifier, ChannelsConfig, PsdChannels};
+pub use assembly::AssemblyError;
+pub use centering::{CenteringConfig, Gains};
+pub use channels::{ChannelsConfig, PsdChannelsConfig};
 pub use control::ControlConfig;
 pub use error::{ConfigError, Problem};
 pub use estimation::{EstimationConfig, Model};
@@ -58,7 +61,7 @@ pub use realtime::RealtimeConfig;
 pub use recording::{Compression, RecordingConfig, RecordingMode};
 pub use replay::ReplayConfig;
 use serde::{Deserialize, Serialize};
-pub use steering::{NO_TILT, OnExit, SteeringConfig, SteeringKind};
+pub use steering::{NO_TILT, SteeringConfig, SteeringKind};
 pub use tables::{Meaning, TableError, Tables};
 pub use twin::{TwinConfig, TwinSteering};
 

@@ -112,7 +112,9 @@ fn compare(path: &str, old: &Value, new: &Value, keys: &mut Vec<String>) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{LoopMode, parse};
+    use trifacet_core::centering::LoopMode;
+
+    use super::super::parse;
     use super::*;
 
     fn config(text: &str) -> Config {

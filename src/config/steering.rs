@@ -1,19 +1,10 @@
 //! `[steering]`: the stage that moves the laser.
 
 use serde::{Deserialize, Serialize};
+use trifacet_core::centering::OnExit;
 
 use super::check::{Checker, above_zero};
 use super::gcs::GcsConfig;
-
-/// What the steering does when the daemon ends, or the lease of a command.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum OnExit {
-    /// Stays where it is.
-    Hold,
-    /// Goes to the parking position.
-    Park,
-}
 
 /// What moves the laser.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -1,12 +1,12 @@
 //! Checks across sections: values that are fine alone and not together.
 
+use trifacet_core::centering::stability::is_stable;
 use trifacet_optics::{Optics, Pose, Vec2};
 use trifacet_wire::board::required_baud;
 use trifacet_wire::channel::SIGNALS;
 
 use super::check::Checker;
 use super::{CenteringConfig, Config, Model, RecordingMode, SourceKind, SteeringKind};
-use crate::centering::stability::is_stable;
 
 /// Gains are refused if the loop would ring ever louder with so many times as much.
 const MARGIN: f64 = 1.2;

@@ -3,8 +3,9 @@
 use std::fmt;
 use std::str::FromStr;
 
-use crate::config::LoopMode;
-use crate::monitor::turns::{Drill, Task};
+use trifacet_core::centering::LoopMode;
+use trifacet_core::telemetry::heartbeat::{Drill, Task};
+
 use crate::recording::Wish;
 
 /// A command.

@@ -7,30 +7,30 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::timeout;
+use trifacet_core::centering::LoopMode;
+use trifacet_core::channels::Channels;
+use trifacet_core::steering::Xy;
+use trifacet_core::telemetry::Counters;
+use trifacet_core::telemetry::heartbeat::{Drill, Task, Turns};
+use trifacet_core::time::{Clock, Mono};
 use trifacet_optics::Pose;
 use trifacet_wire::stream::{Descriptor, Replayed};
 
 use super::{Command, ToFast};
-use crate::acquisition::Channels;
 use crate::acquisition::task::Change;
-use crate::centering::Tuning;
-use crate::centering::task::Order;
-use crate::clock::{Clock, Mono, SystemClock};
+use crate::centering::Order;
+use crate::clock::SystemClock;
+use crate::config;
 use crate::config::edit::{self, Edit};
 use crate::config::reload::reload;
 use crate::config::{
-    self, Config, FramesConfig, LoopMode, Meaning, SourceKind, SteeringConfig, SteeringKind, Tables,
-    TransformConfig,
+    Config, FramesConfig, Meaning, SourceKind, SteeringConfig, SteeringKind, Tables, TransformConfig,
 };
-use crate::estimation::task::Question;
-use crate::estimation::{self, Frames};
+use crate::estimation::Question;
 use crate::exit::{self, Failure};
 use crate::logging::Logging;
-use crate::monitor::Counters;
-use crate::monitor::turns::{Drill, Task, Turns};
 use crate::publishing::descriptor::StreamFacts;
 use crate::recording::{Handle, Wish};
-use crate::steering::Xy;
 
 /// How long the fast side may take to answer.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -161,7 +161,7 @@ impl Live {
         let tables = Tables::read(&plan.running).map_err(|e| wrong(e.to_string()))?;
         let mut channels = None;
         if plan.running.channels != self.running.channels || tables != self.tables {
-            let map = Channels::new(&plan.running, &tables).map_err(|e| wrong(e.message))?;
+            let map = plan.running.channels(&tables).map_err(|e| wrong(e.to_string()))?;
             channels = Some((map, tables));
             if plan.running.channels == self.running.channels {
                 plan.changed.push("channels (the contents of a correction table)".into());
@@ -198,7 +198,7 @@ impl Live {
             no_tare(format!("no valid pose: {}", status.names().collect::<Vec<_>>().join(", ")))
         })?;
         let untared = FramesConfig { tare: TransformConfig::default(), ..self.running.frames };
-        let pose = Frames::new(&untared).pose(&mean).ok_or_else(|| {
+        let pose = untared.build().pose(&mean).ok_or_else(|| {
             no_tare("the pitch is within a degree of 90 degrees: turn [frames.base] or [frames.tool]".into())
         })?;
         let mut answer = self.set_tare(TransformConfig::of(&pose), save).await?;
@@ -255,7 +255,7 @@ impl Live {
         if next.centering != self.running.centering || next.steering != self.running.steering {
             // Before the loop acts on them.
             self.steering.send_replace(next.steering.clone());
-            let tuning = Box::new(Tuning::new(&next));
+            let tuning = Box::new(next.loop_params());
             ask(&self.fast.orders, PATIENCE, |done| Order::Retune(tuning, done)).await?;
         }
         self.told.send_replace(next.clone());
@@ -277,7 +277,8 @@ impl Live {
             facts.calibrated = channels.calibrated();
         }
         facts.id.config = meaning.id();
-        let settings = estimation::Settings::new(next, facts.calibrated, facts.id.config)
+        let settings = next
+            .estimation_settings(facts.calibrated, facts.id.config)
             .map_err(|e| Failure::new(exit::SOFTWARE, format!("the head cannot be built: {e}")))?;
         let tables = meaning.tables.clone();
         ask(&self.fast.changes, PATIENCE, |done| Change { channels, settings, meaning, done }).await?;

@@ -17,8 +17,8 @@ pub use live::Live;
 use tokio::sync::mpsc;
 
 use crate::acquisition::task::Change;
-use crate::centering::task::Order;
-use crate::estimation::task::Question;
+use crate::centering::Order;
+use crate::estimation::Question;
 
 /// Orders that may wait on each way. They come one at a time, so there is always room.
 const QUEUE: usize = 4;

@@ -9,24 +9,24 @@ use tokio::runtime::Builder;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::{self, LocalSet};
 use tokio_util::sync::CancellationToken;
+use trifacet_core::centering::Centering;
+use trifacet_core::channels::Channels;
+use trifacet_core::estimation::{Estimation, PoseReport};
+use trifacet_core::telemetry::heartbeat::{Task, Turns, counted};
+use trifacet_core::telemetry::{Counters, LatestStatus};
 use trifacet_wire::stream::Descriptor;
 
-use crate::acquisition::{self, Channels, SerialSource, Source};
-use crate::centering::{self, Centering};
+use crate::acquisition::{SerialSource, Source};
 use crate::clock::SystemClock;
 use crate::config::{Config, Meaning, RealtimeConfig, SourceKind};
 use crate::control::AtFast;
-use crate::estimation::{self, Estimation, PoseReport};
 use crate::exit::{self, Failure};
-use crate::monitor::Counters;
-use crate::monitor::glance::Glance;
-use crate::monitor::turns::{Task, Turns, counted};
 use crate::publishing::Publisher;
-use crate::realtime;
 use crate::recording::{Entry, Tap, Witness};
 use crate::replay::{self, Beginning};
 use crate::steering::{self, Gcs, Outputs, Stage};
 use crate::twin::{Twin, TwinSource};
+use crate::{acquisition, centering, estimation, realtime};
 
 /// Samples that may wait for estimation.
 const QUEUE: usize = 1024;
@@ -42,7 +42,7 @@ pub(super) struct Parts {
     pub(super) publisher: Publisher<SystemClock>,
     pub(super) counters: Arc<Counters>,
     pub(super) turns: Arc<Turns>,
-    pub(super) glance: Arc<Glance>,
+    pub(super) glance: Arc<LatestStatus>,
     pub(super) control: AtFast,
     pub(super) meaning: Arc<Meaning>,
     /// Of the recording, if that is the source.
@@ -109,7 +109,7 @@ async fn fast<S: Source + 'static>(
     let outputs = || Outputs::new(config.steering.full_scale_um * 1e-6, commands_in, answers);
     let driver = gcs.map_or_else(|| Stage::Outputs(outputs()), Stage::Gcs);
     let (state_in, steering) = watch::channel(centering.state());
-    let steering = estimation::pulse::Loop::new(steering, Arc::clone(&turns));
+    let steering = estimation::loop_liveness::Loop::new(steering, Arc::clone(&turns));
     let (poses_in, poses) = watch::channel(None);
     let stop_acquisition = CancellationToken::new();
 
@@ -132,12 +132,12 @@ async fn fast<S: Source + 'static>(
         Task::Acquisition,
     );
     let mut centering = spawn(
-        centering::task::run(
+        centering::run(
             centering,
             driver,
             SystemClock,
             counters,
-            centering::task::Edges { newest, poses, state: state_in, orders, tap: tap.clone() },
+            centering::Edges { newest, poses, state: state_in, orders, tap: tap.clone() },
             stop.clone(),
         ),
         &turns,
@@ -151,11 +151,11 @@ async fn fast<S: Source + 'static>(
         glance.at(report);
     };
     let mut estimation = spawn(
-        estimation::task::run(
+        estimation::run(
             estimation,
             config.acquisition.rate_hz,
             SystemClock,
-            estimation::task::Edges { samples, questions, steering, newest: poses_in, publish, witness },
+            estimation::Edges { samples, questions, steering, newest: poses_in, publish, witness },
         ),
         &turns,
         Task::Estimation,

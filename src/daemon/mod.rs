@@ -26,21 +26,19 @@ use tokio::runtime::Builder;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{Mutex, mpsc, watch};
 use tokio_util::sync::CancellationToken;
+use trifacet_core::estimation::Estimation;
+use trifacet_core::telemetry::heartbeat::Turns;
+use trifacet_core::telemetry::{Counters, LatestStatus};
+use trifacet_core::time::Clock;
 use trifacet_wire::stream::Descriptor;
 
-use crate::acquisition::Channels;
-use crate::centering::Centering;
+use crate::clock::SystemClock;
 use crate::clock::utc::Utc;
-use crate::clock::{Clock, SystemClock};
 use crate::config::{Config, Meaning};
 use crate::control::server::Socket;
 use crate::control::{self, Live};
-use crate::estimation::{self, Estimation};
 use crate::logging::Logging;
-use crate::monitor::Counters;
-use crate::monitor::glance::Glance;
 use crate::monitor::page::control::Controls;
-use crate::monitor::turns::Turns;
 use crate::monitor::view::{self, View};
 use crate::publishing::descriptor::StreamFacts;
 use crate::publishing::{Outlets, Publisher, PublisherSettings, StreamId, subscribe};
@@ -59,10 +57,10 @@ const TO_MAIN: usize = 16 * 1024;
 pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::Result<()> {
     let started = SystemClock.now();
     let counters = Arc::new(Counters::default());
-    let (turns, glance) = <(Arc<Turns>, Arc<Glance>)>::default();
+    let (turns, glance) = <(Arc<Turns>, Arc<LatestStatus>)>::default();
     let service = Service::new(&config.realtime, Arc::clone(&turns), Arc::clone(&glance));
     let (config, meaning, beginning) = &holding(config)?;
-    let channels = Channels::new(config, &meaning.tables)?;
+    let channels = config.channels(&meaning.tables)?;
     let id = StreamId::new(meaning.id());
     let facts = StreamFacts {
         id,
@@ -100,8 +98,8 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         },
     )?;
     let parts = Parts {
-        estimation: Estimation::new(estimation::Settings::new(config, channels.calibrated(), id.config)?),
-        centering: Centering::new(config)?,
+        estimation: Estimation::new(config.estimation_settings(channels.calibrated(), id.config)?),
+        centering: config.centering_loop()?,
         gcs,
         channels,
         publisher,

@@ -8,6 +8,7 @@ use tokio::runtime::Runtime;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{Mutex, mpsc, watch};
 use tokio_util::sync::CancellationToken;
+use trifacet_core::telemetry::Counters;
 use trifacet_wire::PoseFrame;
 use trifacet_wire::stream::Descriptor;
 
@@ -17,9 +18,9 @@ use crate::config::Config;
 use crate::control::server::Socket;
 use crate::control::{self, Command, Live};
 use crate::exit::{self, Failure};
+use crate::monitor;
 use crate::monitor::guard::Hosts;
 use crate::monitor::view::View;
-use crate::monitor::{self, Counters};
 use crate::publishing::{subscribe, subscription, tcp};
 use crate::service::{Notify, Service};
 use crate::steering::gcs;

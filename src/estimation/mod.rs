@@ -1,31 +1,237 @@
-//! Task 3: [`Sample`](crate::acquisition::Sample)s to [`PoseReport`]s.
-//!
-//! - [`core`]: what a sample (or a mean of several, [`block`]) says; pure.
-//! - [`settings`]: what the configuration says of it.
-//! - [`light`], [`power_step`]: what leaves no pose; [`integrity`]: what makes one doubtful.
-//! - [`frames`]: from the sensor's world to the user's frame.
-//! - [`noise`]: how noisy the signals are at present.
-//! - [`pulse`]: whether the loop still does what it said.
-//! - [`report`], [`status`]: what comes out.
-//! - [`task`]: the loop around it.
+//! The task: samples in, reports out, at once; and when no samples come, that.
 
-pub mod block;
-pub mod core;
-pub mod frames;
-pub mod integrity;
-mod light;
-pub mod noise;
-pub mod power_step;
-pub mod pulse;
-pub mod report;
-pub mod settings;
-pub mod task;
+pub mod loop_liveness;
 
-pub use frames::Frames;
-pub use report::PoseReport;
-pub use settings::Settings;
+use std::time::Duration;
 
-pub use self::core::{Estimation, Memory};
+use tokio::sync::{mpsc, oneshot, watch};
+use tokio::task::yield_now;
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
+use trifacet_core::estimation::{Estimation, PoseReport};
+use trifacet_core::signals::Identity;
+use trifacet_core::telemetry::heartbeat::HEARTBEAT;
+use trifacet_core::time::Clock;
+use trifacet_optics::Pose;
+use trifacet_wire::Status;
+use trifacet_wire::channel::Role;
 
-#[cfg(test)]
-mod tests;
+use crate::acquisition::task::Acquired;
+use crate::estimation::loop_liveness::Loop;
+use crate::recording::Witness;
+
+/// How often silence is reported, at most.
+const SILENCE_HZ: f64 = 100.0;
+/// The shortest silence that counts.
+const PATIENCE: Duration = Duration::from_millis(20);
+
+/// The edges of the task.
+#[derive(Debug)]
+pub struct Edges<Publish> {
+    /// Samples in order, from acquisition.
+    pub samples: mpsc::Receiver<Acquired>,
+    /// Questions from outside of the fast side.
+    pub questions: mpsc::Receiver<Question>,
+    /// What the loop does, from centering.
+    pub steering: Loop,
+    /// The newest report, in the sensor's world, to centering.
+    pub newest: watch::Sender<Option<PoseReport>>,
+    /// Every report, in the user's frame, to publishing.
+    pub publish: Publish,
+    /// What goes in, for the record.
+    pub witness: Witness,
+}
+
+/// What may be asked.
+#[derive(Debug)]
+pub enum Question {
+    /// The last report that was published, if there was one.
+    Last(oneshot::Sender<Option<PoseReport>>),
+    /// The mean of so many poses in the sensor's world, from the next one on; the status of the first
+    /// report without one ends it. A second one of these questions ends the first.
+    Mean(u32, oneshot::Sender<Result<Pose, Status>>),
+}
+
+/// Runs until acquisition ends. `rate_hz` is the expected rate of samples.
+pub async fn run<C: Clock>(
+    mut estimation: Estimation,
+    rate_hz: f64,
+    clock: C,
+    edges: Edges<impl FnMut(&PoseReport)>,
+) {
+    let Edges { mut samples, mut questions, mut steering, newest, mut publish, mut witness } = edges;
+    let mut rhythm = Rhythm::new(rate_hz);
+    let mut last = None;
+    let mut mean: Option<PoseMean> = None;
+    let mut doubts = Doubts::default();
+    let mut heartbeat = interval(HEARTBEAT);
+    heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay); // one look after the thread has slept
+    loop {
+        let report = tokio::select! {
+            biased;
+            Some(question) = questions.recv() => {
+                match question {
+                    // Who does not wait for the answer any more does not need it.
+                    Question::Last(reply) => drop(reply.send(last)),
+                    Question::Mean(count, reply) => mean = Some(PoseMean::new(count, reply)),
+                }
+                None
+            }
+            acquired = samples.recv() => match acquired {
+                None => break,
+                Some(Acquired::Up(identity)) => {
+                    rhythm = rhythm.of(&identity);
+                    doubts.source(&identity, estimation.fuses());
+                    estimation.source(identity.simulated);
+                    witness.source(identity);
+                    None
+                }
+                Some(Acquired::Sample(sample, scan)) => {
+                    rhythm.heard();
+                    let steering = steering.now();
+                    witness.sample(&sample, scan, &steering, estimation.memory());
+                    estimation.sample(&sample, &steering)
+                }
+                Some(Acquired::Changed(change)) => {
+                    estimation.retune(change.settings);
+                    doubts.fusion(estimation.fuses());
+                    witness.meaning(change.meaning);
+                    let _ = change.done.send(());
+                    None
+                }
+                // Said at once, not after the next silence.
+                Some(Acquired::Down(down)) => {
+                    rhythm.silent();
+                    let (now, steering) = (clock.now(), steering.now());
+                    witness.silence(now, &steering, Some(down), estimation.memory());
+                    Some(estimation.silence(now, &steering))
+                }
+            },
+            () = sleep_until(rhythm.next) => {
+                // The whole thread may have slept: what has come in the meantime has its turn first.
+                yield_now().await;
+                if !samples.is_empty() {
+                    continue;
+                }
+                rhythm.silent();
+                let (now, steering) = (clock.now(), steering.now());
+                witness.silence(now, &steering, None, estimation.memory());
+                Some(estimation.silence(now, &steering))
+            }
+            _ = heartbeat.tick() => {
+                steering.look();
+                None
+            }
+        };
+        if let Some(mut report) = report {
+            report.solved = clock.now();
+            doubts.report(&report);
+            let published = estimation.in_user_frame(&report);
+            publish(&published);
+            last = Some(published);
+            mean = mean.and_then(|mean| mean.push(&report));
+            newest.send_replace(Some(report));
+        }
+    }
+}
+
+/// What the log says of the steering position, once each time.
+#[derive(Default)]
+struct Doubts {
+    no_readback: bool,
+    inconsistent: bool,
+}
+
+impl Doubts {
+    fn source(&mut self, identity: &Identity, fuses: bool) {
+        self.no_readback = ![0, 1].iter().all(|axis| identity.roles.contains(&Role::Steering(*axis)));
+        self.fusion(fuses);
+    }
+
+    fn fusion(&self, fuses: bool) {
+        if fuses && self.no_readback {
+            tracing::warn!(
+                "estimation.fuse_steering: the source does not read the steering back, so there is nothing to fuse"
+            );
+        }
+    }
+
+    /// A report without a residual is no news.
+    fn report(&mut self, report: &PoseReport) {
+        let Some(residual) = report.steering_residual else { return };
+        let inconsistent = report.status.has(Status::INCONSISTENT);
+        if inconsistent == self.inconsistent {
+            return;
+        }
+        self.inconsistent = inconsistent;
+        let residual_um = residual * 1e6;
+        if inconsistent {
+            tracing::warn!(
+                residual_um,
+                "steering and pose contradict each other: was the laser or the stage bumped?"
+            );
+        } else {
+            tracing::info!(residual_um, "steering and pose agree again");
+        }
+    }
+}
+
+/// A mean that somebody waits for. The angles of a sensor are far from where they wrap around.
+struct PoseMean {
+    count: u32,
+    left: u32,
+    sum: [f64; 6],
+    reply: oneshot::Sender<Result<Pose, Status>>,
+}
+
+impl PoseMean {
+    fn new(count: u32, reply: oneshot::Sender<Result<Pose, Status>>) -> Self {
+        let count = count.max(1);
+        Self { count, left: count, sum: [0.0; 6], reply }
+    }
+
+    /// Takes a report; none when the answer was given.
+    fn push(mut self, report: &PoseReport) -> Option<Self> {
+        let Some(pose) = report.pose else {
+            let _ = self.reply.send(Err(report.status));
+            return None;
+        };
+        for (sum, x) in self.sum.iter_mut().zip(pose.to_array()) {
+            *sum += x;
+        }
+        self.left -= 1;
+        if self.left > 0 {
+            return Some(self);
+        }
+        let mean = self.sum.map(|sum| sum / f64::from(self.count));
+        let _ = self.reply.send(Ok(Pose::from_array(mean)));
+        None
+    }
+}
+
+/// When silence is to be reported.
+struct Rhythm {
+    patience: Duration,
+    repeat: Duration,
+    next: Instant,
+}
+
+impl Rhythm {
+    fn new(rate_hz: f64) -> Self {
+        let patience = PATIENCE.max(Duration::from_secs_f64(5.0 / rate_hz));
+        let repeat = Duration::from_secs_f64(1.0 / rate_hz.min(SILENCE_HZ));
+        Self { patience, repeat, next: Instant::now() + patience }
+    }
+
+    /// The rhythm of another source; the silence so far counts.
+    fn of(&self, identity: &Identity) -> Self {
+        Self { next: self.next, ..Self::new(identity.rate_hz) }
+    }
+
+    fn heard(&mut self) {
+        self.next = Instant::now() + self.patience;
+    }
+
+    fn silent(&mut self) {
+        self.next = Instant::now() + self.repeat;
+    }
+}

@@ -1,10 +1,11 @@
 //! What the record at rest says.
 
+use trifacet_core::time::NS_PER_S;
+
 use super::allan::{Allan, allan, drift};
 use super::fit::{Slope, median};
 use super::look::Look;
 use super::reading::{Part, Reading};
-use crate::clock::NS_PER_S;
 use crate::exit::{self, Failure};
 
 /// Fewer readings say nothing of how noise and time go together.

@@ -1,6 +1,7 @@
 //! The experiment on the digital twin: the daemon's cores in lockstep, the loop closed, the twin's truth for
 //! the reference.
 
+use trifacet_core::estimation::PoseReport;
 use trifacet_optics::Pose;
 use trifacet_wire::{LockState, Status};
 
@@ -9,7 +10,6 @@ use super::protocol::Protocol;
 use super::reading::{Part, Reading};
 use super::{place, rest};
 use crate::config::{Axis, Config, FramesConfig};
-use crate::estimation::PoseReport;
 use crate::exit::{self, Failure};
 use crate::rig::Rig;
 

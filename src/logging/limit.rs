@@ -13,8 +13,9 @@ use tracing::field::{Field, Visit};
 use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::Layer;
 use tracing_subscriber::layer::Context;
+use trifacet_core::time::{Clock, Mono, NS_PER_S};
 
-use crate::clock::{Clock, Mono, NS_PER_S, SystemClock};
+use crate::clock::SystemClock;
 
 /// Lines that the same words get in an interval.
 const BURST: u32 = 20;

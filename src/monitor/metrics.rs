@@ -13,9 +13,9 @@ use prometheus_client::metrics::gauge::ConstGauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::Registry;
 use rustix::time::{ClockId, clock_gettime};
+use trifacet_core::telemetry::Counters;
 use trifacet_wire::{LockState, Status};
 
-use super::Counters;
 use super::tally::{Second, Tally};
 use super::view::View;
 

@@ -1,10 +1,10 @@
 //! What is added up over every frame, so that no scrape misses any. Pure.
 
 use prometheus_client::metrics::histogram::Histogram;
+use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_wire::{LockState, PoseFrame, Status};
 
 use super::trend::Trend;
-use crate::clock::{Mono, NS_PER_S};
 
 /// Bounds of the delays, seconds.
 const DELAYS_S: [f64; 16] =

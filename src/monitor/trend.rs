@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use crate::clock::Mono;
+use trifacet_core::time::Mono;
 
 /// Values that it goes by: those of ten minutes, if they come once a second.
 const MOST: usize = 600;
@@ -43,8 +43,9 @@ impl Trend {
 
 #[cfg(test)]
 mod tests {
+    use trifacet_core::time::NS_PER_S;
+
     use super::*;
-    use crate::clock::NS_PER_S;
 
     #[test]
     fn the_slope_is_that_of_the_last_values() {

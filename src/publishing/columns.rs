@@ -132,18 +132,18 @@ pub fn rfc3339(ns: i64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use trifacet_core::estimation::PoseReport;
+    use trifacet_core::stamp::Stamp;
+    use trifacet_core::time::Mono;
     use trifacet_wire::layout::COLUMNS;
 
     use super::*;
-    use crate::clock::Mono;
-    use crate::publishing::stamp::Stamp;
-    use crate::publishing::stamp::tests::report;
 
     fn frame() -> PoseFrame {
         let time_ns = 1_795_262_400_000_000_001;
         let stamp =
             Stamp { session: 1, config: 2, sequence: 3, time_ns, synced: true, sent: Mono(1_090_000) };
-        PoseFrame { beam_offset: [f32::NAN, 1e-6], ..report().frame(stamp) }
+        PoseFrame { beam_offset: [f32::NAN, 1e-6], ..PoseReport::example().frame(stamp) }
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use trifacet_core::telemetry::Counters;
 use trifacet_wire::layout::{COLUMNS, FIELDS};
 use trifacet_wire::message::{MAJOR, MINOR};
 use trifacet_wire::stream::{Descriptor, FieldEntry, Heartbeat};
@@ -9,7 +10,6 @@ use trifacet_wire::{LockState, Status};
 
 use super::publisher::StreamId;
 use crate::config::Model;
-use crate::monitor::Counters;
 
 /// What the daemon knows of its stream and does not get from this module.
 #[derive(Clone, Copy, Debug)]

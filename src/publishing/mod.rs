@@ -1,4 +1,4 @@
-//! [`PoseReport`](crate::estimation::PoseReport)s to UDP and TCP, and the client side of the same protocol.
+//! [`PoseReport`](trifacet_core::estimation::PoseReport)s to UDP and TCP, and the client side of the same protocol.
 //!
 //! - [`frame`]: the 192 bytes of a pose frame; [`layout`] is its byte table; [`stamp`] makes one of a report.
 //! - [`message`]: how messages follow each other on TCP, and how a reader finds them again after damage.
@@ -17,7 +17,6 @@ pub mod descriptor;
 pub mod form;
 pub mod publisher;
 pub mod query;
-pub mod stamp;
 pub mod subscribe;
 pub mod subscription;
 pub mod target;

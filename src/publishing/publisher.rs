@@ -7,16 +7,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::mpsc::{self};
+use trifacet_core::estimation::PoseReport;
+use trifacet_core::stamp::Stamp;
+use trifacet_core::telemetry::{Counter, Counters};
+use trifacet_core::time::Clock;
 use trifacet_wire::{PoseFrame, Status};
 
-use super::stamp::Stamp;
 use super::target::{Subscribers, Targets};
-use crate::clock::Clock;
 use crate::clock::utc::Utc;
 use crate::config::UdpTarget;
-use crate::estimation::PoseReport;
 use crate::exit::Failure;
-use crate::monitor::{Counter, Counters};
 
 /// What tells the frames of one daemon, with one configuration, from all others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -129,9 +129,9 @@ mod tests {
     use std::net::{SocketAddr, UdpSocket};
     use std::time::Duration;
 
+    use trifacet_core::time::Mono;
+
     use super::*;
-    use crate::clock::Mono;
-    use crate::publishing::stamp::tests::report;
 
     #[derive(Clone)]
     struct Fixed(Mono);
@@ -163,11 +163,14 @@ mod tests {
         let nobody = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let mut publisher = publisher(vec![nobody, receiver.local_addr().unwrap()], None);
         for sequence in 0..3 {
-            publisher.publish(&report());
+            publisher.publish(&PoseReport::example());
             let mut bytes = [0; 300];
             let n = receiver.recv(&mut bytes).unwrap();
             let frame = PoseFrame::decode(&bytes[..n]).unwrap();
-            assert_eq!((frame.session, frame.config, frame.sequence), (1, report().config, sequence));
+            assert_eq!(
+                (frame.session, frame.config, frame.sequence),
+                (1, PoseReport::example().config, sequence)
+            );
             assert_eq!(frame.time_ns, 5_001_000_000, "not the time of sending");
             assert_eq!(frame.send_delay_ns, 200_000);
         }
@@ -193,8 +196,8 @@ mod tests {
         let mut publisher =
             Publisher::new(settings, Fixed(Mono(1_200_000)), utc, counters, Outlets::default()).unwrap();
         for n in 0..6 {
-            let status = if n < 2 { report().status } else { Status::PSD_A_LOW };
-            publisher.publish(&PoseReport { status, ..report() });
+            let status = if n < 2 { PoseReport::example().status } else { Status::PSD_A_LOW };
+            publisher.publish(&PoseReport { status, ..PoseReport::example() });
         }
         let [plain, big, held] = receivers.map(|receiver| {
             let mut bytes = [0; 300];
@@ -218,7 +221,7 @@ mod tests {
     fn what_the_network_does_not_take_is_counted() {
         let no_port = SocketAddr::from(([127, 0, 0, 1], 0));
         let mut publisher = publisher(vec![no_port], None);
-        publisher.publish(&report());
+        publisher.publish(&PoseReport::example());
         assert_eq!(publisher.counters.udp_dropped.get(), 1);
     }
 
@@ -227,11 +230,11 @@ mod tests {
         let (tx, mut rx) = mpsc::channel(2);
         let mut publisher = publisher(vec![], Some(tx));
         for _ in 0..5 {
-            publisher.publish(&report());
+            publisher.publish(&PoseReport::example());
         }
         assert_eq!(publisher.counters.tcp_overflows.get(), 3);
         rx.try_recv().unwrap();
-        publisher.publish(&report());
+        publisher.publish(&PoseReport::example());
         let sequence = |frame: PoseFrame| frame.sequence;
         assert_eq!([rx.try_recv().map(sequence), rx.try_recv().map(sequence)], [Ok(1), Ok(5)]);
     }
@@ -240,7 +243,7 @@ mod tests {
     fn invalid_reports_are_published_too() {
         let (tx, mut rx) = mpsc::channel(2);
         let mut publisher = publisher(vec![], Some(tx));
-        publisher.publish(&PoseReport { pose: None, status: Status::SOURCE_DOWN, ..report() });
+        publisher.publish(&PoseReport { pose: None, status: Status::SOURCE_DOWN, ..PoseReport::example() });
         let frame = rx.try_recv().unwrap();
         assert_eq!(frame.status, Status::SOURCE_DOWN);
         assert_eq!((publisher.counters.frames.get(), publisher.counters.frames_invalid.get()), (1, 1));

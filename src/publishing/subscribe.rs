@@ -9,12 +9,12 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
+use trifacet_core::telemetry::Counters;
+use trifacet_core::time::Clock;
 
 use super::subscription::Subscriptions;
 use super::target::{Subscriber, Subscribers};
-use crate::clock::Clock;
 use crate::exit::Failure;
-use crate::monitor::Counters;
 
 /// Longer requests are none.
 const LONGEST: usize = 512;

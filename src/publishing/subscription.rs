@@ -8,10 +8,10 @@ use std::hash::{BuildHasher, RandomState};
 use std::net::SocketAddr;
 use std::sync::Arc;
 
+use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_wire::stream::{Delivery, SubscriptionRequest};
 
 use super::target::Subscriber;
-use crate::clock::{Mono, NS_PER_S};
 use crate::config::Network;
 
 /// A nonce is good for between one and two of these.

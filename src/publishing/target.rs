@@ -7,6 +7,7 @@ use std::sync::Arc;
 use rustix::net::netdevice::name_to_index;
 use rustix::net::sockopt;
 use tokio::sync::watch;
+use trifacet_core::telemetry::Counters;
 use trifacet_wire::PoseFrame;
 use trifacet_wire::byte_order::big_endian;
 use trifacet_wire::frame::FrameBytes;
@@ -15,7 +16,6 @@ use trifacet_wire::stream::Delivery;
 
 use crate::config::UdpTarget;
 use crate::exit::{self, Failure};
-use crate::monitor::Counters;
 
 /// A receiver that has subscribed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -6,15 +6,15 @@ use std::sync::Arc;
 use byteorder::LittleEndian;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use trifacet_core::estimation::Memory;
+use trifacet_core::signals::{Identity, Scan};
+use trifacet_core::time::Mono;
+use trifacet_core::utc::Reading;
 use trifacet_wire::Status;
 
 use super::message::{self, Time, Unknown};
 use super::{Entry, Keyframe, Topic};
-use crate::acquisition::{Identity, Scan};
-use crate::clock::Mono;
-use crate::clock::utc::Reading;
 use crate::config::{ConfigError, Meaning, Tables, parse};
-use crate::estimation::Memory;
 
 /// The version of this program: the state of another one may have another form.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");

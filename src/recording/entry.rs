@@ -6,14 +6,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::Matrix6;
 use tokio::sync::mpsc;
+use trifacet_core::centering::LoopState;
+use trifacet_core::estimation::Memory;
+use trifacet_core::signals::{Identity, Sample, Scan};
+use trifacet_core::telemetry::Counters;
+use trifacet_core::time::Mono;
 use trifacet_wire::{LockState, PoseFrame};
 
-use crate::acquisition::{Identity, Sample, Scan};
-use crate::centering::LoopState;
-use crate::clock::Mono;
 use crate::config::Meaning;
-use crate::estimation::Memory;
-use crate::monitor::Counters;
 
 /// Entries that may wait for the recorder, which may wait for a disk: 6 s at 10 kHz. Takes memory only
 /// while they wait.

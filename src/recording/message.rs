@@ -1,13 +1,12 @@
 //! The messages of the file: the fields of `msg/*.msg`, in their order.
 
 use serde::{Deserialize, Serialize};
+use trifacet_core::centering::LoopState;
+use trifacet_core::signals::{Identity, PsdState, Sample as Taken, Scan};
+use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_optics::Pose;
 use trifacet_wire::channel::{Converter, Role};
 use trifacet_wire::{LockState, PoseFrame, Status};
-
-use crate::acquisition::{Identity, PsdState, Sample as Taken, Scan};
-use crate::centering::LoopState;
-use crate::clock::{Mono, NS_PER_S};
 
 /// `builtin_interfaces/Time`, UTC.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -6,12 +6,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
+use trifacet_core::time::Mono;
+
 use super::Topic;
 use super::codec::{AGAIN, Encoded};
 use super::disk::{Disk, leads_to};
 use super::folder::Folder;
 use super::writer::{RecordError, Writer};
-use crate::clock::Mono;
 
 /// A recording in the making.
 pub struct Output {

@@ -27,6 +27,8 @@ use orders::Stopping;
 pub use thread::{Thread, start};
 use tokio::sync::mpsc::error::TryRecvError;
 use tokio::sync::mpsc::{self};
+use trifacet_core::telemetry::Counters;
+use trifacet_core::time::{Clock, Mono, NS_PER_S};
 
 use super::Entry;
 use super::codec::Encoder;
@@ -37,9 +39,8 @@ use super::handle::{Asked, State};
 use super::output::Output;
 use super::ring::Ring;
 use super::trigger::Trigger;
-use crate::clock::{Clock, Mono, NS_PER_S, SystemClock, utc};
+use crate::clock::{SystemClock, utc};
 use crate::config::{Compression, RecordingConfig, RecordingMode};
-use crate::monitor::Counters;
 
 /// How often the queue is looked at.
 const LOOK: Duration = Duration::from_millis(20);

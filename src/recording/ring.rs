@@ -2,10 +2,11 @@
 
 use std::collections::VecDeque;
 
+use trifacet_core::time::{Mono, NS_PER_S};
+
 use super::codec::{Encoded, Encoder};
 use super::writer::{RecordError, Writer};
 use super::{Entry, Topic};
-use crate::clock::{Mono, NS_PER_S};
 
 /// Most that it takes, bytes: then it reaches less far back.
 const MOST: usize = 512 << 20;

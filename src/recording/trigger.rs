@@ -1,9 +1,9 @@
 //! When something goes wrong. Pure.
 
+use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_wire::{LockState, PoseFrame, Status};
 
 use super::Entry;
-use crate::clock::{Mono, NS_PER_S};
 
 /// Looks for the beginnings of faults. While one lasts, it is no news.
 #[derive(Clone, Debug)]

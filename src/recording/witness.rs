@@ -2,12 +2,14 @@
 
 use std::sync::Arc;
 
+use trifacet_core::centering::LoopState;
+use trifacet_core::estimation::Memory;
+use trifacet_core::signals::{Identity, Sample, Scan};
+use trifacet_core::time::{Mono, NS_PER_S};
+
 use super::{Entry, Keyframe, Tap};
-use crate::acquisition::{Down, Identity, Sample, Scan};
-use crate::centering::LoopState;
-use crate::clock::{Mono, NS_PER_S};
+use crate::acquisition::Down;
 use crate::config::Meaning;
-use crate::estimation::Memory;
 
 /// Time between two keyframes: what is lost at most behind a damaged place.
 const KEYFRAME_NS: i64 = NS_PER_S;

@@ -3,11 +3,12 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use trifacet_core::centering::LoopMode;
+use trifacet_core::signals::Identity;
+use trifacet_core::time::Mono;
 use trifacet_wire::stream::Replayed;
 
-use crate::acquisition::Identity;
-use crate::clock::Mono;
-use crate::config::{Config, LoopMode, Meaning, ReplayConfig, SourceKind};
+use crate::config::{Config, Meaning, ReplayConfig, SourceKind};
 use crate::exit::{self, Failure};
 use crate::publishing::columns::rfc3339;
 use crate::recording::reader::Read;

@@ -2,10 +2,12 @@
 
 use std::sync::Arc;
 
-use crate::acquisition::{ChannelMap, Channels, Identity, Sample, Scan};
-use crate::centering::LoopState;
+use trifacet_core::centering::LoopState;
+use trifacet_core::channels::ChannelMap;
+use trifacet_core::estimation::{Estimation, Memory, PoseReport};
+use trifacet_core::signals::{Identity, Sample, Scan};
+
 use crate::config::Meaning;
-use crate::estimation::{Estimation, Memory, PoseReport, Settings};
 use crate::exit::{self, Failure};
 use crate::recording::{Entry, Keyframe};
 
@@ -158,9 +160,11 @@ impl Engine {
 impl State {
     fn new(keyframe: &Keyframe, other: Option<&Arc<Meaning>>) -> Result<Self, Failure> {
         let meaning = Arc::clone(other.unwrap_or(&keyframe.meaning));
-        let channels = Channels::new(&meaning.config, &meaning.tables)?;
+        let channels = meaning.config.channels(&meaning.tables)?;
         let wrong = |message: String| Failure::new(exit::CONFIG, message);
-        let settings = Settings::new(&meaning.config, channels.calibrated(), meaning.id())
+        let settings = meaning
+            .config
+            .estimation_settings(channels.calibrated(), meaning.id())
             .map_err(|e| wrong(e.to_string()))?;
         let mut estimation = Estimation::new(settings);
         if other.is_none() {
@@ -168,8 +172,12 @@ impl State {
         } else if let Some(source) = &keyframe.source {
             estimation.source(source.simulated);
         }
-        let mut map =
-            keyframe.source.as_ref().map(|source| channels.map(source)).transpose().map_err(wrong)?;
+        let mut map = keyframe
+            .source
+            .as_ref()
+            .map(|source| channels.map(source))
+            .transpose()
+            .map_err(|e| wrong(e.to_string()))?;
         if let Some((map, last)) = map.as_mut().zip(keyframe.last) {
             map.follow(&last);
         }

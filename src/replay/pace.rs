@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::clock::{Mono, NS_PER_S};
+use trifacet_core::time::{Mono, NS_PER_S};
 
 /// The shortest silence that counts, as of a source.
 const SILENCE: Duration = Duration::from_millis(20);

@@ -2,6 +2,10 @@
 
 use std::sync::Arc;
 
+use trifacet_core::centering::LoopState;
+use trifacet_core::estimation::{Estimation, PoseReport};
+use trifacet_core::telemetry::Counters;
+use trifacet_core::time::{Clock, Mono, NS_PER_S};
 use trifacet_wire::stream::Replayed;
 
 use super::pace::Pace;
@@ -9,12 +13,8 @@ use super::tape::{Next, Tape};
 use super::task::Recording;
 use super::teller::{Teller, Told};
 use super::{Engine, Verdict};
-use crate::centering::LoopState;
-use crate::centering::task::Order;
-use crate::clock::{Clock, Mono, NS_PER_S};
+use crate::centering::Order;
 use crate::config::{Meaning, ReplayConfig};
-use crate::estimation::{Estimation, PoseReport};
-use crate::monitor::Counters;
 use crate::recording::reader::Read;
 use crate::recording::{Entry, Keyframe};
 

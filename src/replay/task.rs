@@ -6,16 +6,16 @@ use std::time::Duration;
 
 use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
+use trifacet_core::estimation::Estimation;
+use trifacet_core::telemetry::Counters;
+use trifacet_core::time::Clock;
 
 use super::Beginning;
 use super::player::Player;
 use super::teller::Told;
-use crate::clock::Clock;
 use crate::config::{Meaning, ReplayConfig};
 use crate::control::AtFast;
-use crate::estimation::Estimation;
-use crate::estimation::task::Question;
-use crate::monitor::Counters;
+use crate::estimation::Question;
 
 /// How often is looked whether something is due: a timer of the runtime is not finer.
 const TICK: Duration = Duration::from_millis(1);

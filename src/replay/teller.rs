@@ -2,13 +2,11 @@
 
 use std::sync::Arc;
 
+use trifacet_core::centering::{LoopMode, LoopState, LoopView};
+use trifacet_core::estimation::PoseReport;
+use trifacet_core::telemetry::Counters;
+use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::{PoseFrame, Status};
-
-use crate::centering::{LoopState, LoopView};
-use crate::clock::{Clock, Mono};
-use crate::config::LoopMode;
-use crate::estimation::PoseReport;
-use crate::monitor::Counters;
 
 /// A report with the time at which its signals were taken, nanoseconds of UTC since 1970.
 #[derive(Clone, Copy, Debug)]

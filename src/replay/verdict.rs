@@ -1,11 +1,11 @@
 //! What came out, beside what was published then.
 
+use trifacet_core::estimation::PoseReport;
+use trifacet_core::stamp::Stamp;
+use trifacet_core::time::Mono;
 use trifacet_wire::{PoseFrame, Status};
 
-use crate::clock::Mono;
-use crate::estimation::PoseReport;
 use crate::publishing::columns::{Columns, Value};
-use crate::publishing::stamp::Stamp;
 use crate::recording::Entry;
 
 /// Bits that do not come from the samples: from the clock, the recorder, and the replay itself.

@@ -9,7 +9,9 @@ use std::os::unix::ffi::OsStrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::time::Duration;
 
-use crate::clock::{Clock, SystemClock};
+use trifacet_core::time::Clock;
+
+use crate::clock::SystemClock;
 
 /// The way to systemd.
 #[derive(Debug, Default)]

@@ -1,9 +1,7 @@
 //! Which tasks make no turns. Time is counted in looks, not read from a clock: after the whole process, or
 //! the machine, stood still, there is one look, and nobody is blamed.
 
-use std::sync::atomic::Ordering::Relaxed;
-
-use crate::monitor::turns::{Task, Turns};
+use trifacet_core::telemetry::heartbeat::{Task, Turns};
 
 /// What was seen of each task.
 #[derive(Debug, Default)]
@@ -30,7 +28,7 @@ impl Watch {
         let stalled = self.stalled(turns, tell);
         for task in Task::ALL {
             let now = stalled.contains(&task);
-            let before = turns.of(task).stalled.swap(now, Relaxed);
+            let before = turns.of(task).mark_stalled(now);
             if now && !before {
                 let within = turns.of(task).inside();
                 tracing::error!(%task, within_a_turn = within, "a task of the fast side stalls");
@@ -68,8 +66,9 @@ mod tests {
     use std::cell::RefCell;
     use std::task::{Context, Waker};
 
+    use trifacet_core::telemetry::heartbeat::{Turn, counted};
+
     use super::*;
-    use crate::monitor::turns::{Turn, counted};
 
     fn turn_all(turns: &Turns, times: usize) {
         for task in Task::ALL {

@@ -8,31 +8,14 @@
 //! Positions are those of the stage's axes, metres.
 
 pub mod gcs;
-pub mod map;
 pub mod outputs;
 
 use std::future::Future;
 
 pub use gcs::Gcs;
-pub use map::BeamMap;
 pub use outputs::Outputs;
-use trifacet_wire::actuator::{Ack, LeaseAction};
-
-/// Two axes, metres.
-pub type Xy = [f64; 2];
-
-/// Where the stage shall go.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Command {
-    /// Counts the commands of a daemon; the acknowledgement repeats it.
-    pub id: u32,
-    /// Of both axes, metres. Always finite and within the limits of the configuration.
-    pub position: Xy,
-    /// How long the command is good for, milliseconds, if the stage knows leases.
-    pub lease_ms: u16,
-    /// What happens then.
-    pub on_expiry: LeaseAction,
-}
+use trifacet_core::steering::{Command, Xy};
+use trifacet_wire::actuator::Ack;
 
 /// What a driver reports.
 #[derive(Clone, Debug, PartialEq)]

@@ -7,10 +7,11 @@
 use std::sync::Arc;
 
 use tokio::sync::watch;
+use trifacet_core::signals::Identity;
+use trifacet_core::steering::{Command, codes};
 use trifacet_wire::actuator::{Ack, OutputCommand};
 
-use super::{Command, Driver, Event, Xy};
-use crate::acquisition::Identity;
+use super::{Driver, Event};
 
 /// What the source says of its outputs.
 #[derive(Clone, Debug, Default)]
@@ -58,12 +59,6 @@ impl Outputs {
         }
         None
     }
-}
-
-/// The codes, of so many bits, nearest to a position; `full_scale` is that of the full-scale code, metres.
-pub fn codes(position: Xy, full_scale: f64, bits: u8) -> [i32; 2] {
-    let full = f64::from(1_i32 << (bits - 1));
-    position.map(|p| (p / full_scale * full).round().clamp(-full, full - 1.0) as i32)
 }
 
 impl Driver for Outputs {

@@ -1,11 +1,12 @@
 //! From a recording to what the configuration should say, with deviations and doubts.
 
+use trifacet_core::steering::Xy;
+
 use super::look::{self, Look};
 use super::plan::{Plan, USED, refused, um};
 use super::response::{self, Response, Windows};
 use super::task::{Recording, Step};
 use crate::exit::Failure;
-use crate::steering::Xy;
 
 /// A gain below this, or below so many of its deviations, is no movement.
 const MOVES: f64 = 0.01;

@@ -1,11 +1,11 @@
 //! What a sample says of beam and stage.
 
+use trifacet_core::signals::{PsdState, Sample};
+use trifacet_core::steering::Xy;
+use trifacet_core::time::Mono;
 use trifacet_optics::{Estimator, FACETS, HeadError, Model, Optics, Signals, Solution};
 
-use crate::acquisition::{PsdState, Sample};
-use crate::clock::Mono;
 use crate::config::Config;
-use crate::steering::Xy;
 
 /// What a sample says.
 #[derive(Clone, Copy, Debug, PartialEq)]

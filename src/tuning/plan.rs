@@ -1,11 +1,12 @@
 //! Which steps are safe: within the limits of the stage, small beside the beam, large beside the noise.
 
+use trifacet_core::centering::OnExit;
+use trifacet_core::steering::Xy;
 use trifacet_wire::actuator::LeaseAction;
 
 use super::look::{self, Look};
-use crate::config::{Config, OnExit};
+use crate::config::Config;
 use crate::exit::{self, Failure};
-use crate::steering::Xy;
 
 /// A step by default at most, and a fraction of the beam's deviation: well within where its offset is
 /// measured well.

@@ -4,12 +4,13 @@
 //! the next step, which goes the other way: a gain with the wrong sign and a delay that is too short. So
 //! nothing is measured before this is ruled out.
 
+use trifacet_core::steering::Xy;
+use trifacet_core::time::Mono;
+
 use super::findings::AXES;
 use super::look::{self, Look};
 use super::plan::{Plan, refused, um};
-use crate::clock::Mono;
 use crate::exit::Failure;
-use crate::steering::Xy;
 
 /// The part of the movement that may be missing at the end of a dwell.
 const MISSING: f64 = 0.1;

@@ -6,16 +6,17 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
+use trifacet_core::signals::Identity;
+use trifacet_core::steering::{Command, Xy};
+use trifacet_core::time::Clock;
 use trifacet_wire::actuator::Ack;
 
 use super::look::{self, Look, Looker};
 use super::plan::{Plan, Settings, refused, um};
 use super::probe::Probe;
-use crate::acquisition::Identity;
 use crate::acquisition::task::Acquired;
-use crate::clock::Clock;
 use crate::exit::{self, Failure};
-use crate::steering::{Command, Driver, Event, Xy};
+use crate::steering::{Driver, Event};
 
 /// The longest wait for the first sample.
 const PATIENCE: Duration = Duration::from_secs(5);

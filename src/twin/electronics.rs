@@ -3,10 +3,11 @@
 
 use rand::{Rng, RngExt};
 use rand_distr::StandardNormal;
+use trifacet_core::channels::Amplifier;
 use trifacet_wire::channel::{Converter, SIGNALS};
 
 use super::light::Spot;
-use crate::config::{Amplifier, Config, PsdChannels};
+use crate::config::{Config, PsdChannelsConfig};
 
 /// The random numbers of one scan, as standard deviations. Every scan draws all of them, whatever is
 /// used, so that neither faults nor the settings of other parts change the noise of later scans.
@@ -55,7 +56,7 @@ pub struct Electronics {
 /// A detector with its amplifier.
 #[derive(Clone, Debug)]
 struct Psd {
-    channels: PsdChannels,
+    channels: PsdChannelsConfig,
     dark_v: [f64; 3],
     /// Half the side of the sensitive area, metres.
     half_size: f64,

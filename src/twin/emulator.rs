@@ -2,12 +2,12 @@
 //! wire.
 
 use serde::Serialize;
+use trifacet_core::time::Mono;
 use trifacet_wire::actuator::{LeaseAction, OutputCommand};
 use trifacet_wire::board::message::{BoardScan, ErrorReason, Reply, StartResult, SteerResult};
 use trifacet_wire::board::{Answer, BoardIdentity, Deframer, Request};
 
 use super::{Fate, OUTPUT_BITS, Outputs, Twin, TwinError, TwinScan};
-use crate::clock::Mono;
 use crate::config::{Config, FaultKind};
 
 /// The board's clock, ticks per second.

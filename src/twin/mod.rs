@@ -35,11 +35,11 @@ use rand_pcg::Pcg64;
 pub use source::TwinSource;
 use stage::Stage;
 use trajectory::Trajectory;
+use trifacet_core::signals::{Identity, Scan};
+use trifacet_core::time::Mono;
 use trifacet_optics::Pose;
 use trifacet_wire::channel::{MAX_CHANNELS, Role, SIGNALS};
 
-use crate::acquisition::{Identity, Scan};
-use crate::clock::Mono;
 use crate::config::{Config, Fault, FaultKind};
 
 /// The fastest rate of the twin, scans per second.

@@ -1,8 +1,8 @@
 //! The board's side of steering: which commands it takes, and what it does when a lease runs out.
 
+use trifacet_core::time::Mono;
 use trifacet_wire::actuator::{LeaseAction, OutputCommand};
 
-use crate::clock::Mono;
 use crate::config::SteeringConfig;
 
 /// Resolution of the steering outputs in bits, sign included.

@@ -14,9 +14,9 @@ use rustix::io::Errno;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 use tokio::io::unix::AsyncFd;
+use trifacet_core::time::Clock;
 
 use super::Emulator;
-use crate::clock::Clock;
 
 /// How often to look whether somebody has opened the other side.
 const LOOK: Duration = Duration::from_millis(20);

@@ -4,13 +4,13 @@ use std::collections::VecDeque;
 use std::io;
 use std::sync::Arc;
 
+use trifacet_core::telemetry::Counters;
+use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_wire::actuator::{Ack, LeaseAction, OutputCommand};
 
 use super::{Fate, Outputs, Twin};
 use crate::acquisition::{Down, Event, Source};
 use crate::clock::pace::{Pace, Waiting};
-use crate::clock::{Mono, NS_PER_S};
-use crate::monitor::Counters;
 
 /// Runs a [`Twin`] on an absolute schedule. What its faults do to the link shows as it would with a
 /// board: a lost scan as a gap before the next one, silence as [`Down::Stalled`]. It counts what no
@@ -136,9 +136,10 @@ const MIN_SILENCE_NS: i64 = 20_000_000;
 
 #[cfg(test)]
 mod tests {
+    use trifacet_core::signals::Scan;
+    use trifacet_core::time::Clock;
+
     use super::*;
-    use crate::acquisition::Scan;
-    use crate::clock::Clock;
     use crate::clock::manual::ManualClock;
     use crate::config::{Config, Fault, FaultKind};
 

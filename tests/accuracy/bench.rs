@@ -1,10 +1,10 @@
 //! The twin's samples through the channel map into estimation, as fast as they can be computed.
 
-use trifacet::acquisition::Channels;
-use trifacet::centering::LoopState;
-use trifacet::clock::Mono;
 use trifacet::config::Config;
-use trifacet::estimation::{Estimation, PoseReport, Settings};
+use trifacet::core::centering::LoopState;
+use trifacet::core::channels::Channels;
+use trifacet::core::estimation::{Estimation, PoseReport};
+use trifacet::core::time::Mono;
 use trifacet::twin::{Scene, Twin};
 
 /// A twin with estimation behind it; the noise of the twin can change.
@@ -20,8 +20,8 @@ impl Bench {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), config).unwrap();
         let config = trifacet::config::load(Some(file.path())).unwrap();
-        let channels = Channels::load(&config).unwrap();
-        let estimation = Estimation::new(Settings::new(&config, channels.calibrated(), 0).unwrap());
+        let channels = config.read_channels().unwrap();
+        let estimation = Estimation::new(config.estimation_settings(channels.calibrated(), 0).unwrap());
         Self { estimation, channels, config, index: 0 }
     }
 

@@ -1,7 +1,7 @@
 //! Eleven signals: the steering position, read back, counts as two more.
 
 use nalgebra::Vector6;
-use trifacet::estimation::PoseReport;
+use trifacet::core::estimation::PoseReport;
 use trifacet::twin::Scene;
 use trifacet_wire::Status;
 

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::Command;
 
 use nalgebra::Rotation3;
-use trifacet::estimation::PoseReport;
+use trifacet::core::estimation::PoseReport;
 
 mod bench;
 mod eleven;

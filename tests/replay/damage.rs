@@ -6,7 +6,7 @@ use std::path::Path;
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use trifacet::clock::Mono;
+use trifacet::core::time::Mono;
 use trifacet::recording::Entry;
 use trifacet::recording::codec::{EncodeError, Encoder};
 use trifacet::recording::reader::{Read, Reader};

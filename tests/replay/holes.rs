@@ -2,7 +2,7 @@
 
 use std::fs::File;
 
-use trifacet::clock::Mono;
+use trifacet::core::time::Mono;
 use trifacet::recording::Entry;
 use trifacet::recording::codec::Encoder;
 use trifacet::recording::writer::Writer;

@@ -1,6 +1,7 @@
 //! The same poses come out.
 
-use trifacet::clock::{Clock, SystemClock};
+use trifacet::clock::SystemClock;
+use trifacet::core::time::Clock;
 
 use crate::fixture::{EVENTFUL, Lab, on, run, trifacet};
 

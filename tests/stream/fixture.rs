@@ -9,7 +9,7 @@ use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 use trifacet::client::PoseFrame;
 use trifacet::config::Model;
-use trifacet::monitor::Counters;
+use trifacet::core::telemetry::Counters;
 use trifacet::publishing::StreamId;
 use trifacet::publishing::descriptor::StreamFacts;
 use trifacet::publishing::tcp::{self, Limits};

@@ -89,6 +89,16 @@ pub enum HeadError {
     FacetOrder,
 }
 
+/// The nominal head: PSDs of 13 mm at 250 mm, facets at 45 degrees, a beam of 0.46 mm.
+impl Default for Head {
+    fn default() -> Self {
+        let Ok(head) = Self::nominal(0.25, 0.013, 45.0_f64.to_radians(), 0.46e-3) else {
+            unreachable!("these are lengths and an angle of a head")
+        };
+        head
+    }
+}
+
 impl Head {
     /// The head of the paper from four numbers: PSDs at `distance` in the plane of the apex at azimuths
     /// 0, +120 and -120 degrees, facets inclined by `facet_angle` (radians) to the base, light from above.

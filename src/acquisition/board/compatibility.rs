@@ -1,10 +1,10 @@
 //! Whether a board can be used.
 
+use trifacet_core::signals::Identity;
 use trifacet_wire::board::{BoardIdentity, required_baud};
 use trifacet_wire::channel::{MAX_CHANNELS, SIGNALS};
 
 use super::Settings;
-use crate::acquisition::scan::Identity;
 
 /// The board's clock has to resolve the time of a scan, and its ticks have to be told apart.
 const TICK_HZ: std::ops::RangeInclusive<u32> = 10_000..=1_000_000_000;

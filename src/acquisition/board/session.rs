@@ -3,6 +3,9 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
+use trifacet_core::signals::Scan;
+use trifacet_core::telemetry::Counters;
+use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_wire::actuator::OutputCommand;
 use trifacet_wire::board::message::{BoardScan, ErrorReason, Reply, StartResult};
 use trifacet_wire::board::{Answer, BoardIdentity, Deframer, MessageError, Request};
@@ -10,10 +13,8 @@ use trifacet_wire::board::{Answer, BoardIdentity, Deframer, MessageError, Reques
 use super::tally::{Mishap, Tally};
 use super::{Arrival, Sequence, compatibility};
 use crate::acquisition::timebase::Timebase;
-use crate::acquisition::{Down, Event, Scan};
-use crate::clock::{Mono, NS_PER_S};
+use crate::acquisition::{Down, Event};
 use crate::config::{Config, SteeringKind};
-use crate::monitor::Counters;
 
 const MS: i64 = NS_PER_S / 1000;
 /// How long a board may take to answer, milliseconds.

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use crate::clock::{Mono, NS_PER_S};
-use crate::monitor::Counters;
+use trifacet_core::telemetry::Counters;
+use trifacet_core::time::{Mono, NS_PER_S};
 
 /// What goes wrong between the board and here; in the order of the names below.
 #[derive(Clone, Copy, Debug)]

@@ -6,12 +6,12 @@ mod steering;
 use std::fmt::Write as _;
 use std::io::Write as _;
 
-use trifacet::acquisition::Channels;
 use trifacet::config::{
-    Config, FacetConfig, FramesConfig, LogFormat, LoopMode, SourceKind, SteeringKind, TransformConfig,
+    Config, FacetConfig, FramesConfig, LogFormat, SourceKind, SteeringKind, TransformConfig,
 };
 use trifacet::publishing::columns::rfc3339;
 use trifacet::replay::Beginning;
+use trifacet_core::centering::LoopMode;
 use trifacet_optics::covariance::deviations;
 use trifacet_optics::{Estimator, FACETS, Innovation, Model, Noise, Optics, Pose, Sighting, Signals, Vec2};
 
@@ -30,12 +30,12 @@ pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
     let beginning = Beginning::of_source(&config)?;
     let (config, id) = match &beginning {
         None => {
-            Channels::load(&config)?; // the correction tables are part of it
+            config.read_channels()?; // the correction tables are part of it
             let id = config.config_id()?;
             (config, id)
         }
         Some(then) => {
-            Channels::new(&then.meaning.config, &then.meaning.tables)?;
+            then.meaning.config.channels(&then.meaning.tables)?;
             (then.holding(&config), then.meaning.id())
         }
     };

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use trifacet::centering::Tuning;
-use trifacet::centering::search::Spiral;
-use trifacet::config::{Config, GcsConfig, LoopMode, OnExit, SourceKind, SteeringKind, Target};
+use trifacet::config::{Config, GcsConfig, SourceKind, SteeringKind};
+use trifacet_core::centering::search::Spiral;
+use trifacet_core::centering::{LoopMode, OnExit, Target};
 
 use super::Lines;
 
@@ -52,7 +52,7 @@ fn search(config: &Config) -> String {
     if !centering.search {
         return "what is lost is not searched for".into();
     }
-    let spiral = Spiral::of(&Tuning::new(config), [0.0; 2], config.head.beam_diameter_mm * 0.5e-3);
+    let spiral = Spiral::of(&config.loop_params(), [0.0; 2], config.head.beam_diameter_mm * 0.5e-3);
     format!(
         "what is lost is searched for within the limits, {:.2} s from their middle, at most {} times",
         spiral.duration(1.0 / config.acquisition.rate_hz),

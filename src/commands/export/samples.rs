@@ -1,8 +1,8 @@
 //! A sample as a row.
 
-use trifacet::acquisition::{PsdState, Sample, Scan};
-use trifacet::centering::LoopState;
 use trifacet::publishing::columns::Value;
+use trifacet_core::centering::LoopState;
+use trifacet_core::signals::{PsdState, Sample, Scan};
 use trifacet_wire::layout::{POWERS, SPOTS};
 
 use super::Row;

@@ -4,7 +4,6 @@ use std::fs::{File, Metadata};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use trifacet::clock::Mono;
 use trifacet::exit::{self, Failure};
 use trifacet::publishing::columns::Columns;
 use trifacet::recording::Entry;
@@ -13,6 +12,7 @@ use trifacet::recording::reader::Gap;
 use trifacet::recording::writer::{RecordError, Writer};
 use trifacet::replay::Engine;
 use trifacet::replay::verdict::Pair;
+use trifacet_core::time::Mono;
 
 use crate::commands::new_file::{NewFile, cannot_write};
 

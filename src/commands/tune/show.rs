@@ -1,10 +1,10 @@
 //! What a person sees while the loop is measured.
 
 use indicatif::{ProgressBar, ProgressStyle};
-use trifacet::acquisition::Identity;
-use trifacet::steering::Xy;
 use trifacet::tuning::plan::{Plan, um};
 use trifacet::tuning::task::Audience;
+use trifacet_core::signals::Identity;
+use trifacet_core::steering::Xy;
 
 /// Writes to standard error; the bar only to a terminal.
 pub(super) struct Show {

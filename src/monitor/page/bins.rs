@@ -5,9 +5,8 @@ use std::collections::VecDeque;
 
 use serde::ser::SerializeSeq;
 use serde::{Serialize, Serializer};
+use trifacet_core::time::NS_PER_S;
 use trifacet_wire::PoseFrame;
-
-use crate::clock::NS_PER_S;
 
 /// How long a stretch is, nanoseconds, and how many are kept: a minute, ten minutes, six hours.
 const LEVELS: [(i64, usize); 3] = [(FINE_NS, 3000), (NS_PER_S / 10, 6000), (NS_PER_S, 21_600)];

@@ -11,9 +11,10 @@ use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use serde_json::json;
 use tokio::sync::Mutex;
+use trifacet_core::centering::LoopMode;
 
 use super::own_page;
-use crate::config::{LoopMode, MonitorConfig, Token};
+use crate::config::{MonitorConfig, Token};
 use crate::control::{self, Command, Live};
 use crate::monitor::view::View;
 use crate::recording::Wish;

@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 
 use serde::Serialize;
+use trifacet_core::telemetry::Counters;
 use trifacet_wire::{PoseFrame, Status};
 
 use super::bins::{Bin, History, Past};
 use super::spectrum::{Spectrum, Welch};
 use super::spells::{Spell, Spells};
-use crate::monitor::Counters;
 use crate::monitor::health::{Readiness, Standstill};
 use crate::publishing::columns::Columns;
 

@@ -105,7 +105,7 @@ impl Viewer {
             bits.map(|((_, name), meaning)| json!({ "name": name, "meaning": meaning })).collect();
         let sources = &self.view.sources;
         let counters: serde_json::Map<_, _> = (sources.counters.list().iter().map(|(name, _)| *name))
-            .zip(crate::monitor::Counters::MEANINGS)
+            .zip(trifacet_core::telemetry::Counters::MEANINGS)
             .map(|(name, meaning)| (name.to_owned(), (*meaning).into()))
             .collect();
         let hello = json!({ "hello": {

@@ -219,16 +219,16 @@ impl Client {
 
 #[cfg(test)]
 mod tests {
+    use trifacet_core::estimation::PoseReport;
+    use trifacet_core::stamp::Stamp;
+    use trifacet_core::time::Mono;
     use trifacet_wire::byte_order::big_endian;
 
     use super::*;
-    use crate::clock::Mono;
-    use crate::publishing::stamp::Stamp;
-    use crate::publishing::stamp::tests::report;
 
     fn frame(session: u32, sequence: u64) -> PoseFrame {
         let stamp = Stamp { session, config: 0, sequence, time_ns: 0, synced: true, sent: Mono(0) };
-        report().frame(stamp)
+        PoseReport::example().frame(stamp)
     }
 
     #[tokio::test]

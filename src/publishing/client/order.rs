@@ -54,16 +54,17 @@ fn common_divisor(a: u64, b: u64) -> u64 {
 
 #[cfg(test)]
 mod tests {
+    use trifacet_core::estimation::PoseReport;
+    use trifacet_core::stamp::Stamp;
+    use trifacet_core::time::Mono;
+
     use super::*;
-    use crate::clock::Mono;
-    use crate::publishing::stamp::Stamp;
-    use crate::publishing::stamp::tests::report;
 
     fn losses(step: Option<u64>, frames: &[(u32, u64)]) -> Losses {
         let mut order = Order::new(step);
         for &(session, sequence) in frames {
             let stamp = Stamp { session, config: 0, sequence, time_ns: 0, synced: true, sent: Mono(0) };
-            order.note(&report().frame(stamp));
+            order.note(&PoseReport::example().frame(stamp));
         }
         order.losses
     }

@@ -18,6 +18,7 @@ use tokio::sync::{broadcast, mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
+use trifacet_core::telemetry::Counters;
 use trifacet_wire::PoseFrame;
 use trifacet_wire::held::Hold;
 use trifacet_wire::stream::Descriptor;
@@ -26,7 +27,6 @@ use self::client::Client;
 use super::form::{Issue, farewell};
 use crate::config::Network;
 use crate::exit::Failure;
-use crate::monitor::Counters;
 
 /// At shutdown: how long the last frames may take to come in, and then to go out.
 const DRAIN: Duration = Duration::from_millis(500);

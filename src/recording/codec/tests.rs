@@ -1,13 +1,12 @@
 use nalgebra::Matrix6;
 use proptest::prelude::*;
+use trifacet_core::centering::LoopState;
+use trifacet_core::estimation::{Estimation, PoseReport};
+use trifacet_core::signals::{PsdState, Sample};
 use trifacet_wire::channel::{Converter, Role, SIGNALS};
 use trifacet_wire::{LockState, PoseFrame};
 
 use super::*;
-use crate::acquisition::{PsdState, Sample};
-use crate::centering::LoopState;
-use crate::estimation::{Estimation, Settings};
-use crate::publishing::stamp::tests::report;
 use crate::recording::writer::Writer;
 
 type Messages = Vec<(Topic, i64, Vec<u8>)>;
@@ -139,7 +138,7 @@ fn keyframe() -> Keyframe {
     let text = "estimation.average = 3\nmonitor.token = 'correct-horse-battery'\nmonitor.control = true";
     let config = parse(text, None).unwrap();
     let tables = Tables([None, Some(vec![0xff, 0, b'\n']), Some(b"u_m,v_m".to_vec())]);
-    let mut estimation = Estimation::new(Settings::new(&config, true, 3).unwrap());
+    let mut estimation = Estimation::new(config.estimation_settings(true, 3).unwrap());
     let mut last = None;
     for index in 0..40 {
         let noise = (index as f64).sin() * 1e-6;
@@ -261,7 +260,7 @@ fn a_file_reads_back_and_its_torn_end_costs_one_chunk() {
         let entries = (0..100).map(|n| Entry::Frame {
             frame: PoseFrame { sequence: n, ..frame },
             time: Mono(0),
-            covariance: report().covariance,
+            covariance: PoseReport::example().covariance,
         });
         for (n, entry) in [keyframe].into_iter().chain(entries).enumerate() {
             encoder.encode(&entry, |message| writer.put(message).map_err(Broken::from)).unwrap();

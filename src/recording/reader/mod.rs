@@ -21,10 +21,10 @@ pub use damage::{Damage, ReadError};
 use order::Order;
 use parts::{Part, Parts};
 pub use tally::{Gap, Tally};
+use trifacet_core::signals::Identity;
 
 use super::codec::{self, DecodeError, Decoder};
 use super::{Entry, Topic, message};
-use crate::acquisition::Identity;
 use crate::config::Meaning;
 
 /// What comes out of a file.

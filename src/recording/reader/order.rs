@@ -1,6 +1,7 @@
 //! Whether one entry on record follows the other.
 
-use crate::acquisition::Sample;
+use trifacet_core::signals::Sample;
+
 use crate::recording::Entry;
 
 /// Counts the samples along, to find a hole that nothing on record tells of: a file that was cut, or put together.

@@ -1,7 +1,9 @@
 //! What goes wrong, what it costs, and who is told.
 
+use trifacet_core::time::{Clock, Mono};
+
 use super::{Recorder, SECOND_NS};
-use crate::clock::{Clock, Mono, SystemClock};
+use crate::clock::SystemClock;
 use crate::recording::writer::RecordError;
 
 /// Nothing can be recorded, and what that costs.

@@ -2,8 +2,10 @@
 
 use std::sync::atomic::Ordering;
 
+use trifacet_core::time::{Clock, Mono};
+
 use super::{ROOM, Recorder};
-use crate::clock::{Clock, Mono, SystemClock};
+use crate::clock::SystemClock;
 use crate::config::RecordingMode;
 use crate::recording::codec::Encoded;
 use crate::recording::output::Output;

@@ -1,9 +1,10 @@
 //! What people and faults want of the recorder.
 
 use tokio::sync::oneshot;
+use trifacet_core::time::{Clock, Mono, NS_PER_S};
 
 use super::{Recorder, SECOND_NS};
-use crate::clock::{Clock, Mono, NS_PER_S, SystemClock};
+use crate::clock::SystemClock;
 use crate::exit::{self, Failure};
 use crate::recording::handle::Wish;
 

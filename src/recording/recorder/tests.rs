@@ -5,14 +5,15 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use tokio::sync::{mpsc, oneshot};
+use trifacet_core::centering::LoopState;
+use trifacet_core::estimation::{Estimation, Memory};
+use trifacet_core::telemetry::Counters;
+use trifacet_core::time::{Clock, Mono};
 
 use super::Recorder;
-use crate::centering::LoopState;
-use crate::clock::{Clock, Mono, SystemClock};
+use crate::clock::SystemClock;
 use crate::config::{Config, Meaning, RecordingConfig, RecordingMode, Tables};
-use crate::estimation::{Estimation, Memory, Settings};
 use crate::exit;
-use crate::monitor::Counters;
 use crate::recording::disk::Disk;
 use crate::recording::handle::{Asked, State, Wish};
 use crate::recording::reader::Read;
@@ -36,7 +37,7 @@ fn recorder(folder: &Path, mode: RecordingMode) -> (Recorder, Silent, mpsc::Send
     let counters = Arc::new(Counters::default());
     let (tap, outflow) = Tap::new(Arc::clone(&counters));
     let config = Config::default();
-    let memory = Estimation::new(Settings::new(&config, true, 3).unwrap()).memory().clone();
+    let memory = Estimation::new(config.estimation_settings(true, 3).unwrap()).memory().clone();
     let meaning = Arc::new(Meaning { config, tables: Tables::default() });
     let config = RecordingConfig { folder: folder.to_owned(), mode, ..Default::default() };
     let state = Arc::new(State::new(config.mode));

@@ -7,10 +7,10 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use tokio::sync::mpsc;
+use trifacet_core::telemetry::Counters;
 
 use super::Recorder;
 use crate::config::{RecordingConfig, RecordingMode};
-use crate::monitor::Counters;
 use crate::recording::Tap;
 use crate::recording::disk::Disk;
 use crate::recording::handle::{Handle, State};

@@ -18,9 +18,10 @@ mod unit;
 use settings::Settings;
 use task::Task;
 use tokio::sync::watch;
+use trifacet_core::steering::{Command, Xy};
 use trifacet_wire::actuator::Ack;
 
-use super::{Command, Driver, Event, Xy};
+use super::{Driver, Event};
 use crate::config::{Config, SteeringConfig};
 
 /// A command, and the connection of which its sender knew.

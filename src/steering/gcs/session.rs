@@ -1,12 +1,13 @@
 //! A conversation with a controller: first who it is and whether it can be used, then motions.
 
+use trifacet_core::steering::Xy;
+
 use super::fault::{FINE, Fault, NOT_FOR_THIS_STAGE, UNKNOWN_COMMAND};
 use super::link::{Link, label};
 use super::protocol::{Answer, AnswerError, Question, move_to, servo_on};
 use super::settings::Settings;
 use super::unit;
 use crate::config::SteeringConfig;
-use crate::steering::Xy;
 
 /// So much of its travel a stage may stand beyond it: a controller regulates, and rounds.
 const BEYOND: f64 = 0.01;

@@ -3,9 +3,10 @@
 use std::fmt;
 use std::path::PathBuf;
 
+use trifacet_core::steering::Xy;
+
 use super::protocol::Axes;
 use crate::config::{Config, SteeringKind};
-use crate::steering::Xy;
 
 /// The way to a controller.
 #[derive(Clone, Debug, PartialEq, Eq)]

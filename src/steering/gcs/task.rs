@@ -5,6 +5,8 @@ use std::time::Duration;
 
 use tokio::sync::watch;
 use tokio::time::{Interval, MissedTickBehavior, interval, sleep};
+use trifacet_core::steering::{Command, Xy};
+use trifacet_core::telemetry::Counters;
 use trifacet_wire::actuator::Ack;
 
 use super::fault::{FINE, Fault, OUT_OF_LIMITS, meaning};
@@ -12,8 +14,6 @@ use super::session::{Session, rounded_um};
 use super::settings::Settings;
 use super::{Addressed, Report};
 use crate::config::SteeringConfig;
-use crate::monitor::Counters;
-use crate::steering::{Command, Xy};
 
 /// How often the stage is asked where it stands.
 const READBACK: Duration = Duration::from_millis(50);

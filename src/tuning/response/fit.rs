@@ -1,10 +1,10 @@
 //! The nearest response to the mean of windows, with its deviations.
 
 use nalgebra::{Matrix4, Vector4};
+use trifacet_core::steering::Xy;
 
 use super::numeric::{Line, golden, least, middle, middle_and_spread};
 use super::{Response, Windows, shape};
-use crate::steering::Xy;
 
 /// A lag is there if the fit without one is worse by so many deviations.
 const LAG_SIGMAS: f64 = 3.0;

@@ -15,8 +15,7 @@ mod tests;
 
 use fit::Fit;
 use numeric::{mean, middle, middle_and_spread};
-
-use crate::steering::Xy;
+use trifacet_core::steering::Xy;
 
 /// Windows whose delay is off by so many deviations of all are left out: the machine slept.
 const OUTLIER: f64 = 5.0;

@@ -1,6 +1,6 @@
 //! Straight lines, means, and where a function is least.
 
-use crate::steering::Xy;
+use trifacet_core::steering::Xy;
 
 /// The straight lines over the times of a window.
 pub(super) struct Line {

@@ -1,0 +1,405 @@
+//! The loop: a sample and the last pose in, a steering command out. Pure.
+
+use trifacet_optics::Optics;
+use trifacet_wire::LockState;
+use trifacet_wire::actuator::{Ack, LeaseAction};
+
+use super::lock::{Doing, Lock, Seen, Transition};
+use super::stage::{Obedience, Stage};
+use crate::centering::apex_tracker::Lookout;
+use crate::centering::observation::Sight;
+use crate::centering::open_loop::Guide;
+use crate::centering::{LoopMode, LoopParams, LoopState, LoopView, OnExit, Outcome, TimedPose};
+use crate::signals::Sample;
+use crate::steering::{Command, Xy};
+use crate::time::Mono;
+
+/// The time between samples counts as at most so many periods.
+const MOST_PERIODS: f64 = 5.0;
+/// A jump is worth it from this part of the beam's radius on.
+const WORTH_A_JUMP: f64 = 0.25;
+
+pub(super) const TOO_LATE: &str = "samples come later than centering.loop_delay_ms";
+pub(super) const STUCK: &str = "the stage does not follow its commands";
+pub(super) const REFUSED: &str = "the stage refuses its commands";
+pub(super) const NO_STAGE: &str = "the stage takes no commands";
+
+/// The loop.
+#[derive(Clone, Debug)]
+pub struct Centering {
+    params: LoopParams,
+    stage: Stage,
+    lookout: Lookout,
+    lock: Lock,
+    guide: Guide,
+    /// Where the stage was when the loop was last locked, or when it was first taken over.
+    good_place: Option<Xy>,
+    /// Where the stage would have to be by what was seen when the loop gave up looking for the apex.
+    gave_up: Option<Xy>,
+    /// For how long samples have come too late.
+    late_s: f64,
+    last: Option<(u64, Mono)>,
+    offset: Option<Xy>,
+    shadow: Option<(Xy, Xy)>,
+    commands: u32,
+}
+
+impl Centering {
+    /// A loop at rest, for a head with these optics.
+    pub fn new(params: LoopParams, optics: Optics) -> Self {
+        Self {
+            params,
+            stage: Stage::default(),
+            lookout: Lookout::new(optics, MOST_PERIODS * params.period_s),
+            lock: Lock::new(params.limits, params.mode),
+            guide: Guide::Still,
+            good_place: None,
+            gave_up: None,
+            late_s: 0.0,
+            last: None,
+            offset: None,
+            shadow: None,
+            commands: 0,
+        }
+    }
+
+    /// What the loop is doing.
+    pub fn state(&self) -> LoopState {
+        LoopState { lock: self.lock.state(), position: self.stage.commanded() }
+    }
+
+    /// The same, and more, for people.
+    pub fn view(&self) -> LoopView {
+        LoopView {
+            mode: self.params.mode,
+            lock: self.lock.state(),
+            offset: self.offset,
+            velocity: self.offset.map(|_| self.lookout.velocity()),
+            commanded: self.stage.commanded(),
+            shadow: self.shadow,
+            attempts: self.lock.attempts(),
+        }
+    }
+
+    /// Goes on with another params, without a jump of the stage. When the loop lets go of the stage, its
+    /// last command is to stay there, whatever the lease would have done.
+    pub fn retune(&mut self, params: LoopParams) -> Outcome {
+        let old = std::mem::replace(&mut self.params, params);
+        let step = [0, 1].map(|axis| params.setpoint[axis] - old.setpoint[axis]);
+        self.stage.shift_setpoint(params.map.stage_step(step));
+        if params.map != old.map {
+            self.lookout.forget();
+        }
+        if params.map != old.map || params.controller != old.controller {
+            self.guide = self.guide.anew(&params, 2.0 * self.lookout.beam_sigma());
+        }
+        self.lock.retune(params.limits);
+        let mut outcome = Outcome::default();
+        if let (Some(offset), true) = (self.offset, params.setpoint != old.setpoint) {
+            // Locked there, and not yet here.
+            let error = self.error(offset);
+            let seen = Seen::Error { size: error[0].hypot(error[1]), railed: false };
+            outcome.transition = self.lock.update(seen, false, 0.0).transition;
+        }
+        if params.mode != old.mode {
+            outcome.transition = self.lock.switch(params.mode).or(outcome.transition);
+            (self.offset, self.shadow, self.guide) = (None, None, Guide::Still);
+            if matches!(params.mode, LoopMode::Off | LoopMode::Shadow) {
+                let stay = self.stage.commanded().map(|position| self.command(position));
+                outcome.command = stay.map(|command| Command { on_expiry: LeaseAction::Hold, ..command });
+                self.stage.let_go();
+            }
+        }
+        outcome
+    }
+
+    /// Sends the stage to a position within the limits, metres.
+    ///
+    /// # Errors
+    /// The loop is not in manual mode: then the stage is not a person's.
+    pub fn move_to(&mut self, position: Xy) -> Result<(), &'static str> {
+        if self.params.mode != LoopMode::Manual {
+            return Err("the stage is moved by hand only while the loop is \"manual\"");
+        }
+        self.guide = Guide::jump(self.params.controller.within(position), 0.0);
+        Ok(())
+    }
+
+    /// A person wants the loop to look for the apex now.
+    ///
+    /// # Errors
+    /// The loop is not on, or must not search.
+    pub fn search(&mut self) -> Result<(), &'static str> {
+        if self.params.mode != LoopMode::On {
+            return Err("the loop looks for the apex only while it is \"on\"");
+        }
+        if !self.params.limits.search {
+            return Err("centering.search is false");
+        }
+        self.lock.search();
+        Ok(())
+    }
+
+    /// Samples that came and went between `sample` and the last one seen; `None` if it is not newer.
+    pub fn skipped(&self, sample: &Sample) -> Option<u64> {
+        let Some((last, _)) = self.last else { return Some(0) };
+        (sample.index > last).then(|| (sample.index - last - 1).saturating_sub(sample.lost.into()))
+    }
+
+    /// The stage is another one, or came back: it may stand elsewhere. So may the counter of the samples.
+    pub fn stage_up(&mut self) {
+        self.last = None;
+        self.stage.back();
+        self.released();
+    }
+
+    /// The stage takes no commands until it comes back.
+    pub fn stage_down(&mut self) {
+        self.stage.gone();
+    }
+
+    /// The stage has taken or refused a command.
+    pub fn stage_answers(&mut self, answer: Ack) {
+        self.stage.answers(answer.id, answer.accepted);
+    }
+
+    /// Where the stage says that it stands, metres.
+    pub fn stage_at(&mut self, position: Xy) {
+        self.stage.set_reported(position);
+    }
+
+    /// The stage has acted by itself.
+    fn released(&mut self) {
+        let parks = self.params.on_lease == LeaseAction::Park;
+        self.stage.released(parks.then_some(self.params.park));
+        self.guide = Guide::Still;
+    }
+
+    /// Takes a sample, which must be newer than all before, at the moment `now`. `pose` is the last valid
+    /// pose, if it is fresh.
+    pub fn sample(&mut self, sample: &Sample, pose: Option<&TimedPose>, now: Mono) -> Outcome {
+        let dt = self.seconds_since_last(sample);
+        if self.last.is_some_and(|(_, time)| sample.time.seconds_since(time) >= self.params.lease_s()) {
+            self.released(); // the board has acted by itself in the meantime
+        }
+        self.last = Some((sample.index, sample.time));
+        match self.params.mode {
+            LoopMode::Off => Outcome::default(),
+            LoopMode::Shadow => {
+                self.watch(sample, pose, dt);
+                Outcome::default()
+            }
+            LoopMode::Manual => {
+                self.take_over(sample, dt);
+                self.look(sample, pose);
+                Outcome {
+                    command: self.steer(Doing::Jumping, [0.0; 2], None, sample, dt),
+                    ..Outcome::default()
+                }
+            }
+            LoopMode::On => self.act(sample, pose, now, dt),
+        }
+    }
+
+    /// The loop is on.
+    fn act(&mut self, sample: &Sample, pose: Option<&TimedPose>, now: Mono, dt: f64) -> Outcome {
+        let late = now.seconds_since(sample.time) > self.params.loop_delay_s;
+        self.late_s = if late { self.late_s + dt } else { 0.0 };
+        self.take_over(sample, dt);
+        let behind = self.stage.behind(sample, &self.params, dt);
+        let stuck = self.stage.stuck_s() > self.params.limits.lost_s;
+        let sight = match self.trouble() {
+            Some(cause) => self.sees(Sight::Unclear(cause)),
+            None => self.look(sample, pose),
+        };
+        let error = self.offset.map_or([0.0; 2], |offset| self.error(offset));
+        let seen = if stuck { Seen::Unclear(STUCK) } else { self.seen(&sight, error, sample) };
+        let verdict = self.lock.update(seen, self.guide.arrived(), dt);
+        if verdict.begins {
+            self.guide = self.begin(verdict.doing, &sight);
+        }
+        if verdict.doing == Doing::Waiting {
+            self.note_giving_up(&sight);
+        }
+        if self.lock.state() == LockState::Locked {
+            self.good_place = self.stage.commanded();
+        }
+        let doing = match sight {
+            // What is late is looked at, and not acted upon. The stage still gets its command: that renews the
+            // lease, which is for a daemon that is dead.
+            _ if late => Doing::Holding,
+            // It may be stuck because the command is where it cannot go.
+            Sight::Offset(_) if stuck => Doing::Regulating,
+            _ => verdict.doing,
+        };
+        let command = self.steer(doing, error, behind, sample, dt);
+        Outcome { command, late, transition: verdict.transition }
+    }
+
+    /// Why nothing can be done with what is seen.
+    fn trouble(&self) -> Option<&'static str> {
+        match self.stage.obedience() {
+            Obedience::Gone => Some(NO_STAGE),
+            Obedience::Refuses => Some(REFUSED),
+            Obedience::Obeys if self.late_s > self.params.limits.lost_s => Some(TOO_LATE),
+            Obedience::Obeys => None,
+        }
+    }
+
+    fn look(&mut self, sample: &Sample, pose: Option<&TimedPose>) -> Sight {
+        let stage = self.stage.stands_at(sample, &self.params);
+        let sight = self.lookout.look(sample, stage, pose, &self.params);
+        self.sees(sight)
+    }
+
+    fn sees(&mut self, sight: Sight) -> Sight {
+        self.offset = if let Sight::Offset(offset) = sight { Some(offset) } else { None };
+        sight
+    }
+
+    /// What the state machine is to know of it.
+    fn seen(&self, sight: &Sight, error: Xy, sample: &Sample) -> Seen {
+        match *sight {
+            Sight::Offset(_) => {
+                let at_limit = |position| self.params.controller.railed(position);
+                let railed = sample.output_railed || self.stage.commanded().is_some_and(at_limit);
+                Seen::Error { size: error[0].hypot(error[1]), railed }
+            }
+            Sight::Some { apex, covered, cause } => {
+                let (to, radius) = (self.place_for(apex), self.beam_radius());
+                let far = |from: Xy| (to[0] - from[0]).hypot(to[1] - from[1]);
+                let elsewhere = self.stage.commanded().is_some_and(|at| far(at) > WORTH_A_JUMP * radius);
+                let news = self.gave_up.is_none_or(|at| far(at) > radius);
+                Seen::Some {
+                    elsewhere,
+                    covered: covered && !elsewhere && self.lookout.knows_apex(),
+                    news,
+                    cause,
+                }
+            }
+            Sight::Dark => Seen::Dark,
+            Sight::Unclear(cause) => Seen::Unclear(cause),
+        }
+    }
+
+    /// What is seen until the stage has come to rest at the last good place is no news.
+    fn note_giving_up(&mut self, sight: &Sight) {
+        if !matches!(self.guide, Guide::Jump { .. }) {
+            let back = self.good_place.unwrap_or_default();
+            self.guide = Guide::jump(back, self.params.settling_s());
+        }
+        match *sight {
+            Sight::Some { apex, .. } if !self.guide.arrived() => self.gave_up = Some(self.place_for(apex)),
+            Sight::Some { .. } => {}
+            _ => self.gave_up = None, // any light would be news
+        }
+    }
+
+    /// The jump or the search that begins now.
+    fn begin(&self, doing: Doing, sight: &Sight) -> Guide {
+        let Some(here) = self.stage.commanded() else { return Guide::Still };
+        match (doing, sight) {
+            (Doing::Jumping, Sight::Some { apex, .. }) => {
+                Guide::jump(self.place_for(*apex), self.params.settling_s())
+            }
+            // From the last good place, or around where there is some light.
+            (Doing::Searching, sight) => {
+                let dark = *sight == Sight::Dark;
+                let centre = if dark { self.good_place.unwrap_or(here) } else { here };
+                Guide::search(centre, 2.0 * self.lookout.beam_sigma(), &self.params)
+            }
+            _ => Guide::Still,
+        }
+    }
+
+    /// Where the stage must stand for the beam to be where it shall be, if the apex is there; within limits.
+    fn place_for(&self, apex: Xy) -> Xy {
+        let beam = [0, 1].map(|i| apex[i] + self.params.setpoint[i]);
+        self.params.controller.within(self.params.map.stage(beam))
+    }
+
+    /// 1/e^2 radius of the beam, in lengths of the stage.
+    fn beam_radius(&self) -> f64 {
+        2.0 * self.lookout.beam_sigma() / self.params.map.largest_gain()
+    }
+
+    /// The next command, unless there is no stage to take it. `behind` is where it stands if it does not follow.
+    fn steer(
+        &mut self,
+        doing: Doing,
+        error: Xy,
+        behind: Option<Xy>,
+        sample: &Sample,
+        dt: f64,
+    ) -> Option<Command> {
+        let memory = self.stage.memory()?;
+        let LoopParams { controller, map, feed_forward, .. } = self.params;
+        let next = match doing {
+            Doing::Regulating => {
+                let velocity = if feed_forward { self.lookout.velocity() } else { [0.0; 2] };
+                controller.update(&memory, map.stage_step(error), map.stage_step(velocity), dt)
+            }
+            Doing::Holding => controller.hold(&memory, dt),
+            Doing::Jumping | Doing::Searching | Doing::Waiting => {
+                match self.guide.next(memory.position, dt) {
+                    Some(target) => controller.go(&memory, target, dt),
+                    None => controller.hold(&memory, dt),
+                }
+            }
+        };
+        let next = behind.map_or(next, |at| next.no_farther(&memory, at));
+        self.stage.sent(next, sample, &self.params);
+        Some(self.command(next.position))
+    }
+
+    /// In the shadow: what the loop would do next if it took over now.
+    fn watch(&mut self, sample: &Sample, pose: Option<&TimedPose>, dt: f64) {
+        let stage = self.stage.found(sample, &self.params, dt);
+        self.look(sample, pose);
+        self.shadow = self.offset.map(|offset| {
+            let error = self.params.map.stage_step(self.error(offset));
+            (stage.position, self.params.controller.update(&stage, error, [0.0; 2], dt).position)
+        });
+    }
+
+    /// From where the beam is to where it shall be.
+    fn error(&self, offset: Xy) -> Xy {
+        [0, 1].map(|axis| self.params.setpoint[axis] - offset[axis])
+    }
+
+    /// `dt` seconds have passed without a sample. No command: the lease decides what the stage does.
+    pub fn silence(&mut self, dt: f64) -> Option<Transition> {
+        (self.offset, self.shadow) = (None, None);
+        self.lookout.interrupt();
+        self.lock.update(Seen::Unclear("no samples come"), false, dt).transition
+    }
+
+    /// The last command: hold or park. `None` if the stage is not the loop's, or takes no commands.
+    pub fn finish(&mut self) -> Option<Command> {
+        let memory = self.stage.memory()?;
+        let position = match self.params.on_exit {
+            OnExit::Hold => memory.position,
+            OnExit::Park => self.params.park,
+        };
+        Some(self.command(position))
+    }
+
+    fn take_over(&mut self, sample: &Sample, dt: f64) {
+        if self.stage.take_over(sample, &self.params, dt) {
+            self.lookout.interrupt();
+            self.good_place = self.good_place.or(self.stage.commanded());
+        }
+    }
+
+    fn seconds_since_last(&self, sample: &Sample) -> f64 {
+        let passed = self.last.map_or(self.params.period_s, |(_, time)| sample.time.seconds_since(time));
+        passed.clamp(0.0, MOST_PERIODS * self.params.period_s)
+    }
+
+    fn command(&mut self, position: Xy) -> Command {
+        self.commands = self.commands.wrapping_add(1);
+        let LoopParams { lease_ms, on_lease, .. } = self.params;
+        self.stage.commands(self.commands, position);
+        Command { id: self.commands, position, lease_ms, on_expiry: on_lease }
+    }
+}

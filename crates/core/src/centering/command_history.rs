@@ -1,0 +1,112 @@
+//! Where the stage was sent lately: what its readback must agree with, and where it is without one.
+
+use std::collections::VecDeque;
+
+use crate::steering::Xy;
+use crate::time::{Mono, NS_PER_S};
+
+/// The time that is remembered is divided into so many parts.
+const PARTS: f64 = 64.0;
+
+/// The commands of the last moments.
+#[derive(Clone, Debug, Default)]
+pub struct Trail {
+    parts: VecDeque<Part>,
+}
+
+/// The commands of one part of the time.
+#[derive(Clone, Copy, Debug)]
+struct Part {
+    from: Mono,
+    last: Xy,
+    least: Xy,
+    most: Xy,
+}
+
+impl Trail {
+    /// Forgets everything.
+    pub fn clear(&mut self) {
+        self.parts.clear();
+    }
+
+    /// The stage was sent to `position` after the sample of `time`; `span_s` is for how long that matters.
+    pub fn push(&mut self, position: Xy, time: Mono, span_s: f64) {
+        match self.parts.back_mut() {
+            Some(part) if time.seconds_since(part.from) < span_s / PARTS => {
+                part.last = position;
+                part.least = [0, 1].map(|i| part.least[i].min(position[i]));
+                part.most = [0, 1].map(|i| part.most[i].max(position[i]));
+            }
+            _ => self.parts.push_back(Part { from: time, last: position, least: position, most: position }),
+        }
+        // The last part before the span is the one that the stage comes from.
+        while self.parts.get(1).is_some_and(|part| time.seconds_since(part.from) > span_s) {
+            self.parts.pop_front();
+        }
+    }
+
+    /// Where it was sent by the sample of `delay_s` before `time`; the oldest that is known if none is so old.
+    pub fn before(&self, time: Mono, delay_s: f64) -> Option<Xy> {
+        let then = time + -((delay_s * NS_PER_S as f64) as i64);
+        let part = self.parts.iter().rev().find(|part| part.from <= then).or(self.parts.front());
+        part.map(|part| part.last)
+    }
+
+    /// Whether a stage that stands at `position` is, to within `tolerance`, where it was sent to, or between
+    /// such places. True if nothing is known.
+    pub fn leads_to(&self, position: Xy, tolerance: f64) -> bool {
+        let axis = |i: usize| {
+            let least = self.parts.iter().map(|part| part.least[i]).reduce(f64::min);
+            let most = self.parts.iter().map(|part| part.most[i]).reduce(f64::max);
+            least
+                .zip(most)
+                .is_none_or(|(least, most)| (least - tolerance..=most + tolerance).contains(&position[i]))
+        };
+        axis(0) && axis(1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: i64 = 1_000_000;
+
+    /// One micrometre per millisecond along x, for 100 ms; 20 ms matter.
+    fn ramp() -> Trail {
+        let mut trail = Trail::default();
+        for k in 0..=100 {
+            trail.push([f64::from(k) * 1e-6, 0.0], Mono(i64::from(k) * MS), 0.02);
+        }
+        trail
+    }
+
+    #[test]
+    fn it_knows_where_the_stage_was_sent() {
+        let at = |delay_s| ramp().before(Mono(100 * MS), delay_s).unwrap()[0];
+        assert!((at(0.0) - 100e-6).abs() < 1e-12);
+        assert!((at(0.01) - 90e-6).abs() < 1.5e-6, "{}", at(0.01));
+        assert!((at(1.0) - 79e-6).abs() < 1.5e-6, "the oldest");
+        assert_eq!(Trail::default().before(Mono(0), 0.0), None);
+    }
+
+    #[test]
+    fn a_stage_on_its_way_follows_and_one_that_stays_behind_does_not() {
+        let trail = ramp();
+        for (x, follows) in [(100e-6, true), (90e-6, true), (80e-6, true), (70e-6, false), (110e-6, false)] {
+            assert_eq!(trail.leads_to([x, 0.0], 3e-6), follows, "{x}");
+        }
+        assert!(!trail.leads_to([90e-6, 4e-6], 3e-6));
+        assert!(!trail.leads_to([f64::NAN, 0.0], 3e-6));
+        assert!(Trail::default().leads_to([1.0, 1.0], 0.0));
+    }
+
+    #[test]
+    fn its_memory_is_bounded() {
+        let mut trail = Trail::default();
+        for k in 0..1_000_000 {
+            trail.push([0.0; 2], Mono(k * MS / 10), 10.0);
+        }
+        assert!(trail.parts.len() < 70);
+    }
+}

@@ -1,0 +1,93 @@
+//! Parameters of the loop, in SI units. All of them can change while it runs.
+
+use trifacet_wire::actuator::LeaseAction;
+
+use super::controller::Controller;
+use super::lock::LockLimits;
+use super::{LoopMode, OnExit, Target};
+use crate::steering::{BeamMap, Xy};
+
+/// A step of the stage has settled after this many time constants: 0.7 % of it remain.
+const SETTLED: f64 = 5.0;
+/// A stage that is farther than this part of its range from its command does not follow. The readback of a stage
+/// that is not calibrated may be off by this much, and a stage that sticks leaps by as much when it comes free.
+const FOLLOWING: f64 = 0.05;
+
+/// Parameters of the loop. The default is a nominal head with a piezo stage, sampled at 1 kHz.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LoopParams {
+    /// What the loop does.
+    pub mode: LoopMode,
+    /// What the loop brings to zero.
+    pub target: Target,
+    /// The beam offset that the loop regulates to, metres.
+    pub setpoint: Xy,
+    /// From the stage to the beam.
+    pub map: BeamMap,
+    /// Gains and limits of the controller.
+    pub controller: Controller,
+    /// Conditions of the lock states.
+    pub limits: LockLimits,
+    /// Whether the command follows the tracked velocity of the apex.
+    pub feed_forward: bool,
+    /// Bandwidth of the tracking filter, hertz.
+    pub tracking_hz: f64,
+    /// Time from a sample to the effect of its command, seconds. The gains are made for this delay: the loop does
+    /// not act on a sample that is older.
+    pub loop_delay_s: f64,
+    /// Time constant of the stage, seconds.
+    pub lag_s: f64,
+    /// Sampling period, seconds.
+    pub period_s: f64,
+    /// Park position of the stage, metres.
+    pub park: Xy,
+    /// What the stage does when the loop ends.
+    pub on_exit: OnExit,
+    /// What the stage does when no command renews the lease of the last one.
+    pub on_lease: LeaseAction,
+    /// Lease of a command, milliseconds.
+    pub lease_ms: u16,
+}
+
+impl Default for LoopParams {
+    fn default() -> Self {
+        Self {
+            mode: LoopMode::On,
+            target: Target::Apex,
+            setpoint: [0.0; 2],
+            map: BeamMap::default(),
+            controller: Controller::default(),
+            limits: LockLimits::default(),
+            feed_forward: true,
+            tracking_hz: 1.0 / (std::f64::consts::TAU * 2.5e-3),
+            loop_delay_s: 2.5e-3,
+            lag_s: 0.5e-3,
+            period_s: 1e-3,
+            park: [0.0; 2],
+            on_exit: OnExit::Hold,
+            on_lease: LeaseAction::Hold,
+            lease_ms: 200,
+        }
+    }
+}
+
+impl LoopParams {
+    pub(super) fn lease_s(&self) -> f64 {
+        f64::from(self.lease_ms) * 1e-3
+    }
+
+    /// After this time the samples show the effect of a command, seconds.
+    pub(super) fn settling_s(&self) -> f64 {
+        self.loop_delay_s + SETTLED * self.lag_s + 2.0 * self.period_s
+    }
+
+    /// Commands of this long ago may still move the stage, seconds.
+    pub(super) fn span_s(&self) -> f64 {
+        self.loop_delay_s + self.settling_s()
+    }
+
+    /// Largest distance from its command at which a stage follows, metres.
+    pub(super) fn following(&self) -> f64 {
+        self.limits.offset + FOLLOWING * self.controller.limit
+    }
+}

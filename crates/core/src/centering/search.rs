@@ -1,0 +1,147 @@
+//! The search: a spiral over the range of the stage.
+//!
+//! Its turns are [`PITCH`] beam radii apart, so that no point of the range is farther from the path than
+//! three quarters of the beam's radius: there all three PSDs see some percent of the beam. It runs so fast
+//! that the beam moves by a quarter of its radius within the loop delay: when the light is seen, it is
+//! still there. What lies outside of the range is left out.
+
+use std::f64::consts::TAU;
+
+use crate::centering::LoopParams;
+use crate::steering::Xy;
+
+/// Distance of the turns, radii of the beam (1/e^2).
+const PITCH: f64 = 1.5;
+/// What the beam moves within the loop delay, radii of the beam.
+const REACH: f64 = 0.25;
+/// The path is looked at in such steps where it is outside of the range, parts of the pitch.
+const SKIP: f64 = 0.25;
+/// Of these in one call; the next call goes on.
+const MOST_SKIPS: u32 = 500;
+
+/// A spiral about a point, in the axes of the stage; metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spiral {
+    centre: Xy,
+    /// Radians from the start.
+    angle: f64,
+    pitch: f64,
+    speed: f64,
+    /// The range: plus and minus, each axis.
+    limit: f64,
+}
+
+impl Spiral {
+    /// A spiral from `centre` over the range of plus and minus `limit`, for a beam whose radius is `radius` in
+    /// lengths of the stage, with a loop delay of `delay_s`. It moves at most at `slew`, metres per second.
+    pub fn new(centre: Xy, radius: f64, delay_s: f64, limit: f64, slew: f64) -> Self {
+        let speed = (REACH * radius / delay_s).min(slew);
+        Self { centre, angle: 0.0, pitch: PITCH * radius, speed, limit }
+    }
+
+    /// The spiral that a loop of this params goes along, for a beam of this radius, metres.
+    pub fn of(params: &LoopParams, centre: Xy, radius: f64) -> Self {
+        let controller = &params.controller;
+        let radius = radius / params.map.largest_gain();
+        Self::new(centre, radius, params.loop_delay_s, controller.limit, controller.slew)
+    }
+
+    /// The next point, `dt` seconds after the last one; `None` when all of the range was passed.
+    pub fn next(&mut self, dt: f64) -> Option<Xy> {
+        self.advance(self.speed * dt);
+        for _ in 0..MOST_SKIPS {
+            let point = self.point();
+            if self.radius() > self.farthest() {
+                return None;
+            }
+            // Just outside it runs along the edge, which would else be passed too far away.
+            if point.iter().all(|p| p.abs() <= self.limit + 0.5 * self.pitch) {
+                return Some(self.within(point));
+            }
+            self.advance(SKIP * self.pitch);
+        }
+        Some(self.within(self.point()))
+    }
+
+    fn within(&self, point: Xy) -> Xy {
+        point.map(|p| p.clamp(-self.limit, self.limit))
+    }
+
+    /// Seconds until all of the range is passed, for points every `dt` seconds; infinite if that takes more than ten
+    /// million of them.
+    pub fn duration(mut self, dt: f64) -> f64 {
+        (0..10_000_000_u32).find(|_| self.next(dt).is_none()).map_or(f64::INFINITY, |n| f64::from(n) * dt)
+    }
+
+    fn radius(&self) -> f64 {
+        self.pitch * self.angle / TAU
+    }
+
+    fn point(&self) -> Xy {
+        let (sin, cos) = self.angle.sin_cos();
+        [self.centre[0] + self.radius() * cos, self.centre[1] + self.radius() * sin]
+    }
+
+    /// A length further along the path, by the radius in the middle of it.
+    fn advance(&mut self, length: f64) {
+        let turn = |angle: f64| length / (self.pitch / TAU) / angle.hypot(1.0);
+        self.angle += turn(self.angle + 0.5 * turn(self.angle));
+    }
+
+    /// From the centre to the farthest corner of the range, and a turn more: the last turn is complete.
+    fn farthest(&self) -> f64 {
+        let [x, y] = self.centre.map(|c| c.abs() + self.limit);
+        x.hypot(y) + self.pitch
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RADIUS: f64 = 0.23e-3;
+    const DELAY: f64 = 0.4e-3;
+    const DT: f64 = 1e-4;
+
+    fn path(centre: Xy, limit: f64) -> Vec<Xy> {
+        let mut spiral = Spiral::new(centre, RADIUS, DELAY, limit, 1.0);
+        std::iter::from_fn(|| spiral.next(DT)).collect()
+    }
+
+    #[test]
+    fn every_point_of_the_range_is_passed_within_three_quarters_of_the_radius() {
+        for centre in [[0.0; 2], [0.9e-3, -0.4e-3], [1e-3, 1e-3]] {
+            let path = path(centre, 1e-3);
+            for k in 0..21 * 21 {
+                let at = [k % 21, k / 21].map(|i| f64::from(i - 10) * 0.1e-3);
+                let nearest = path.iter().map(|p| (p[0] - at[0]).hypot(p[1] - at[1])).fold(1.0, f64::min);
+                assert!(nearest < 0.78 * RADIUS, "{at:?} {nearest}");
+            }
+            assert!(path.iter().flatten().all(|p| p.abs() <= 1e-3));
+        }
+    }
+
+    #[test]
+    fn it_moves_at_its_speed() {
+        let path = path([0.0; 2], 2e-3);
+        let speed = 0.25 * RADIUS / DELAY;
+        let inside = |p: &Xy| p[0].hypot(p[1]) < 1.9e-3;
+        for pair in path.windows(2).take_while(|pair| inside(&pair[1])) {
+            let step = (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]);
+            assert!(step <= 1.03 * speed * DT, "{step}");
+        }
+        let said = Spiral::new([0.0; 2], RADIUS, DELAY, 2e-3, 1.0).duration(DT);
+        assert!((path.len() as f64 * DT / said - 1.0).abs() < 0.01, "{said}");
+    }
+
+    #[test]
+    fn the_slew_limit_is_kept() {
+        let mut slow = Spiral::new([0.0; 2], RADIUS, DELAY, 1e-3, 0.01);
+        let mut last = [0.0; 2];
+        for _ in 0..1000 {
+            let next = slow.next(DT).unwrap();
+            assert!((next[0] - last[0]).hypot(next[1] - last[1]) <= 1.03e-6);
+            last = next;
+        }
+    }
+}

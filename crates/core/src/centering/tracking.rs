@@ -1,0 +1,191 @@
+//! The tracking filter: where the apex is and how fast it moves, from noisy positions.
+//!
+//! An alpha-beta filter: it predicts with constant velocity and corrects position and velocity by what the
+//! next position differs from the prediction (the innovation). Its poles are those of a second-order
+//! system with the damping 0.7 and the natural frequency that the configuration calls its bandwidth, placed
+//! anew for the time between every two samples. The velocity of a sine of frequency f comes out with the
+//! gain 1/sqrt(1 + (f/bandwidth)^4) and late by 1.4/(2 pi bandwidth); white noise of the position comes
+//! through with sqrt(1.11 bandwidth * 2 / rate) of its deviation. A wider band follows faster, and lets
+//! more noise into the stage.
+//!
+//! A jump of the mirror is no velocity. An innovation beyond [`GATE`] of its usual size is passed over
+//! once; the second in a row re-seats the position and leaves the velocity alone, and the controller
+//! takes the jump as what it is, an error. What comes through the gate, and as much of the rest as would
+//! open it soon if it went on, makes the usual size.
+
+use std::f64::consts::TAU;
+
+use crate::steering::Xy;
+use crate::time::Mono;
+
+/// An innovation beyond so many of its usual sizes is a jump.
+const GATE: f64 = 6.0;
+/// Innovations over which their usual size is formed.
+const WINDOW: f64 = 64.0;
+/// The usual size of an innovation before any was seen, metres.
+const UNKNOWN: f64 = 3e-6;
+/// Damping of the poles: that of the flattest response.
+const DAMPING: f64 = std::f64::consts::FRAC_1_SQRT_2;
+
+/// The state of the filter.
+#[derive(Clone, Debug, Default)]
+pub struct Tracking {
+    track: Option<Track>,
+}
+
+/// What is tracked: metres, metres per second.
+#[derive(Clone, Copy, Debug)]
+struct Track {
+    time: Mono,
+    position: Xy,
+    velocity: Xy,
+    /// Of the innovations.
+    variance: f64,
+    /// The last innovation was beyond the gate.
+    suspect: bool,
+}
+
+impl Tracking {
+    /// Forgets everything: what comes next has no connection with it.
+    pub fn reset(&mut self) {
+        self.track = None;
+    }
+
+    /// Velocity of the apex, metres per second; zero while nothing is known of it.
+    pub fn velocity(&self) -> Xy {
+        self.track.map_or([0.0; 2], |track| track.velocity)
+    }
+
+    /// Takes a position, which must be finite, with the time at which it was taken. After a pause longer than
+    /// `patience_s` it starts over.
+    pub fn update(&mut self, position: Xy, time: Mono, bandwidth_hz: f64, patience_s: f64) {
+        let passed = self.track.map(|track| time.seconds_since(track.time));
+        match (&mut self.track, passed) {
+            (Some(track), Some(dt)) if dt > 0.0 && dt <= patience_s => {
+                track.update(position, dt, bandwidth_hz);
+                track.time = time;
+            }
+            (Some(_), Some(0.0)) => {}
+            (track, _) => *track = Some(Track::at(position, time)),
+        }
+    }
+}
+
+impl Track {
+    fn at(position: Xy, time: Mono) -> Self {
+        Self { time, position, velocity: [0.0; 2], variance: UNKNOWN * UNKNOWN, suspect: false }
+    }
+
+    fn update(&mut self, measured: Xy, dt: f64, bandwidth_hz: f64) {
+        let predicted = [0, 1].map(|i| self.position[i] + self.velocity[i] * dt);
+        let innovation = [0, 1].map(|i| measured[i] - predicted[i]);
+        let square = innovation[0].powi(2) + innovation[1].powi(2);
+        let most = GATE * GATE * self.variance;
+        // One far beyond the gate widens it by the root of three at most.
+        self.variance += (square.min(2.0 * WINDOW * self.variance) - self.variance) / WINDOW;
+        if square > most {
+            self.position = if self.suspect { measured } else { predicted };
+            self.suspect = !self.suspect;
+            return;
+        }
+        self.suspect = false;
+        let [alpha, beta] = gains(bandwidth_hz * dt);
+        self.position = [0, 1].map(|i| predicted[i] + alpha * innovation[i]);
+        self.velocity = [0, 1].map(|i| self.velocity[i] + beta / dt * innovation[i]);
+    }
+}
+
+/// Gains for position and velocity, for a bandwidth in cycles per sample: the poles of the filter are those
+/// of the second-order system, sampled.
+fn gains(bandwidth: f64) -> [f64; 2] {
+    let decay = (-DAMPING * TAU * bandwidth).exp();
+    let turn = (TAU * bandwidth * (1.0 - DAMPING * DAMPING).sqrt()).min(std::f64::consts::PI);
+    [1.0 - decay * decay, 1.0 + decay * decay - 2.0 * decay * turn.cos()]
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_distr::StandardNormal;
+
+    use super::*;
+
+    const RATE: f64 = 10_000.0;
+    const BAND: f64 = 200.0;
+
+    /// Velocities that come out for a course of the apex along x, metres over seconds.
+    fn track(course: impl Fn(f64) -> f64, noise: f64, samples: u32) -> Vec<f64> {
+        let mut random = rand_pcg::Pcg64::seed_from_u64(5);
+        let mut tracking = Tracking::default();
+        (0..samples)
+            .map(|k| {
+                let t = f64::from(k) / RATE;
+                let x = course(t) + noise * random.sample::<f64, _>(StandardNormal);
+                tracking.update([x, 0.0], Mono((t * 1e9).round() as i64), BAND, 0.01);
+                tracking.velocity()[0]
+            })
+            .collect()
+    }
+
+    fn rms(x: &[f64]) -> f64 {
+        (x.iter().map(|x| x * x).sum::<f64>() / x.len() as f64).sqrt()
+    }
+
+    #[test]
+    fn a_steady_velocity_is_found_without_error() {
+        let velocity = track(|t| 1e-3 * t, 0.0, 1000);
+        assert!((velocity[999] / 1e-3 - 1.0).abs() < 1e-6, "{}", velocity[999]);
+    }
+
+    #[test]
+    fn a_sine_comes_out_smaller_by_what_the_bandwidth_says() {
+        for (frequency, gain) in [(20.0, 1.0), (200.0, 0.5_f64.sqrt()), (800.0, 1.0 / 257_f64.sqrt())] {
+            let omega = TAU * frequency;
+            let velocity = track(|t| 10e-6 * (omega * t).sin(), 0.0, 20_000);
+            let found = rms(&velocity[5000..15_000]) * 2_f64.sqrt() / (10e-6 * omega);
+            assert!((found / gain - 1.0).abs() < 0.15, "{frequency} {found} {gain}");
+        }
+    }
+
+    #[test]
+    fn noise_comes_through_as_the_documentation_says() {
+        // The velocity's noise as a position: through the integral of the controller.
+        let velocity = track(|_| 0.0, 1e-6, 200_000);
+        let mut position = 0.0;
+        let mut moved: Vec<f64> = Vec::new();
+        for v in velocity {
+            position += v / RATE;
+            moved.push(position);
+        }
+        let expected = 1e-6 * (1.11 * BAND * 2.0 / RATE).sqrt();
+        assert!((rms(&moved[1000..]) / expected - 1.0).abs() < 0.15, "{} {expected}", rms(&moved[1000..]));
+    }
+
+    #[test]
+    fn a_jump_is_no_velocity() {
+        let course = |t: f64| 1e-3 * t + if t > 0.05 { 100e-6 } else { 0.0 };
+        let velocity = track(course, 0.1e-6, 1000);
+        let worst = velocity[480..520].iter().map(|v| (v - 1e-3).abs()).fold(0.0, f64::max);
+        assert!(worst < 0.3e-3, "{worst}");
+        // 100 um within the bandwidth of 200 Hz would have been taken for 60 mm/s.
+    }
+
+    #[test]
+    fn a_change_that_stays_is_followed_even_if_it_was_out_of_all_proportion() {
+        let velocity = track(|t| if t > 0.05 { 0.2 * (t - 0.05) } else { 0.0 }, 0.01e-6, 1500);
+        assert!((velocity[1499] / 0.2 - 1.0).abs() < 0.01, "{}", velocity[1499]);
+    }
+
+    #[test]
+    fn a_pause_starts_it_over() {
+        let mut tracking = Tracking::default();
+        for k in 0..100 {
+            tracking.update([f64::from(k) * 1e-6, 0.0], Mono(i64::from(k) * 100_000), BAND, 0.001);
+        }
+        assert!(tracking.velocity()[0] > 1e-3);
+        tracking.update([0.0; 2], Mono(99 * 100_000), BAND, 0.001);
+        assert!(tracking.velocity()[0] > 1e-3, "the same sample twice is no news");
+        tracking.update([1.0, 0.0], Mono(200 * 100_000), BAND, 0.001);
+        assert_eq!(tracking.velocity(), [0.0; 2]);
+    }
+}

@@ -1,0 +1,224 @@
+//! The channel map: raw codes to spots and powers.
+
+use serde::{Deserialize, Serialize};
+use trifacet_wire::channel::{Converter, MAX_CHANNELS, Role};
+
+use crate::signals::{Identity, PsdState, Sample, Scan};
+
+pub mod correction;
+pub mod dark;
+
+pub use correction::{Correction, CorrectionError};
+
+/// The channels of a head, before the source has reported which channel carries which signal.
+#[derive(Clone, Debug)]
+pub struct Channels {
+    /// The PSDs A, B and C.
+    pub psds: [PsdChannels; 3],
+    /// Below this sum signal, dark offset subtracted, a PSD has no position. Volts.
+    pub sum_threshold_v: f64,
+    /// Fraction of the converter's range from which on a code counts as clipped.
+    pub clip_limit: f64,
+    /// Power on a PSD per volt of its sum signal.
+    pub watts_per_volt: f64,
+    /// Position of the stage per volt of its readback signal, metres.
+    pub readback_per_volt: f64,
+}
+
+/// One PSD with its amplifier.
+#[derive(Clone, Debug)]
+pub struct PsdChannels {
+    /// What the amplifier puts out.
+    pub amplifier: Amplifier,
+    /// Volts at the edge of the PSD, for a normalised amplifier.
+    pub full_scale_v: f64,
+    /// Gain of u, v and power on top of the nominal one; negative inverts an axis.
+    pub gain: [f64; 3],
+    /// Readings of u, v and sum with the laser off, volts.
+    pub dark_v: [f64; 3],
+    /// Half the edge length of the PSD, metres.
+    pub half_size: f64,
+    /// Correction of its non-linearity, if it was calibrated.
+    pub correction: Option<Correction>,
+}
+
+/// What the amplifier of a PSD puts out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Amplifier {
+    /// Positions, already divided by the sum: `full_scale_v` is the edge of the PSD.
+    Normalised,
+    /// Differences, not divided: a difference equal to the sum is the edge of the PSD.
+    Difference,
+}
+
+/// The channel map of a source that has reported which channel carries which signal.
+#[derive(Clone, Debug)]
+pub struct ChannelMap {
+    channels: Channels,
+    converter: Converter,
+    /// Places of u, v, sum of each PSD in a scan.
+    places: [[usize; 3]; 3],
+    steering: Option<[usize; 2]>,
+    /// Skew of each channel as a fraction of the period.
+    skew: [f64; MAX_CHANNELS],
+    last: Option<Last>,
+}
+
+/// A source that does not measure all nine signals.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("no channel for {0:?}")]
+pub struct MissingSignal(pub Role);
+
+/// The scan before.
+#[derive(Clone, Copy, Debug)]
+struct Last {
+    scan: Scan,
+    volts: [f64; MAX_CHANNELS],
+    psds: [PsdState; 3],
+}
+
+/// The nominal board: 10 V amplifiers that divide by the sum, PSDs of 13 mm.
+impl Default for Channels {
+    fn default() -> Self {
+        let psd = PsdChannels {
+            amplifier: Amplifier::Normalised,
+            full_scale_v: 10.0,
+            gain: [1.0; 3],
+            dark_v: [0.0; 3],
+            half_size: 6.5e-3,
+            correction: None,
+        };
+        Self {
+            psds: [psd.clone(), psd.clone(), psd],
+            sum_threshold_v: 0.05,
+            clip_limit: 0.999,
+            watts_per_volt: 0.0667e-3,
+            readback_per_volt: 50e-6,
+        }
+    }
+}
+
+impl Channels {
+    /// Whether every PSD has a correction table.
+    pub fn calibrated(&self) -> bool {
+        self.psds.iter().all(|psd| psd.correction.is_some())
+    }
+
+    /// The map for a source.
+    ///
+    /// # Errors
+    /// The source lacks one of the nine signals.
+    pub fn map(&self, identity: &Identity) -> Result<ChannelMap, MissingSignal> {
+        let find = |role| identity.roles.iter().position(|r| *r == role);
+        let need = |role: Role| find(role).ok_or(MissingSignal(role));
+        let mut places = [[0; 3]; 3];
+        for (i, place) in (0..).zip(&mut places) {
+            *place = [need(Role::U(i))?, need(Role::V(i))?, need(Role::Sum(i))?];
+        }
+        let mut skew = [0.0; MAX_CHANNELS];
+        for (skew, ns) in skew.iter_mut().zip(&identity.skew_ns) {
+            *skew = f64::from(*ns) * 1e-9 * identity.rate_hz;
+        }
+        Ok(ChannelMap {
+            channels: self.clone(),
+            converter: identity.converter,
+            places,
+            steering: find(Role::Steering(0)).zip(find(Role::Steering(1))).map(|(x, y)| [x, y]),
+            skew,
+            last: None,
+        })
+    }
+}
+
+impl ChannelMap {
+    /// Goes on with what else is said of the same channels; no scan is interrupted.
+    pub fn retune(&mut self, channels: Channels) {
+        self.channels = channels;
+        if let Some(Last { scan, .. }) = self.last.take() {
+            self.follow(&scan);
+        }
+    }
+
+    /// Takes a scan as the one before the next.
+    pub fn follow(&mut self, scan: &Scan) {
+        let volts = self.volts(scan);
+        let psds = [0, 1, 2].map(|i| self.state(i, scan, &volts));
+        self.last = Some(Last { scan: *scan, volts, psds });
+    }
+
+    fn volts(&self, scan: &Scan) -> [f64; MAX_CHANNELS] {
+        scan.codes.map(|code| f64::from(code) * self.converter.step_v())
+    }
+
+    /// The sample of a scan.
+    pub fn sample(&mut self, scan: &Scan) -> Sample {
+        let last = self.last.filter(|last| last.scan.index + 1 == scan.index);
+        self.follow(scan);
+        let Some(Last { volts, psds, .. }) = self.last else { unreachable!("it follows the scan") };
+        let mut sample = Sample {
+            index: scan.index,
+            time: scan.time,
+            time_sigma_ns: scan.time_sigma_ns,
+            lost: scan.lost,
+            spots: [f64::NAN; 6],
+            powers: [0.0; 3],
+            psds,
+            steering: None,
+            output_railed: scan.output_railed,
+        };
+        for (i, psd) in self.channels.psds.iter().enumerate() {
+            // What was dark or clipped a moment ago says nothing of the light now.
+            let last = last.filter(|last| last.psds[i] == PsdState::Good && psds[i] == PsdState::Good);
+            let dark = psd.dark_v;
+            let [u, v, sum] =
+                [0, 1, 2].map(|k| self.at_scan(self.places[i][k], &volts, last.as_ref()) - dark[k]);
+            sample.powers[i] = sum * psd.gain[2] * self.channels.watts_per_volt;
+            if psds[i] == PsdState::Good {
+                [sample.spots[2 * i], sample.spots[2 * i + 1]] = psd.spot([u, v], sum);
+            }
+        }
+        let steering = self.steering.filter(|place| !place.iter().any(|k| self.clipped(scan.codes[*k])));
+        sample.steering = steering.map(|place| {
+            place.map(|k| self.at_scan(k, &volts, last.as_ref()) * self.channels.readback_per_volt)
+        });
+        sample
+    }
+
+    fn state(&self, psd: usize, scan: &Scan, volts: &[f64; MAX_CHANNELS]) -> PsdState {
+        let places = self.places[psd];
+        let sum = volts[places[2]] - self.channels.psds[psd].dark_v[2];
+        if places.iter().any(|k| self.clipped(scan.codes[*k])) {
+            PsdState::Clipped
+        } else if sum < self.channels.sum_threshold_v {
+            PsdState::Low
+        } else {
+            PsdState::Good
+        }
+    }
+
+    /// Volts of a channel at the time of the scan: one that is sampled later is interpolated between
+    /// this scan and the last, if there is no gap in between.
+    fn at_scan(&self, channel: usize, volts: &[f64; MAX_CHANNELS], last: Option<&Last>) -> f64 {
+        let now = volts[channel];
+        last.map_or(now, |last| now - self.skew[channel] * (now - last.volts[channel]))
+    }
+
+    /// Whether a code is too near to a rail to be believed.
+    fn clipped(&self, code: i32) -> bool {
+        let largest = self.converter.full_scale() - 1;
+        f64::from(code.abs()) >= self.channels.clip_limit * f64::from(largest)
+    }
+}
+
+impl PsdChannels {
+    /// The spot in metres, from the volts of u, v and sum.
+    fn spot(&self, position: [f64; 2], sum: f64) -> [f64; 2] {
+        let unit = match self.amplifier {
+            Amplifier::Normalised => self.full_scale_v,
+            Amplifier::Difference => sum,
+        };
+        let spot = [0, 1].map(|k| position[k] * self.gain[k] / unit * self.half_size);
+        self.correction.as_ref().map_or(spot, |table| table.apply(spot))
+    }
+}

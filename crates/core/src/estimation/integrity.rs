@@ -1,0 +1,106 @@
+//! Whether the steering position that is read back fits the pose.
+
+use serde::{Deserialize, Serialize};
+use trifacet_optics::{Innovation, Sighting, Vec2};
+
+use crate::steering::BeamMap;
+
+/// A residual of more of its deviations than this does not fit: chance makes one in 270 000.
+const LIMIT: f64 = 5.0;
+/// So many of them in a row, and the steering contradicts the pose. So many that fit, and it may be fused.
+const ROW: u32 = 10;
+/// A beam that is off by less hides in the noise of each single residual, but not in the mean of this many
+/// of them. A fused pose would be off with it by many of its deviations, which the readback makes small.
+const WINDOW: f64 = 100.0;
+/// With a mean of more of its deviations nothing is fused.
+const MEAN_LIMIT: f64 = 3.0;
+
+/// From the stage's readback to where the beam stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Readback {
+    map: BeamMap,
+    deviation: f64,
+}
+
+impl Default for Readback {
+    fn default() -> Self {
+        Self::new(BeamMap::default(), 1.5e-6)
+    }
+}
+
+impl Readback {
+    /// The readback of a stage with this map; `sigma` is the standard uncertainty of the beam's position by it,
+    /// metres on each axis.
+    pub fn new(map: BeamMap, sigma: f64) -> Self {
+        Self { map, deviation: sigma }
+    }
+
+    /// Where the beam stands by a position of the stage, metres. Its deviation is the same in a mean of
+    /// many: what drifts (the direction of the laser) does not average.
+    pub fn sighting(&self, stage: [f64; 2]) -> Sighting {
+        Sighting { at: self.map.beam(stage).into(), deviation: self.deviation }
+    }
+}
+
+/// The judgement, report by report. Those without a residual do not count.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Integrity {
+    /// Residuals in a row that do not fit.
+    misfits: u32,
+    /// Mean of those that fit.
+    mean: Vec2,
+    count: f64,
+}
+
+impl Integrity {
+    /// Takes a residual; whether the sighting may be fused: it fits, and so does the mean of the last ones,
+    /// which are not just a lucky few.
+    pub fn judge(&mut self, innovation: &Innovation<'_>) -> bool {
+        if !self.fits(innovation.deviations()) {
+            return false;
+        }
+        self.count = WINDOW.min(self.count + 1.0);
+        self.mean += (innovation.residual - self.mean) / self.count;
+        self.count >= f64::from(ROW) && innovation.deviations_of_mean(self.mean, self.count) <= MEAN_LIMIT
+    }
+
+    fn fits(&mut self, deviations: f64) -> bool {
+        let fits = deviations <= LIMIT;
+        self.misfits = if fits { 0 } else { self.misfits.saturating_add(1) };
+        if self.inconsistent() {
+            (self.mean, self.count) = (Vec2::zeros(), 0.0); // what comes after that is another story
+        }
+        fits
+    }
+
+    /// Steering and pose contradict each other.
+    pub fn inconsistent(&self) -> bool {
+        self.misfits >= ROW
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ten_in_a_row_contradict_and_one_that_fits_ends_it() {
+        let mut integrity = Integrity::default();
+        let mut seen = |deviations: f64, times: usize| {
+            (0..times).map(|_| (integrity.fits(deviations), integrity.inconsistent())).last().unwrap()
+        };
+        assert_eq!(seen(5.1, 9), (false, false));
+        assert_eq!(seen(4.9, 1), (true, false));
+        assert_eq!(seen(f64::NAN, 9), (false, false));
+        assert_eq!(seen(1e9, 1), (false, true));
+        assert_eq!(seen(5.0, 1), (true, false));
+    }
+
+    #[test]
+    fn a_stage_that_is_mounted_askew_tells_where_the_beam_is() {
+        let map = BeamMap::new([[0.0, -2.0], [0.5, 0.0]], [10e-6, 20e-6]);
+        let sighting = Readback::new(map, 1.5e-6).sighting([100e-6, 30e-6]);
+        assert!((sighting.at - Vec2::new(-50e-6, 70e-6)).norm() < 1e-18, "{sighting:?}");
+        assert_eq!(sighting.deviation, 1.5e-6);
+    }
+}

@@ -1,0 +1,72 @@
+//! What estimation knows about one moment.
+
+use nalgebra::Matrix6;
+use trifacet_optics::Pose;
+use trifacet_wire::{LockState, Status};
+
+use crate::time::Mono;
+
+/// The result of one sample (or of a block of them). What is not known is `None`, never a number.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseReport {
+    /// Index of the converter's sample; the last one of a block; frozen while no samples come.
+    pub index: u64,
+    /// When the signals were taken: the mean over a block, "now" while no samples come.
+    pub time: Mono,
+    /// One standard deviation of `time` in nanoseconds, if known.
+    pub time_sigma_ns: Option<f64>,
+    /// When the solution was ready.
+    pub solved: Mono,
+    /// Status bits; `POSE_VALID` is set exactly if `pose` is `Some`.
+    pub status: Status,
+    /// Fingerprint of the configuration that gives the pose its meaning.
+    pub config: u32,
+    /// State of the centering loop.
+    pub lock: LockState,
+    /// The pose, if it is known.
+    pub pose: Option<Pose>,
+    /// Covariance of tx, ty, tz (m), roll, pitch, yaw (rad); with the pose.
+    pub covariance: Option<Matrix6<f64>>,
+    /// Beam centre minus apex, across the beam, metres.
+    pub offset: Option<[f64; 2]>,
+    /// How far the beam by the steering position that is read back is from where the nine signals have it,
+    /// metres.
+    pub steering_residual: Option<f64>,
+    /// Steps that the solver took.
+    pub iterations: u8,
+    /// Samples averaged into this report.
+    pub averaged: u16,
+    /// Samples lost since the last report.
+    pub lost: u32,
+    /// Spots in metres (u, v of A, B, C), NaN where there is none.
+    pub spots: [f64; 6],
+    /// Powers in watts, NaN where there is none.
+    pub powers: [f64; 3],
+    /// Steering position in metres, read back if `STEERING_MEASURED`, else as commanded.
+    pub steering: Option<[f64; 2]>,
+}
+
+impl PoseReport {
+    /// A report with every field known, for examples and tests.
+    pub fn example() -> Self {
+        Self {
+            index: 1234,
+            time: Mono(1_000_000),
+            time_sigma_ns: Some(1_840.0),
+            solved: Mono(1_080_000),
+            status: Status::POSE_VALID | Status::SIMULATED,
+            config: 8,
+            lock: LockState::Locked,
+            pose: Some(Pose::from_array([1e-6, -2e-6, 3e-6, 4e-6, -5e-6, 6e-6])),
+            covariance: Some(Matrix6::identity() * 4e-12),
+            offset: Some([0.5e-6, -0.25e-6]),
+            steering_residual: Some(1e-7),
+            iterations: 2,
+            averaged: 1,
+            lost: 0,
+            spots: [1e-3; 6],
+            powers: [0.8e-3 / 3.0; 3],
+            steering: Some([1e-5, 2e-5]),
+        }
+    }
+}

@@ -1,0 +1,51 @@
+//! What the light says: whether a pose can come of it, and which status bits tell.
+
+use trifacet_optics::{Noise, SolveError};
+use trifacet_wire::Status;
+
+use super::Settings;
+use super::block::Mean;
+use super::power_step::Power;
+use crate::signals::PsdState;
+
+/// A power below so many of its deviations is no light to reckon with.
+const LIGHT: f64 = 5.0;
+
+const LOW: [Status; 3] = [Status::PSD_A_LOW, Status::PSD_B_LOW, Status::PSD_C_LOW];
+const CLIPPED: [Status; 3] = [Status::PSD_A_CLIPPED, Status::PSD_B_CLIPPED, Status::PSD_C_CLIPPED];
+const EDGE: [Status; 3] = [Status::PSD_A_EDGE, Status::PSD_B_EDGE, Status::PSD_C_EDGE];
+
+/// Notes what the light is like; true if no pose can come of it.
+pub(super) fn judge(settings: &Settings, mean: &Mean, noise: &Noise, status: &mut Status) -> bool {
+    let sample = &mean.sample;
+    let mut fatal = mean.power == Power::Step;
+    status.set(Status::POWER_STEP, fatal);
+    for i in 0..3 {
+        let clipped = sample.psds[i] == PsdState::Clipped;
+        let faint = sample.powers[i] < LIGHT * noise.powers[i];
+        let low = sample.psds[i] == PsdState::Low || (!clipped && faint);
+        status.set(CLIPPED[i], clipped);
+        status.set(LOW[i], low);
+        let edge = settings.estimator.optics().half_sizes()[i] - settings.edge_margin;
+        let spot = &sample.spots[2 * i..2 * i + 2];
+        status.set(EDGE[i], spot.iter().any(|s| s.abs() > edge)); // not if it is NaN
+        fatal |= clipped || low;
+    }
+    let total: f64 = sample.powers.iter().sum();
+    let balanced = |p: &f64| (p / total - 1.0 / 3.0).abs() <= settings.balance_limit && total > 0.0;
+    status.set(Status::UNBALANCED, !sample.powers.iter().all(balanced));
+    fatal
+}
+
+/// The status bit for a refusal of the solver.
+pub(super) fn reason(error: &SolveError) -> Status {
+    match error {
+        SolveError::OffPsd { .. } | SolveError::OutOfRange { .. } => Status::OUT_OF_RANGE,
+        SolveError::Dark { psd: 'A', .. } => LOW[0],
+        SolveError::Dark { psd: 'B', .. } => LOW[1],
+        SolveError::Dark { .. } => LOW[2],
+        SolveError::NotFinite { .. } | SolveError::Singular { .. } | SolveError::NotConverged { .. } => {
+            Status::NOT_CONVERGED
+        }
+    }
+}

@@ -1,0 +1,189 @@
+//! Estimation as a whole: what its reports say about samples of light that is known.
+
+use trifacet_optics::{Estimator, Head, Model, Optics, Pose, Rigid, Vec2, Vec3};
+use trifacet_wire::Status;
+
+use super::integrity::Readback;
+use super::*;
+use crate::centering::LoopState;
+use crate::signals::{PsdState, Sample};
+use crate::steering::BeamMap;
+use crate::time::Mono;
+
+fn settings(change: impl FnOnce(&mut Settings)) -> Settings {
+    let mut settings =
+        Settings { config: 5, ..Settings::new(Optics::new(&Head::default()), Model::Gaussian) };
+    change(&mut settings);
+    settings
+}
+
+fn estimation(change: impl FnOnce(&mut Settings)) -> Estimation {
+    Estimation::new(settings(change))
+}
+
+/// A frame that is only shifted, or only turned.
+fn rigid(metres: [f64; 3], [roll, pitch, yaw]: [f64; 3]) -> Rigid {
+    Rigid::from(&Pose { t: Vec3::from(metres), roll, pitch, yaw })
+}
+
+/// The light of the mirror at rest.
+fn sample(index: u64) -> Sample {
+    let optics = Optics::new(&Head::default());
+    let light = optics.trace(Model::Gaussian, &Pose::default(), Vec2::zeros()).unwrap();
+    Sample {
+        index,
+        time: Mono(index as i64 * 1_000_000),
+        time_sigma_ns: None,
+        lost: 0,
+        spots: light.spots,
+        powers: light.powers.map(|fraction| fraction * 1e-3),
+        psds: [PsdState::Good; 3],
+        steering: None,
+        output_railed: false,
+    }
+}
+
+#[test]
+fn only_the_pose_goes_to_the_users_frame() {
+    let estimation = estimation(|s| {
+        s.frames = Frames::new(&Rigid::identity(), &Rigid::identity(), &rigid([0.0, 0.0, -0.04], [0.0; 3]));
+    });
+    let sensor = PoseReport::example();
+    let user = estimation.in_user_frame(&sensor);
+    let pose = user.pose.unwrap();
+    assert!((pose.t.z + 0.04).abs() < 1e-5, "{pose:?}");
+    // 40 mm below, a pitch of -5 urad is 0.2 um along x.
+    assert!((pose.t.x - 1e-6 - 0.2e-6).abs() < 1e-11, "{pose:?}");
+    let sd = user.covariance.unwrap()[(0, 0)].sqrt();
+    assert!((sd - 2e-6 * 1.0016_f64.sqrt()).abs() < 1e-12, "{sd}");
+    assert_eq!(PoseReport { pose: sensor.pose, covariance: sensor.covariance, ..user }, sensor);
+}
+
+#[test]
+fn a_pose_that_has_no_angles_there_has_a_reason_instead() {
+    let estimation = estimation(|s| {
+        let base = rigid([0.0; 3], [0.0, 90.0_f64.to_radians(), 0.0]);
+        s.frames = Frames::new(&base, &Rigid::identity(), &Rigid::identity());
+    });
+    let user = estimation.in_user_frame(&PoseReport::example());
+    assert_eq!((user.pose, user.covariance), (None, None));
+    assert!(user.status.has(Status::OUT_OF_RANGE) && !user.status.has(Status::POSE_VALID));
+    let dark =
+        PoseReport { pose: None, covariance: None, status: Status::PSD_A_LOW, ..PoseReport::example() };
+    assert_eq!(estimation.in_user_frame(&dark), dark);
+}
+
+#[test]
+fn a_block_has_samples_of_one_meaning_only() {
+    let mut estimation = estimation(|s| s.average = 4);
+    let steering = LoopState::default();
+    let mut reports = Vec::new();
+    for index in 0..12 {
+        if index == 6 {
+            estimation.retune(settings(|s| (s.average, s.config) = (4, 6)));
+        }
+        reports.extend(estimation.sample(&sample(index), &steering));
+    }
+    let seen: Vec<_> = reports.iter().map(|r| (r.config, r.index, r.pose.is_some())).collect();
+    assert_eq!(seen, [(5, 3, true), (6, 9, true)]);
+}
+
+/// A sample with the stage read back at so many micrometres.
+fn read_back(index: u64, stage_um: [f64; 2]) -> Sample {
+    Sample { steering: Some(stage_um.map(|um| um * 1e-6)), ..sample(index) }
+}
+
+fn reports(estimation: &mut Estimation, samples: impl Iterator<Item = Sample>) -> Vec<PoseReport> {
+    samples.filter_map(|sample| estimation.sample(&sample, &LoopState::default())).collect()
+}
+
+#[test]
+fn only_a_position_that_is_read_back_is_judged() {
+    let commanded = LoopState { position: Some([1e-3, 0.0]), ..LoopState::default() };
+    let mut estimation = estimation(|_| {});
+    for index in 0..20 {
+        let report = estimation.sample(&sample(index), &commanded).unwrap();
+        assert_eq!((report.steering, report.steering_residual), (Some([1e-3, 0.0]), None));
+        assert!(!report.status.has(Status::INCONSISTENT));
+    }
+}
+
+#[test]
+fn the_ray_model_knows_no_offset_and_judges_nothing() {
+    let mut estimation =
+        estimation(|s| s.estimator = Estimator::new(Optics::new(&Head::default()), Model::Ray));
+    let reports = reports(&mut estimation, (0..20).map(|k| read_back(k, [100.0, 0.0])));
+    assert!(reports.iter().all(|r| r.pose.is_some() && r.steering_residual.is_none()));
+    assert!(!reports.iter().any(|r| r.status.has(Status::INCONSISTENT)));
+}
+
+#[test]
+fn the_residual_is_of_the_beam_by_matrix_and_origin() {
+    let map = BeamMap::new([[0.0, -2.0], [0.5, 0.0]], [10e-6, 20e-6]);
+    let mut estimation = estimation(|s| s.readback = Readback::new(map, 1.5e-6));
+    // The beam stands on the apex: at (10, 20) + (-2 y, x / 2).
+    let fits = reports(&mut estimation, (0..20).map(|k| read_back(k, [-40.0, 5.0])));
+    assert!(fits.iter().all(|r| r.steering_residual.unwrap() < 1e-9));
+    let off = reports(&mut estimation, (20..40).map(|k| read_back(k, [-40.0, 20.0])));
+    assert!(off.iter().all(|r| (r.steering_residual.unwrap() - 30e-6).abs() < 1e-9));
+    let told: Vec<_> = off.iter().map(|r| r.status.has(Status::INCONSISTENT)).collect();
+    assert_eq!(told, (0..20).map(|k| k >= 9).collect::<Vec<_>>());
+    let back = reports(&mut estimation, [sample(40), read_back(41, [-40.0, 5.0])].into_iter());
+    assert!(back.iter().all(|r| !r.status.has(Status::INCONSISTENT)));
+}
+
+#[test]
+fn ten_reports_that_fit_are_fused_and_none_that_does_not() {
+    let mut estimation =
+        estimation(|s| (s.fuse, s.readback) = (true, Readback::new(BeamMap::default(), 0.1e-6)));
+    let stages = (0..30).map(|k| read_back(k, [if k < 20 { 0.3 } else { 20.0 }, 0.0]));
+    for (k, report) in reports(&mut estimation, stages).iter().enumerate() {
+        let (pose, offset) = (report.pose.unwrap(), report.offset.unwrap());
+        let deviation = report.covariance.unwrap()[(0, 0)].sqrt();
+        if (9..20).contains(&k) {
+            // The beam is 0.3 um along x, and it is the pose that is less certain.
+            assert!((pose.t.x + offset[0] - 0.297e-6).abs() < 1e-9, "{k}: {report:?}");
+            assert!(pose.t.x > 0.25e-6 && deviation < 0.14e-6, "{k}: {report:?}");
+        } else {
+            assert!(pose.t.x.abs() < 1e-9 && deviation > 0.9e-6, "{k}: {report:?}");
+        }
+        let residual = report.steering_residual.unwrap();
+        assert!((residual - if k < 20 { 0.3e-6 } else { 20e-6 }).abs() < 1e-9, "of the nine signals");
+    }
+}
+
+#[test]
+fn a_step_of_the_power_leaves_the_block_without_a_pose_and_is_no_noise() {
+    for average in [1, 4] {
+        let mut estimation = estimation(|s| s.average = average);
+        let brighter = |k: u64| if k < 100 { 1.0 } else { 1.2 };
+        let samples =
+            (0..200).map(|k| Sample { powers: sample(k).powers.map(|p| p * brighter(k)), ..sample(k) });
+        let reports = reports(&mut estimation, samples);
+        let spoilt: Vec<_> = reports.iter().filter(|r| r.pose.is_none()).map(|r| r.index).collect();
+        assert_eq!(spoilt, if average == 1 { vec![100, 101] } else { vec![103] });
+        assert!(reports.iter().all(|r| r.pose.is_some() != r.status.has(Status::POWER_STEP)));
+        let deviation = |r: &PoseReport| r.covariance.unwrap()[(0, 0)].sqrt();
+        let (first, last) = (deviation(&reports[0]), deviation(reports.last().unwrap()));
+        assert!((last / first - 1.0).abs() < 1e-9, "{first} {last}");
+    }
+}
+
+#[test]
+fn after_darkness_or_a_gap_there_is_no_step_to_judge() {
+    for gap in [true, false] {
+        let mut estimation = estimation(|_| {});
+        let samples = (0..20).map(|k| {
+            let mut sample = sample(k);
+            sample.powers = sample.powers.map(|p| if k < 10 { p } else { 2.0 * p });
+            if k == 10 && gap {
+                sample.lost = 3;
+            } else if k == 10 {
+                sample.psds[1] = PsdState::Low;
+            }
+            sample
+        });
+        let reports = reports(&mut estimation, samples);
+        assert!(!reports.iter().any(|r| r.status.has(Status::POWER_STEP)));
+    }
+}

@@ -1,0 +1,198 @@
+//! Turns of the tasks of the fast side: the sign that each of them lives, whether samples come or not.
+//!
+//! A turn is one poll of the task's future. Every task has a timer, so it makes turns in silence too; one
+//! that waits for something that never comes makes none, and one that never comes back from a turn stops
+//! them all. Costs three relaxed stores a turn.
+
+use std::fmt;
+use std::future::poll_fn;
+use std::pin::pin;
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64};
+use std::task::Poll;
+use std::time::Duration;
+
+/// A task without anything to do makes a turn at least this often.
+pub const HEARTBEAT: Duration = Duration::from_millis(20);
+
+/// A task of the fast side.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Task {
+    /// Source to samples.
+    Acquisition,
+    /// The loop that keeps the beam on the apex.
+    Centering,
+    /// Samples to poses, and their publishing.
+    Estimation,
+}
+
+impl Task {
+    /// All of them, in the order of the flow.
+    pub const ALL: [Task; 3] = [Task::Acquisition, Task::Centering, Task::Estimation];
+
+    /// The task as a word: "acquisition".
+    pub fn name(self) -> &'static str {
+        match self {
+            Task::Acquisition => "acquisition",
+            Task::Centering => "centering",
+            Task::Estimation => "estimation",
+        }
+    }
+}
+
+impl fmt::Display for Task {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// What may be done to a task to see whether it is noticed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Drill {
+    /// It waits for ever, and the others go on.
+    Stall = 1,
+    /// It never comes back from a turn, and the others wait for it.
+    Block = 2,
+    /// It ends by itself.
+    End = 3,
+}
+
+impl Drill {
+    /// All of them.
+    pub const ALL: [Drill; 3] = [Drill::Stall, Drill::Block, Drill::End];
+
+    /// The drill as a word: "stall".
+    pub fn name(self) -> &'static str {
+        match self {
+            Drill::Stall => "stall",
+            Drill::Block => "block",
+            Drill::End => "end",
+        }
+    }
+}
+
+/// The turns of every task. Shared, lock-free.
+#[derive(Debug, Default)]
+pub struct Turns([Turn; 3]);
+
+impl Turns {
+    /// The turns of a task.
+    pub fn of(&self, task: Task) -> &Turn {
+        &self.0[task as usize]
+    }
+
+    /// The tasks that make no turns at present, as far as that was noticed; empty while all is well.
+    pub fn stalled(&self) -> Vec<Task> {
+        Task::ALL.into_iter().filter(|task| self.of(*task).stalled.load(Relaxed)).collect()
+    }
+}
+
+/// The turns of one task.
+#[derive(Debug, Default)]
+pub struct Turn {
+    /// Of the begins and ends of turns: odd within one.
+    edges: AtomicU64,
+    ended: AtomicBool,
+    /// Set by whoever watches.
+    stalled: AtomicBool,
+    drill: AtomicU8,
+}
+
+impl Turn {
+    /// Turns begun so far.
+    pub fn count(&self) -> u64 {
+        self.edges.load(Relaxed).div_ceil(2)
+    }
+
+    /// It is within a turn.
+    pub fn inside(&self) -> bool {
+        self.edges.load(Relaxed) % 2 == 1
+    }
+
+    /// It has ended, and makes no more.
+    pub fn ended(&self) -> bool {
+        self.ended.load(Relaxed)
+    }
+
+    /// Marks the task as stalled or not; returns what it was marked as before. For whoever watches the tasks.
+    pub fn mark_stalled(&self, stalled: bool) -> bool {
+        self.stalled.swap(stalled, Relaxed)
+    }
+
+    /// Whether it is marked as stalled.
+    pub fn stalled(&self) -> bool {
+        self.stalled.load(Relaxed)
+    }
+
+    /// Lets the task misbehave from now on.
+    pub fn drill(&self, drill: Drill) {
+        self.drill.store(drill as u8, Relaxed);
+    }
+
+    fn edge(&self) {
+        // Only the task itself writes.
+        self.edges.store(self.edges.load(Relaxed) + 1, Relaxed);
+    }
+}
+
+/// Runs a task to its end, and counts its turns.
+pub async fn counted(task: impl Future<Output = ()>, turn: &Turn) {
+    let mut task = pin!(task);
+    poll_fn(|context| {
+        let drill = turn.drill.load(Relaxed);
+        if drill == Drill::Stall as u8 {
+            return Poll::Pending; // who still wakes it makes no turn of that
+        }
+        turn.edge();
+        while turn.drill.load(Relaxed) == Drill::Block as u8 {
+            std::thread::sleep(HEARTBEAT);
+        }
+        let poll = if drill == Drill::End as u8 { Poll::Ready(()) } else { task.as_mut().poll(context) };
+        turn.edge();
+        poll
+    })
+    .await;
+    turn.ended.store(true, Relaxed);
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio::task::yield_now;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn every_poll_is_a_turn_until_the_end() {
+        let turns = Turns::default();
+        let turn = turns.of(Task::Centering);
+        let task = async {
+            for n in 1..=5 {
+                assert!(turn.inside() && turn.count() == n, "{turn:?}");
+                yield_now().await;
+            }
+        };
+        counted(task, turn).await;
+        assert!(!turn.inside() && turn.ended());
+        assert_eq!((turn.count(), turns.of(Task::Estimation).count()), (6, 0));
+    }
+
+    #[tokio::test]
+    async fn a_drill_ends_a_task_or_its_turns() {
+        let turn = Turn::default();
+        turn.drill(Drill::End);
+        counted(std::future::pending(), &turn).await;
+        assert!(turn.ended());
+
+        let turn = Turn::default();
+        turn.drill(Drill::Stall);
+        let beating = async {
+            loop {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+        };
+        let wait = Duration::from_millis(20);
+        assert!(tokio::time::timeout(wait, counted(beating, &turn)).await.is_err());
+        assert!(!turn.inside() && !turn.ended() && turn.count() <= 2, "{turn:?}");
+    }
+}

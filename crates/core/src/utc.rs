@@ -1,0 +1,121 @@
+//! UTC, at the edge: monotonic time plus one offset that only ever slews.
+//!
+//! The offset follows the system clock at no more than 500 ppm, so that the time between two frames
+//! stays true to 0.05 % whatever happens to the system clock. A step of that clock is flagged and
+//! approached, never followed at once.
+
+use crate::time::Mono;
+
+/// The slew is one part in this many: 500 ppm.
+const SLEW: i64 = 2000;
+
+/// Further away than this (1 ms), the system clock has stepped, and the offset does not stand for UTC.
+const STEP_NS: i64 = 1_000_000;
+
+/// A moment read from both clocks: monotonic, and nanoseconds of UTC since 1970.
+pub type Reading = (Mono, i64);
+
+/// One straight piece of the offset: it moves from `offset` by `change`, at the rate of the slew.
+#[derive(Clone, Copy, Debug)]
+struct Piece {
+    from: Mono,
+    offset: i64,
+    change: i64,
+}
+
+impl Piece {
+    fn offset_at(&self, t: Mono) -> i64 {
+        let reach = ((t - self.from) / SLEW).max(0);
+        self.offset + self.change.clamp(-reach, reach)
+    }
+}
+
+/// The slewed offset. Pure: it is told what both clocks read, about once a second.
+#[derive(Clone, Copy, Debug)]
+pub struct SlewedOffset {
+    /// Samples are older than the last update; their time must not depend on when it came.
+    before: Piece,
+    now: Piece,
+}
+
+impl SlewedOffset {
+    /// An offset that agrees with both clocks at the start.
+    pub fn new((mono, utc): Reading) -> Self {
+        let piece = Piece { from: mono, offset: utc - mono.0, change: 0 };
+        Self { before: piece, now: piece }
+    }
+
+    /// Takes a later reading of both clocks.
+    pub fn update(&mut self, (mono, utc): Reading) {
+        let offset = self.now.offset_at(mono);
+        self.before = self.now;
+        self.now = Piece { from: mono, offset, change: utc - mono.0 - offset };
+    }
+
+    /// Nanoseconds of UTC since 1970 at a moment.
+    pub fn utc_ns(&self, t: Mono) -> i64 {
+        let piece = if t < self.now.from { &self.before } else { &self.now };
+        t.0 + piece.offset_at(t)
+    }
+
+    /// How far the system clock was from this offset at the last reading, nanoseconds.
+    pub fn error_ns(&self) -> i64 {
+        self.now.change
+    }
+
+    /// Whether the system clock is within 1 ms: false after it stepped, until the slew got there.
+    pub fn synced(&self) -> bool {
+        self.error_ns().abs() <= STEP_NS
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::time::NS_PER_S;
+
+    const EPOCH: i64 = 1_800_000_000 * NS_PER_S;
+
+    fn second(s: i64) -> Mono {
+        Mono(s * NS_PER_S)
+    }
+
+    #[test]
+    fn agrees_from_the_start_and_follows_small_errors_within_a_second() {
+        let mut offset = SlewedOffset::new((second(5), EPOCH + 5 * NS_PER_S));
+        assert_eq!(offset.utc_ns(second(7)), EPOCH + 7 * NS_PER_S);
+        offset.update((second(10), EPOCH + 10 * NS_PER_S + 300_000));
+        assert!(offset.synced());
+        assert_eq!(offset.utc_ns(second(10)), EPOCH + 10 * NS_PER_S, "no jump at the update");
+        assert_eq!(offset.utc_ns(second(11)), EPOCH + 11 * NS_PER_S + 300_000, "there, and no further");
+    }
+
+    #[test]
+    fn a_step_is_flagged_and_slewed_at_500_ppm() {
+        for step in [10_000_000, -10_000_000] {
+            let mut offset = SlewedOffset::new((second(0), EPOCH));
+            for s in 1..=17 {
+                offset.update((second(s), EPOCH + s * NS_PER_S + step));
+                assert!(!offset.synced(), "{s} s after a step of 10 ms");
+            }
+            assert_eq!(offset.utc_ns(second(18)), EPOCH + 18 * NS_PER_S + step / 10 * 17 / 2);
+            for s in 18..=30 {
+                offset.update((second(s), EPOCH + s * NS_PER_S + step));
+            }
+            assert!(offset.synced());
+            assert_eq!(offset.utc_ns(second(31)), EPOCH + 31 * NS_PER_S + step);
+        }
+    }
+
+    #[test]
+    fn time_runs_on_evenly_for_samples_older_than_the_update() {
+        let mut offset = SlewedOffset::new((second(0), EPOCH));
+        offset.update((second(1), EPOCH + NS_PER_S - 5_000_000));
+        let sample = second(2) + -200_000_000;
+        let early = offset.utc_ns(sample);
+        offset.update((second(2), EPOCH + 2 * NS_PER_S - 5_000_000));
+        assert_eq!(offset.utc_ns(sample), early);
+        let later = offset.utc_ns(sample + 50_000);
+        assert_eq!(later - early, 50_000 - 25);
+    }
+}

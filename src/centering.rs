@@ -1,0 +1,203 @@
+//! The task: newest sample in, command out; holds on silence; holds or parks at the end.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::{mpsc, oneshot, watch};
+use tokio::task::yield_now;
+use tokio::time::{sleep, timeout};
+use tokio_util::sync::CancellationToken;
+use trifacet_core::centering::centering::Centering;
+use trifacet_core::centering::lock::Transition;
+use trifacet_core::centering::{LoopParams, LoopState, LoopView, TimedPose};
+use trifacet_core::estimation::PoseReport;
+use trifacet_core::signals::Sample;
+use trifacet_core::steering::{Command, Xy};
+use trifacet_core::telemetry::Counters;
+use trifacet_core::time::{Clock, Mono};
+use trifacet_wire::actuator::Ack;
+
+use crate::acquisition::task::Newest;
+use crate::recording::{Entry, Tap};
+use crate::steering::{Driver, Event};
+
+/// A pose older than this says nothing of the wedges now. Seconds.
+const FRESH_S: f64 = 0.1;
+/// How long the last command may wait for its acknowledgement.
+const LAST_ACK: Duration = Duration::from_secs(1);
+/// How often silence is noticed.
+const PATIENCE: Duration = Duration::from_millis(20);
+
+/// The edges of the task.
+#[derive(Debug)]
+pub struct Edges {
+    /// The newest sample, from acquisition.
+    pub newest: watch::Receiver<Newest>,
+    /// The newest report, from estimation.
+    pub poses: watch::Receiver<Option<PoseReport>>,
+    /// What the loop does, to estimation.
+    pub state: watch::Sender<LoopState>,
+    /// Orders from outside of the fast side.
+    pub orders: mpsc::Receiver<Order>,
+    /// Changes of the lock state, for the record.
+    pub tap: Tap,
+}
+
+/// What the loop may be told, and asked.
+#[derive(Debug)]
+pub enum Order {
+    /// To go on with another tuning; the answer says that it does.
+    Retune(Box<LoopParams>, oneshot::Sender<()>),
+    /// To send the stage to a place, metres; the answer may be a refusal.
+    Move(Xy, oneshot::Sender<Result<(), &'static str>>),
+    /// To look for the apex now.
+    Search(oneshot::Sender<Result<(), &'static str>>),
+    /// What it is doing.
+    View(oneshot::Sender<LoopView>),
+}
+
+/// Runs until `stop`; then sends the last command and waits for its acknowledgement.
+pub async fn run<C: Clock>(
+    centering: Centering,
+    driver: impl Driver,
+    clock: C,
+    counters: Arc<Counters>,
+    edges: Edges,
+    stop: CancellationToken,
+) {
+    let Edges { mut newest, poses, state, mut orders, tap } = edges;
+    let mut heard = clock.now();
+    let mut side = Side { centering, driver, clock, counters, poses, tap };
+    loop {
+        tokio::select! {
+            biased;
+            () = stop.cancelled() => break,
+            Some(order) = orders.recv() => side.obey(order),
+            event = side.driver.next() => side.hear(&event),
+            changed = newest.changed() => {
+                if changed.is_err() {
+                    break; // acquisition has ended; the daemon sees that
+                }
+                let Some(sample) = newest.borrow_and_update().sample else { continue };
+                if let Some(skipped) = side.centering.skipped(&sample) {
+                    side.counters.centering_skips.add(skipped);
+                    heard = side.clock.now();
+                    side.act(&sample, heard);
+                }
+            }
+            () = sleep(PATIENCE) => {
+                // The whole thread may have slept: what has come in the meantime has its turn first.
+                yield_now().await;
+                if newest.has_changed().unwrap_or(true) {
+                    continue;
+                }
+                let now = side.clock.now();
+                let transition = side.centering.silence(now.seconds_since(heard));
+                side.say(transition);
+                heard = now;
+            }
+        }
+        state.send_if_modified(|state| std::mem::replace(state, side.centering.state()) != *state);
+    }
+    side.finish().await;
+}
+
+/// The loop with its stage.
+struct Side<D, C> {
+    centering: Centering,
+    driver: D,
+    clock: C,
+    counters: Arc<Counters>,
+    poses: watch::Receiver<Option<PoseReport>>,
+    tap: Tap,
+}
+
+impl<D: Driver, C: Clock> Side<D, C> {
+    fn obey(&mut self, order: Order) {
+        // Who does not wait for the answer any more does not need it.
+        match order {
+            Order::Retune(tuning, done) => {
+                let outcome = self.centering.retune(*tuning);
+                self.send(outcome.command);
+                self.say(outcome.transition);
+                let _ = done.send(());
+            }
+            Order::Move(to, reply) => drop(reply.send(self.centering.move_to(to))),
+            Order::Search(reply) => drop(reply.send(self.centering.search())),
+            Order::View(reply) => drop(reply.send(self.centering.view())),
+        }
+    }
+
+    fn hear(&mut self, event: &Event) {
+        match event {
+            Event::Up => self.centering.stage_up(),
+            Event::At(position) => self.centering.stage_at(*position),
+            Event::Down(reason) => {
+                tracing::warn!(reason, "the stage takes no commands");
+                self.centering.stage_down();
+            }
+            Event::Ack(answer) => self.centering.stage_answers(*answer),
+        }
+    }
+
+    /// Acts on a sample, unless it comes too late.
+    fn act(&mut self, sample: &Sample, now: Mono) {
+        let pose = fresh_pose(&self.poses, sample);
+        let outcome = self.centering.sample(sample, pose.as_ref(), now);
+        self.counters.centering_skips.add(u64::from(outcome.late));
+        self.send(outcome.command);
+        self.say(outcome.transition);
+    }
+
+    fn say(&self, transition: Option<Transition>) {
+        let Some(transition) = transition else { return };
+        let time = self.clock.now();
+        let Transition { from, to, cause } = transition;
+        self.tap.put(|| Entry::Lock { time, before: from, after: to, cause: cause.into() });
+        tracing::info!(from = from.name(), to = to.name(), cause, "lock");
+        self.counters.lock(to).one();
+    }
+
+    fn send(&mut self, command: Option<Command>) {
+        if let Some(command) = command {
+            self.driver.steer(command);
+        }
+    }
+
+    /// Sends the last command, and waits for its acknowledgement.
+    async fn finish(mut self) {
+        let Some(last) = self.centering.finish() else {
+            if self.centering.state().position.is_some() {
+                tracing::warn!("the stage takes no commands: it is left as it is");
+            }
+            return;
+        };
+        self.driver.steer(last);
+        let answer = async {
+            loop {
+                if let Event::Ack(Ack { id, accepted }) = self.driver.next().await
+                    && id == last.id
+                {
+                    return accepted;
+                }
+            }
+        };
+        let complaint = match timeout(LAST_ACK, answer).await {
+            Ok(true) => {
+                tracing::info!(position_um = ?last.position.map(|p| p * 1e6), "steering acknowledged its last command");
+                return;
+            }
+            Ok(false) => "steering refused its last command: it does what it does when commands cease",
+            Err(_) => {
+                "steering did not acknowledge its last command: if it has not got it, it does what it does when commands cease"
+            }
+        };
+        tracing::warn!(lease_ms = last.lease_ms, "{complaint}");
+    }
+}
+
+fn fresh_pose(poses: &watch::Receiver<Option<PoseReport>>, sample: &Sample) -> Option<TimedPose> {
+    let PoseReport { pose, time, .. } = (*poses.borrow())?;
+    let fresh = sample.time.seconds_since(time).abs() <= FRESH_S;
+    pose.filter(|_| fresh).map(|pose| TimedPose { pose, time })
+}

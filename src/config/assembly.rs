@@ -1,0 +1,203 @@
+//! From the configuration to the parameters of channel map, centering and estimation: the one place where units of
+//! the file become SI units.
+
+use std::path::{Path, PathBuf};
+
+use trifacet_core::centering::controller::Controller;
+use trifacet_core::centering::lock::LockLimits;
+use trifacet_core::centering::{Centering, LoopParams};
+use trifacet_core::channels::{Channels, PsdChannels};
+use trifacet_core::estimation::integrity::Readback;
+use trifacet_core::estimation::{Frames, Settings};
+use trifacet_core::steering::BeamMap;
+use trifacet_optics::{Estimator, FACETS, HeadError, Optics};
+use trifacet_wire::Status;
+
+use super::correction::{CorrectionFileError, parse_correction};
+use super::{CenteringConfig, Config, FramesConfig, SteeringConfig, TableError, Tables};
+use crate::exit::{self, Failure};
+
+/// Why a configuration gives no parameters.
+#[derive(Debug, thiserror::Error)]
+pub enum AssemblyError {
+    /// The geometry is not that of a head.
+    #[error(transparent)]
+    Head(#[from] HeadError),
+    /// A correction table cannot be read.
+    #[error(transparent)]
+    Unreadable(#[from] TableError),
+    /// A file is no correction table.
+    #[error("correction table of PSD {psd}, {}: {source}", path.display())]
+    Correction {
+        /// A, B or C.
+        psd: char,
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: CorrectionFileError,
+    },
+}
+
+impl From<AssemblyError> for Failure {
+    fn from(error: AssemblyError) -> Self {
+        Self::new(exit::CONFIG, error.to_string())
+    }
+}
+
+impl Config {
+    /// The channels with their correction tables, read from their files. Blocks.
+    ///
+    /// # Errors
+    /// A table cannot be read, or is none.
+    pub fn read_channels(&self) -> Result<Channels, AssemblyError> {
+        self.channels(&Tables::read(self)?)
+    }
+
+    /// The channels with their correction tables.
+    ///
+    /// # Errors
+    /// A table is no correction table.
+    pub fn channels(&self, tables: &Tables) -> Result<Channels, AssemblyError> {
+        let [a, b, c] = [0, 1, 2].map(|psd| self.psd_channels(psd, tables));
+        Ok(Channels {
+            psds: [a?, b?, c?],
+            sum_threshold_v: self.channels.sum_threshold_v,
+            clip_limit: self.channels.clip_limit,
+            watts_per_volt: self.channels.power_mw_per_v * 1e-3,
+            readback_per_volt: self.channels.readback_um_per_v * 1e-6,
+        })
+    }
+
+    fn psd_channels(&self, psd: usize, tables: &Tables) -> Result<PsdChannels, AssemblyError> {
+        let half_size = self.head.psd_size_mm * 0.5e-3;
+        let channels = self.channels.psds()[psd];
+        let refuse = |source| {
+            let path = channels.correction.as_deref().unwrap_or(Path::new("?")).to_owned();
+            AssemblyError::Correction { psd: FACETS[psd], path, source }
+        };
+        let correction = tables.0[psd].as_ref().map(|text| parse_correction(text, half_size).map_err(refuse));
+        Ok(PsdChannels {
+            amplifier: channels.amplifier,
+            full_scale_v: channels.full_scale_v,
+            gain: channels.gain,
+            dark_v: channels.dark_v,
+            half_size,
+            correction: correction.transpose()?,
+        })
+    }
+
+    /// The optics of the head.
+    ///
+    /// # Errors
+    /// The geometry is not that of a head.
+    pub fn optics(&self) -> Result<Optics, HeadError> {
+        Ok(Optics::new(&self.head.build()?))
+    }
+
+    /// The parameters of the loop.
+    pub fn loop_params(&self) -> LoopParams {
+        let Self { steering, centering, .. } = self;
+        let rate_hz = self.acquisition.rate_hz;
+        let gains = centering.gains(rate_hz);
+        LoopParams {
+            mode: centering.mode,
+            target: centering.target,
+            setpoint: centering.setpoint_um.map(|um| um * 1e-6),
+            map: steering.beam_map(),
+            controller: Controller {
+                kp: gains.kp,
+                ki_per_s: gains.ki_per_s,
+                limit: steering.limit_um * 1e-6,
+                slew: steering.slew_mm_per_s * 1e-3,
+            },
+            limits: centering.lock_limits(),
+            feed_forward: centering.feed_forward,
+            tracking_hz: centering.tracking_hz(rate_hz),
+            loop_delay_s: centering.loop_delay_s(rate_hz),
+            lag_s: centering.lag_ms * 1e-3,
+            period_s: 1.0 / rate_hz,
+            park: steering.park_um.map(|um| um * 1e-6),
+            on_exit: steering.on_exit,
+            on_lease: steering.on_lease.into(),
+            lease_ms: steering.lease_ms,
+        }
+    }
+
+    /// The loop, at rest.
+    ///
+    /// # Errors
+    /// The geometry is not that of a head.
+    pub fn centering_loop(&self) -> Result<Centering, HeadError> {
+        Ok(Centering::new(self.loop_params(), self.optics()?))
+    }
+
+    /// The parameters of estimation. `calibrated` says whether every PSD has a correction table; `id` is the
+    /// fingerprint of the configuration, see [`Config::id`].
+    ///
+    /// # Errors
+    /// The geometry is not that of a head.
+    pub fn estimation_settings(&self, calibrated: bool, id: u32) -> Result<Settings, HeadError> {
+        let estimation = &self.estimation;
+        let mut fixed = Status::default();
+        fixed.set(Status::UNCALIBRATED, !calibrated);
+        Ok(Settings {
+            estimator: Estimator::new(self.optics()?, estimation.model.into()),
+            average: estimation.average,
+            spot_noise: estimation.spot_noise_um * 1e-6,
+            power_noise: estimation.power_noise,
+            readback: Readback::new(self.steering.beam_map(), self.steering.deviation_um * 1e-6),
+            fuse: estimation.fuse_steering,
+            edge_margin: estimation.edge_margin_mm * 1e-3,
+            balance_limit: estimation.balance_limit,
+            fixed,
+            frames: self.frames.build(),
+            config: id,
+        })
+    }
+}
+
+impl SteeringConfig {
+    /// From the stage to the beam.
+    pub fn beam_map(&self) -> BeamMap {
+        BeamMap::new(self.matrix, self.origin_um.map(|um| um * 1e-6))
+    }
+}
+
+impl CenteringConfig {
+    fn lock_limits(&self) -> LockLimits {
+        LockLimits {
+            offset: self.lock_limit_um * 1e-6,
+            lock_s: self.lock_time_ms * 1e-3,
+            lost_s: self.lost_time_ms * 1e-3,
+            search: self.search,
+            attempts: self.search_attempts,
+        }
+    }
+}
+
+impl FramesConfig {
+    /// From the sensor's world to the user's frame. Without any frame, the poses stay as they are, bit by bit.
+    pub fn build(&self) -> Frames {
+        if *self == Self::default() {
+            return Frames::default();
+        }
+        Frames::new(&self.base.build(), &self.tare.build(), &self.tool.build())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_configuration_has_the_default_parameters_of_the_core() {
+        let config = Config::default();
+        assert_eq!(config.loop_params(), LoopParams::default());
+        assert_eq!(config.head.build().unwrap(), trifacet_optics::Head::default());
+        let (channels, nominal) = (config.channels(&Tables::default()).unwrap(), Channels::default());
+        assert_eq!(format!("{channels:?}"), format!("{nominal:?}"));
+        let settings = config.estimation_settings(true, 0).unwrap();
+        let nominal = Settings::new(config.optics().unwrap(), trifacet_optics::Model::Gaussian);
+        assert_eq!(format!("{settings:?}"), format!("{nominal:?}"));
+    }
+}

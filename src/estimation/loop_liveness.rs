@@ -1,0 +1,87 @@
+//! What may be claimed of the loop: what it said last, for as long as it makes turns.
+
+use std::sync::Arc;
+
+use tokio::sync::watch;
+use trifacet_core::centering::LoopState;
+use trifacet_core::telemetry::heartbeat::{Task, Turns};
+
+/// Looks without a turn after which the loop stands still. A look is a
+/// [`HEARTBEAT`](trifacet_core::telemetry::heartbeat::HEARTBEAT) at least, and so long may pass between two turns.
+const LOOKS: u32 = 3;
+
+/// What the loop tells estimation.
+#[derive(Debug)]
+pub struct Loop {
+    said: watch::Receiver<LoopState>,
+    turns: Arc<Turns>,
+    pulse: Pulse,
+}
+
+impl Loop {
+    /// A loop that says this, and makes its turns here.
+    pub fn new(said: watch::Receiver<LoopState>, turns: Arc<Turns>) -> Self {
+        Self { said, turns, pulse: Pulse::default() }
+    }
+
+    /// Looks whether it makes turns; to be called with every heartbeat.
+    pub fn look(&mut self) {
+        self.pulse.look(self.turns.of(Task::Centering).count());
+    }
+
+    /// What may be claimed of it now.
+    pub fn now(&self) -> LoopState {
+        let said = *self.said.borrow();
+        if self.pulse.stands_still() { said.unseen() } else { said }
+    }
+}
+
+/// Whether turns are made. Time is counted in looks, not read from a clock: after the whole thread stood
+/// still there is one look, and nobody is blamed.
+#[derive(Clone, Copy, Debug, Default)]
+struct Pulse {
+    turns: u64,
+    /// Looks since the last new turn.
+    silent: u32,
+}
+
+impl Pulse {
+    fn look(&mut self, turns: u64) {
+        self.silent = if turns == self.turns { self.silent.saturating_add(1) } else { 0 };
+        self.turns = turns;
+    }
+
+    fn stands_still(self) -> bool {
+        self.silent >= LOOKS
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use trifacet_wire::LockState;
+
+    use super::*;
+
+    #[test]
+    fn who_makes_turns_is_believed() {
+        let mut pulse = Pulse::default();
+        for turns in [1, 1, 1, 2, 2, 2, 900] {
+            pulse.look(turns);
+            assert!(!pulse.stands_still(), "{pulse:?}");
+        }
+        let still: Vec<_> = (0..4).map(|_| (pulse.look(900), pulse.stands_still()).1).collect();
+        assert_eq!(still, [false, false, true, true]);
+        pulse.look(901);
+        assert!(!pulse.stands_still());
+    }
+
+    #[test]
+    fn nothing_of_a_loop_that_stands_still_is_claimed() {
+        let locked = LoopState { lock: LockState::Locked, position: Some([1e-6, 0.0]) };
+        let (_sender, said) = watch::channel(locked);
+        let mut heard = Loop::new(said, Arc::default());
+        assert_eq!(heard.now(), locked);
+        (0..LOOKS).for_each(|_| heard.look());
+        assert_eq!(heard.now(), LoopState { lock: LockState::Held, position: None });
+    }
+}
