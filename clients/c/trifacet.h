@@ -1,13 +1,13 @@
 /*
- * trifacet.h: reads the pose frames of a trifacet daemon. C99, no allocation, no dependency, one header.
+ * trifacet.h: decodes the pose frames of a trifacet daemon. One header, C99, no allocation, no dependencies.
  *
  *     struct trifacet_frame frame;
  *     if (trifacet_decode(&frame, bytes, length) == TRIFACET_OK
  *         && trifacet_usable(&frame, trifacet_age_ns(&frame, now_utc_ns), 20000000)) ...
  *
- * Metres, radians, watts, nanoseconds; a number that is not known is NaN. docs/stream.md describes every
- * field, docs/clients.md what to check before a machine acts on a pose. The decoder reads byte by byte:
- * the endianness and the alignment of the machine do not matter. float and double must be IEEE 754.
+ * Units are metres, radians, watts and nanoseconds; unknown numbers are NaN. docs/stream.md describes every
+ * field. docs/clients.md describes what to check before a machine acts on a pose. The decoder reads single
+ * bytes, so it works with any byte order and alignment. float and double must be IEEE 754.
  */
 #ifndef TRIFACET_H
 #define TRIFACET_H
@@ -48,8 +48,8 @@
 #define TRIFACET_RECORDING_FAULT   (UINT32_C(1) << 24)
 #define TRIFACET_POWER_STEP        (UINT32_C(1) << 25)
 
-/* The light is not measured but computed or recorded: never steer a machine by it. To try a program on the
- * daemon's digital twin, define this as 0 before the header is included. */
+/* The light is computed or recorded, not measured: never control a machine with such a pose. To test a program
+ * with the daemon's digital twin, define this as 0 before the header is included. */
 #ifndef TRIFACET_NOT_REAL
 #define TRIFACET_NOT_REAL (TRIFACET_SIMULATED | TRIFACET_REPLAYED)
 #endif
@@ -66,17 +66,17 @@ enum trifacet_lock {
     TRIFACET_LOCK_HELD = 7
 };
 
-/* The frame as it lies on the wire, but for the byte order of the machine. */
+/* The frame with the layout of the stream, in the byte order of the machine. */
 struct trifacet_frame {
     uint8_t magic[4];
     uint8_t major;
     uint8_t minor;
     uint16_t size;
-    uint32_t session;           /* another number: the daemon was restarted */
-    uint32_t config;            /* another number: other geometry or calibration */
+    uint32_t session;           /* a different number: the daemon was restarted */
+    uint32_t config;            /* a different number: other geometry or calibration */
     uint64_t sequence;          /* a gap is a loss */
     uint64_t sample_index;
-    int64_t time_ns;            /* when the light was measured, UTC since 1970 */
+    int64_t time_ns;            /* time at which the light was measured, UTC since 1970 */
     uint32_t solve_delay_ns;
     uint32_t send_delay_ns;
     uint32_t status;            /* TRIFACET_POSE_VALID and the others */
@@ -102,7 +102,7 @@ struct trifacet_frame {
     uint32_t crc;
 };
 
-/* C99 has no static assertion: an array of negative size ends the compilation as well. */
+/* C99 has no static assertion; an array of negative size has the same effect. */
 #define TRIFACET_ASSERT(name, condition) typedef char trifacet_assert_##name[(condition) ? 1 : -1]
 TRIFACET_ASSERT(frame_size, sizeof(struct trifacet_frame) == TRIFACET_FRAME_SIZE);
 TRIFACET_ASSERT(position, offsetof(struct trifacet_frame, position) == 56);
@@ -110,13 +110,13 @@ TRIFACET_ASSERT(spot_a, offsetof(struct trifacet_frame, spot_a) == 144);
 TRIFACET_ASSERT(crc, offsetof(struct trifacet_frame, crc) == 188);
 TRIFACET_ASSERT(float_size, sizeof(float) == 4 && sizeof(double) == 8);
 
-/* What trifacet_decode() says. */
+/* Results of trifacet_decode(). */
 enum trifacet_result {
     TRIFACET_OK = 0,
-    TRIFACET_BAD_LENGTH,  /* not 192 bytes, or a frame that gives another size */
-    TRIFACET_BAD_MAGIC,   /* something else than a pose frame */
-    TRIFACET_BAD_VERSION, /* another major version: no frame of this daemon can be read */
-    TRIFACET_BAD_CRC,     /* damaged on its way */
+    TRIFACET_BAD_LENGTH,  /* not 192 bytes, or a different size in the frame */
+    TRIFACET_BAD_MAGIC,   /* not a pose frame */
+    TRIFACET_BAD_VERSION, /* another major version: frames of this daemon cannot be decoded */
+    TRIFACET_BAD_CRC,     /* damaged in transmission */
     TRIFACET_BAD_LOCK     /* a lock state that does not exist */
 };
 
@@ -163,7 +163,7 @@ static inline void trifacet_f64s(double *to, const uint8_t *p, int count)
         to[i] = trifacet_f64(p + 8 * i);
 }
 
-/* CRC-32 as in zlib and Ethernet, half a byte at a time: 64 bytes of table instead of 1024. */
+/* CRC-32 as in zlib and Ethernet. Processes 4 bits per step, so the table needs 64 bytes instead of 1024. */
 static inline uint32_t trifacet_crc32(const uint8_t *bytes, size_t length)
 {
     static const uint32_t table[16] = {
@@ -178,7 +178,7 @@ static inline uint32_t trifacet_crc32(const uint8_t *bytes, size_t length)
     return ~crc;
 }
 
-/* Reads a frame. Leaves `frame` alone unless the bytes are a whole, undamaged one. */
+/* Decodes a frame. Writes `frame` only if the bytes are a complete, undamaged frame. */
 static inline enum trifacet_result trifacet_decode(struct trifacet_frame *frame, const uint8_t *bytes, size_t length)
 {
     if (length < 8)
@@ -229,42 +229,42 @@ static inline enum trifacet_result trifacet_decode(struct trifacet_frame *frame,
     return TRIFACET_OK;
 }
 
-/* Nanoseconds since the light was measured, where both machines tell the same UTC (NTP or PTP).
- * Negative: they do not. */
+/* Nanoseconds since the light was measured. Requires that both machines have the same UTC (NTP or PTP); a
+ * negative result shows that they have not. */
 static inline int64_t trifacet_age_ns(const struct trifacet_frame *frame, int64_t now_utc_ns)
 {
-    /* Unsigned, because a time that is nonsense must not overflow. */
+    /* Unsigned arithmetic, because an invalid time must not cause an overflow. */
     return (int64_t)((uint64_t)now_utc_ns - (uint64_t)frame->time_ns);
 }
 
-/* The same without a common clock: `waited_ns` since the frame arrived, on any clock of this machine.
- * Leaves out the way through the network. Count from the moment at which the socket was last seen empty:
- * a frame that waited in its buffer arrived after that, and how long after nobody knows. */
+/* The same without a common clock: `waited_ns` is the time since the frame arrived, on any clock of this
+ * machine. The network delay is not included. Count from the last moment at which the socket was known to be
+ * empty: a frame that waited in its buffer arrived after that moment, at an unknown time. */
 static inline int64_t trifacet_local_age_ns(const struct trifacet_frame *frame, int64_t waited_ns)
 {
     return waited_ns + (int64_t)frame->send_delay_ns;
 }
 
-/* Whether a machine may act on this pose: valid, measured in real light, and neither too old nor from the
- * future. The status decides first; the numbers of an invalid frame are NaN. */
+/* Whether a machine may act on this pose: it is valid, from measured light, and its age is within plus and minus
+ * the limit. The status is checked first, because the numbers of an invalid frame are NaN. */
 static inline int trifacet_usable(const struct trifacet_frame *frame, int64_t age_ns, int64_t max_age_ns)
 {
     return (frame->status & TRIFACET_POSE_VALID) != 0 && (frame->status & TRIFACET_NOT_REAL) == 0
         && age_ns <= max_age_ns && age_ns >= -max_age_ns;
 }
 
-/* Counts what the sequence tells. Begin with all zero, and set `divider` where the daemon sends only frames
- * whose sequence it divides. */
+/* Counts losses from the sequence numbers. Initialise with zero. With a divider in the daemon's configuration, only
+ * frames whose sequence number is a multiple of it are sent: set `divider` to the same value. */
 struct trifacet_losses {
-    uint32_t divider; /* 0 is 1 */
+    uint32_t divider; /* 0 means 1 */
     uint32_t session;
     uint64_t missed;  /* frames missing in the sequence */
-    uint64_t late;    /* frames that came after a younger one, or twice: they count as missed before that */
+    uint64_t late;    /* frames that arrived after a newer one, or twice; a late frame was counted as missed before */
     uint64_t last;
     int started;
 };
 
-/* Call it for every frame that was read. False: a younger one has been seen, do not use this one. */
+/* Call this for every decoded frame. The result is false if a newer frame has arrived before: do not use this one. */
 static inline int trifacet_in_order(struct trifacet_losses *losses, const struct trifacet_frame *frame)
 {
     uint64_t number = frame->sequence / (losses->divider ? losses->divider : 1);
@@ -276,7 +276,7 @@ static inline int trifacet_in_order(struct trifacet_losses *losses, const struct
         losses->missed += number - losses->last - 1;
     }
     losses->started = 1;
-    losses->session = frame->session; /* another one: the daemon was restarted */
+    losses->session = frame->session; /* a different number: the daemon was restarted */
     losses->last = number;
     return 1;
 }

@@ -1,11 +1,11 @@
 /*
- * Receives poses over UDP, says what is lost, and what a machine may do with them.
+ * Receives poses over UDP, and prints the numbers of valid, usable and lost frames.
  *
  *     cc -std=c99 -O2 -o udp_receiver udp_receiver.c
  *     ./udp_receiver [PORT [FRAMES]]
  *
- * Port 0 takes any free one. With -DTRIFACET_NOT_REAL=0 the digital twin's poses count as usable.
- * Ends after so many frames; without a number, never.
+ * Port 0 selects any free port. With -DTRIFACET_NOT_REAL=0, poses of the digital twin count as usable.
+ * Ends after FRAMES frames; without the argument, never.
  */
 #define _POSIX_C_SOURCE 200809L
 
@@ -26,7 +26,7 @@
 static int open_port(uint16_t port)
 {
     int fd = socket(AF_INET, SOCK_DGRAM, 0);
-    int room = 1 << 20; /* the default of Linux holds 256 frames, which 10 kHz fill in 26 ms */
+    int room = 1 << 20; /* the Linux default holds 256 frames, which arrive in 26 ms at 10 kHz */
     struct timeval silence = {.tv_sec = 1};
     struct sockaddr_in address = {.sin_family = AF_INET, .sin_port = htons(port)};
     address.sin_addr.s_addr = htonl(INADDR_ANY);
@@ -63,7 +63,7 @@ int main(int argc, char **argv)
         ssize_t length = recv(fd, bytes, sizeof bytes, 0);
         struct trifacet_frame frame;
         if (length < 0) {
-            fprintf(stderr, "udp_receiver: no frame for a second: does the daemon run?\n");
+            fprintf(stderr, "udp_receiver: no frame for one second: is the daemon running?\n");
             continue;
         }
         if (trifacet_decode(&frame, bytes, (size_t)length) != TRIFACET_OK) {

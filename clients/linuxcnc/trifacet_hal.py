@@ -1,9 +1,9 @@
 #!/usr/bin/python3
-"""A LinuxCNC HAL component that turns the datagrams of a trifacet daemon into pins.
+"""A LinuxCNC HAL component that receives the datagrams of a trifacet daemon and sets pins.
 
     loadusr -Wn trifacet trifacet_hal.py [--name trifacet] [--port PORT] [--divider N]
 
-trifacet.py must lie beside this file or on PYTHONPATH. docs/clients.md describes the pins.
+trifacet.py must be in the same folder or on PYTHONPATH. docs/clients.md describes the pins.
 """
 
 import argparse
@@ -19,14 +19,14 @@ import trifacet
 AXES = ("tx", "ty", "tz", "roll", "pitch", "yaw")
 LOCKED = trifacet.LOCK_STATES.index("locked")
 NOT_REAL = trifacet.SIMULATED | trifacet.REPLAYED
-POLL = 0.002  # seconds; a frame's age may be overestimated by so much
-# Seconds from the fall of `valid` to NaN: every realtime thread must have seen that before, or a NaN would slip through
-# a gate that is just about to close, and a ramp or filter behind it would keep it for ever.
+POLL = 0.002  # seconds; the age of a frame may be overestimated by this time
+# Seconds from the fall of `valid` until the numbers become NaN. Every realtime thread must see the fall first: otherwise a
+# NaN could pass a gate that is about to close, and a ramp or filter behind the gate would keep it.
 NAN_DELAY = 0.02
 
 
 class Source:
-    """The newest frame, and how long ago its light was measured, on this machine's own clock."""
+    """The newest frame and its age, measured with the clock of this machine."""
 
     def __init__(self, port, divider):
         self.stream = trifacet.udp(port, divider=divider)
@@ -36,7 +36,7 @@ class Source:
         self._newest_came_after = self._empty_at = time.monotonic()
 
     def poll(self):
-        """Waits for datagrams, for a moment; then reads all that are there."""
+        """Waits a short time for datagrams, then reads all that have arrived."""
         select.select([self.stream.socket], [], [], POLL)
         while True:
             try:
@@ -51,7 +51,7 @@ class Source:
                 continue
             if self.losses.in_order(frame):
                 self.frame = frame
-                # How long a datagram waited in the buffer nobody knows, but not since before it was empty.
+                # The waiting time in the buffer is unknown, but began after the buffer was last empty.
                 self._newest_came_after = self._empty_at
 
     def age(self):
@@ -61,7 +61,7 @@ class Source:
 
 
 class Pins:
-    """The pins of the component. Until the first frame, numbers are NaN and nothing is valid."""
+    """The pins of the component. Before the first frame, numbers are NaN and `valid` is false."""
 
     def __init__(self, name):
         self.hal = h = hal.component(name)
@@ -106,7 +106,7 @@ class Pins:
             h[name] = getattr(losses, name) & 0xFFFFFFFF
         h["age"] = age
         h["heartbeat"] = not h["heartbeat"]
-        h["valid"] = usable  # last: when it rises, the numbers are there
+        h["valid"] = usable  # last: when it rises, the numbers are already set
 
     def set_pose(self, pose, deviations):
         h = self.hal
@@ -118,9 +118,9 @@ class Pins:
 
 def main():
     parser = argparse.ArgumentParser(description="The poses of a trifacet daemon as HAL pins")
-    parser.add_argument("--name", default="trifacet", help="of the component")
+    parser.add_argument("--name", default="trifacet", help="name of the component")
     parser.add_argument("--port", type=int, default=7362, help="UDP port to which the daemon sends")
-    parser.add_argument("--divider", type=int, default=1, help="of this target in the daemon's configuration")
+    parser.add_argument("--divider", type=int, default=1, help="divider of this target in the daemon's configuration")
     arguments = parser.parse_args()
     source = Source(arguments.port, arguments.divider)
     pins = Pins(arguments.name)

@@ -1,4 +1,4 @@
-"""Prints ten poses a second, or why there is none: example.py [udp PORT | tcp HOST PORT]"""
+"""Prints ten poses per second, or the reason for a missing pose: example.py [udp PORT | tcp HOST PORT]"""
 
 import sys
 import time

@@ -1,4 +1,4 @@
-"""Reads the pose stream of a trifacet daemon. Python 3.9 or later, standard library only.
+"""Decodes the pose stream of a trifacet daemon. Python 3.9 or later, standard library only.
 
     import trifacet
 
@@ -6,7 +6,7 @@
         if frame.usable(max_age=0.02):
             print(frame.position, frame.rotation)
 
-A number that is not known is NaN. docs/stream.md describes every field, docs/clients.md how to use them.
+Unknown numbers are NaN. docs/stream.md describes every field, docs/clients.md their use.
 """
 
 import json
@@ -36,23 +36,23 @@ REPLAYED = 1 << STATUS_BITS.index("REPLAYED")
 _HEADER = struct.Struct("<4sBBH")  # magic, major, minor, size: the beginning of every message
 _BODY = struct.Struct("<IIQQqIIIHBB 3d3d 3f3f 2ff HH 2f2f2f 3f2f")
 _CRC = struct.Struct("<I")
-_RECEIVE_BUFFER = 1 << 20  # the default of Linux holds 256 frames, which 10 kHz fill in 26 ms
+_RECEIVE_BUFFER = 1 << 20  # the Linux default holds 256 frames, which arrive in 26 ms at 10 kHz
 
 
 class FrameError(ValueError):
-    """Bytes that are no pose frame, or a damaged one."""
+    """The bytes are not a pose frame, or a damaged one."""
 
 
 class VersionError(FrameError):
-    """The daemon speaks another major version: no frame of it can be read."""
+    """The daemon uses another major version: its frames cannot be decoded."""
 
 
 class Silence(TimeoutError):
-    """No frame came in time. The stream may be read on."""
+    """No frame arrived in time. Reading the stream may continue."""
 
 
 class Closed(ConnectionError):
-    """The daemon ended the stream, or never began it. The reason is in the message."""
+    """The daemon closed the stream or refused it. The message contains the reason."""
 
 
 class Frame(NamedTuple):
@@ -88,7 +88,7 @@ class Frame(NamedTuple):
 
     @classmethod
     def decode(cls, data):
-        """The frame in these 192 bytes. Raises FrameError if they are none, or damaged."""
+        """Decodes 192 bytes. Raises FrameError if they are not a frame, or a damaged one."""
         if len(data) < _HEADER.size:
             raise FrameError(f"a pose frame has {FRAME_SIZE} bytes, not {len(data)}")
         magic, major, minor, size = _HEADER.unpack_from(data)
@@ -97,19 +97,19 @@ class Frame(NamedTuple):
         if major != MAJOR:
             raise VersionError(f"the frame has layout version {major}.{minor}; this program reads {MAJOR}.x")
         if len(data) != FRAME_SIZE or size != FRAME_SIZE:
-            raise FrameError(f"a pose frame has {FRAME_SIZE} bytes, not {len(data)} that call themselves {size}")
+            raise FrameError(f"a pose frame has {FRAME_SIZE} bytes, not {len(data)} with the size field {size}")
         (crc,) = _CRC.unpack_from(data, FRAME_SIZE - _CRC.size)
         if zlib.crc32(data[:-_CRC.size]) != crc:
-            raise FrameError("wrong CRC: the frame was damaged on its way")
+            raise FrameError("wrong CRC: the frame was damaged in transmission")
         v = _BODY.unpack_from(data, _HEADER.size)
         if v[9] >= len(LOCK_STATES):
-            raise FrameError(f"{v[9]} is no lock state; they go from 0 to {len(LOCK_STATES) - 1}")
+            raise FrameError(f"{v[9]} is not a lock state; they are 0 to {len(LOCK_STATES) - 1}")
         return cls(*v[:11], v[11:14], v[14:17], v[17:20], v[20:23], v[23:25], v[25], v[26], v[27],
                    v[28:30], v[30:32], v[32:34], *v[34:])
 
     @property
     def valid(self):
-        """Whether there is a pose in this frame at all. See `usable`."""
+        """Whether the frame contains a valid pose. See also `usable`."""
         return bool(self.status & POSE_VALID)
 
     @property
@@ -122,40 +122,40 @@ class Frame(NamedTuple):
 
     @property
     def clock_sigma(self):
-        """1 sigma of `time_ns` on the daemon's clock, seconds; NaN if unknown."""
+        """Standard uncertainty of `time_ns` on the daemon's clock, seconds; NaN if unknown."""
         return math.nan if self.clock_quality == CLOCK_UNKNOWN else self.clock_quality * 1e-7
 
     def age(self):
-        """Seconds since the light was measured. Only as right as the clocks of both machines agree."""
+        """Seconds since the light was measured. Correct only if the clocks of both machines agree."""
         return (time.time_ns() - self.time_ns) * 1e-9
 
     def usable(self, max_age, simulated=False):
-        """Whether a machine may act on this pose: valid, no older than `max_age` seconds, and of real
-        light unless `simulated` is allowed. A frame from the future means clocks that do not agree.
+        """Whether a machine may act on this pose: it is valid, its age is within plus and minus `max_age` seconds, and
+        it is from measured light, unless `simulated` is set. A negative age means that the clocks do not agree.
         """
         computed = self.status & (SIMULATED | REPLAYED)
         return self.valid and abs(self.age()) <= max_age and (simulated or not computed)
 
 
 class Losses:
-    """What went missing on the way, counted by the reader itself."""
+    """Losses in transmission, counted by the reader."""
 
     def __init__(self, divider=1):
-        self.divider = divider  # frames whose sequence it divides are sent
+        self.divider = divider  # only frames whose sequence number is a multiple of it are sent
         self.missed = 0   # frames missing in the sequence
-        self.late = 0     # frames that came after a younger one, or twice; never handed out
-        self.damaged = 0  # bytes that belonged to no undamaged message
+        self.late = 0     # frames that arrived after a newer one, or twice; never returned
+        self.damaged = 0  # bytes outside of undamaged messages
         self._last = None
 
     def in_order(self, frame):
-        """Counts. False if a younger frame has been seen."""
+        """Counts losses. Returns False if a newer frame has arrived before."""
         if self._last is not None and self._last[0] == frame.session:
             gap = frame.sequence // self.divider - self._last[1]
             if gap <= 0:
                 self.late += 1
                 return False
             self.missed += gap - 1
-        self._last = (frame.session, frame.sequence // self.divider)  # another session: the daemon was restarted
+        self._last = (frame.session, frame.sequence // self.divider)  # a different session: the daemon was restarted
         return True
 
     def __repr__(self):
@@ -163,7 +163,7 @@ class Losses:
 
 
 class _Stream:
-    """Iterates over frames. `losses` counts; Silence is raised, and can be read past."""
+    """Iterates over frames and counts `losses`. Reading may continue after Silence was raised."""
 
     def __init__(self, sock, divider):
         self.socket = sock
@@ -189,15 +189,15 @@ class _Stream:
 
 
 class udp(_Stream):
-    """Frames that a daemon sends to this port. Raises Silence if none comes for `silence` seconds.
+    """Frames that a daemon sends to this port. Raises Silence if no frame arrives for `silence` seconds.
 
-    `divider` is that of this target in the daemon's configuration, so that losses are counted right.
+    `divider` must be that of this target in the daemon's configuration, so that losses are counted correctly.
     """
 
     def __init__(self, port, host="0.0.0.0", divider=1, silence=1.0):
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         sock = socket.socket(family, socket.SOCK_DGRAM)
-        # The system grants no more than net.core.rmem_max, and says nothing about it.
+        # The system limits this to net.core.rmem_max without an error.
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
         sock.bind((host, port))
         super().__init__(sock, divider)
@@ -209,7 +209,7 @@ class udp(_Stream):
         while True:
             left = deadline - time.monotonic()
             if left <= 0:
-                raise Silence(f"no frame on UDP port {self.port} for {self.silence} s: does the daemon run, and is "
+                raise Silence(f"no frame on UDP port {self.port} for {self.silence} s: is the daemon running, and is "
                               "this address among its [publishing] udp targets?")
             self.socket.settimeout(left)
             try:
@@ -227,9 +227,9 @@ class udp(_Stream):
 class tcp(_Stream):
     """Frames from a daemon's TCP server, every `divider`-th one.
 
-    `descriptor` and `heartbeat` are what the daemon last said of itself and of this client; frames that it
-    dropped because this client was too slow are in heartbeat["dropped"].
-    Raises Silence if not even a heartbeat comes for `silence` seconds, Closed at the end.
+    `descriptor` and `heartbeat` are the last such messages of the daemon; heartbeat["dropped"] is the number of
+    frames that the daemon dropped because this client was too slow.
+    Raises Silence if nothing arrives for `silence` seconds, not even a heartbeat, and Closed at the end.
     """
 
     def __init__(self, host="127.0.0.1", port=7361, divider=1, silence=3.0):
@@ -255,7 +255,7 @@ class tcp(_Stream):
                 raise Closed(_json(message)["error"])
 
     def _next_message(self):
-        """The next undamaged message. Steps over bytes that belong to none."""
+        """The next undamaged message. Skips bytes that do not belong to one."""
         while True:
             if len(self._buffer) < _HEADER.size:
                 self._receive()
@@ -284,14 +284,14 @@ class tcp(_Stream):
         try:
             data = self.socket.recv(1 << 16)
         except socket.timeout:
-            raise Silence(f"not even a heartbeat for {self.silence} s: is the network up, is it a trifacet daemon "
-                          "that listens there?") from None
+            raise Silence(f"no message, not even a heartbeat, for {self.silence} s: is the network up, and is a "
+                          "trifacet daemon listening at this address?") from None
         if not data:
             raise Closed("the daemon closed the stream")
         self._buffer += data
 
     def _refused(self):
-        """The daemon says in a line of text why it does not serve this client."""
+        """The daemon refuses this client with a line of text that contains the reason."""
         while b"\n" not in self._buffer:
             self._receive()
         raise Closed(self._buffer.split(b"\n")[0].decode("ascii", "replace").strip())
@@ -310,7 +310,7 @@ def _json(message):
 def dtype():
     """The layout of a frame for NumPy: `numpy.frombuffer(data, trifacet.dtype())["position"]`.
 
-    For recordings of many frames: it looks at no CRC, and at no status bit.
+    For arrays of many frames. It checks neither the CRC nor any status bit.
     """
     import numpy
 

@@ -88,14 +88,14 @@ impl Page<'_> {
     fn daemon(&mut self, view: &View) -> fmt::Result {
         let version = [("version", env!("CARGO_PKG_VERSION"))];
         self.0
-            .encode_descriptor("build", "The program that runs", None, MetricType::Info)?
+            .encode_descriptor("build", "Version of the running program", None, MetricType::Info)?
             .encode_info(&version)?;
         let cpu = clock_gettime(ClockId::ProcessCPUTime);
         let cpu_s = cpu.tv_sec as f64 + cpu.tv_nsec as f64 * 1e-9;
         self.put("process_cpu_seconds", "CPU time of all threads", &ConstCounter::new(cpu_s))?;
-        self.known("process_resident_memory_bytes", "Memory that is in RAM", resident_bytes())?;
+        self.known("process_resident_memory_bytes", "Resident memory", resident_bytes())?;
         let rate_hz = view.sources.config.borrow().acquisition.rate_hz;
-        self.gauge("sample_rate_hertz", "Samples per second by the configuration", rate_hz)
+        self.gauge("sample_rate_hertz", "Configured number of samples per second", rate_hz)
     }
 
     fn clients(&mut self, view: &View) -> fmt::Result {
@@ -125,9 +125,9 @@ impl Page<'_> {
         self.gauge("recording", "1 while a recording is being written", on(&state.recording))?;
         self.gauge("recording_fault", "1 while the recorder loses data", on(&state.fault))?;
         let ring = state.ring.load(Ordering::Relaxed);
-        self.gauge("recording_ring_bytes", "What is kept in memory for a fault", ring as f64)?;
+        self.gauge("recording_ring_bytes", "Memory that holds the time before a fault", ring as f64)?;
         let free = state.free().map(|free| free as f64);
-        self.known("recording_free_bytes", "Room where the recordings are", free)
+        self.known("recording_free_bytes", "Free space for recordings", free)
     }
 
     /// What was added up over every frame.
@@ -138,10 +138,10 @@ impl Page<'_> {
         let states = states.zip(tally.lock.map(ConstCounter::new));
         self.each("lock_frames", "Pose frames in this state of the loop", "state", states)?;
         let mut histogram = |name, help, histogram: &Histogram| self.put(name, help, histogram);
-        histogram("solve_delay_seconds", "From the sample to the solved pose", &tally.solve_delay)?;
-        histogram("send_delay_seconds", "From the solved pose to its sending", &tally.send_delay)?;
-        histogram("solver_iterations", "Steps of the solver, where it ran", &tally.steps)?;
-        histogram("beam_distance_meters", "From the beam's centre to the apex", &tally.offset)
+        histogram("solve_delay_seconds", "Time from the sample to the solved pose", &tally.solve_delay)?;
+        histogram("send_delay_seconds", "Time from the solved pose to its sending", &tally.send_delay)?;
+        histogram("solver_iterations", "Iterations of the solver, where it ran", &tally.steps)?;
+        histogram("beam_distance_meters", "Distance of the beam's centre from the apex", &tally.offset)
     }
 
     /// The means of the last second.
@@ -152,7 +152,7 @@ impl Page<'_> {
         self.known("beam_offset_rms_meters", help, second.offset_rms)?;
         let edges = PSDS.into_iter().zip(second.edge);
         let edges = edges.filter_map(|(psd, edge)| Some((psd, ConstGauge::new(edge?))));
-        self.each("psd_edge_distance_meters", "Least from a spot to the edge, last second", "psd", edges)?;
+        self.each("psd_edge_distance_meters", "Smallest edge distance of a spot, last second", "psd", edges)?;
         let psds = |numbers: Option<[f64; 3]>| {
             PSDS.into_iter().zip(numbers.into_iter().flatten().map(ConstGauge::new))
         };
@@ -160,7 +160,7 @@ impl Page<'_> {
         let total = second.powers.map(|powers| powers.iter().sum());
         self.known("power_watts", "Mean total power of the last second", total)?;
         let shares = second.lit.map(|lit| lit.map(|power| power / lit.iter().sum::<f64>()));
-        self.each("psd_power_ratio", "Share of the total power while all have light", "psd", psds(shares))
+        self.each("psd_power_ratio", "Share of total power while all PSDs have light", "psd", psds(shares))
     }
 }
 

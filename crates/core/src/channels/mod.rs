@@ -86,7 +86,7 @@ impl Default for Channels {
             full_scale_v: 10.0,
             gain: [1.0; 3],
             dark_v: [0.0; 3],
-            half_size: 6.5e-3,
+            half_size: 13.0 * 0.5e-3,
             correction: None,
         };
         Self {
@@ -94,7 +94,7 @@ impl Default for Channels {
             sum_threshold_v: 0.05,
             clip_limit: 0.999,
             watts_per_volt: 0.0667e-3,
-            readback_per_volt: 50e-6,
+            readback_per_volt: 50.0 * 1e-6,
         }
     }
 }

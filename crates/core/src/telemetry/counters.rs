@@ -23,44 +23,44 @@ macro_rules! counters {
 }
 
 counters! {
-    /// Scans that arrived whole.
+    /// Scans that arrived complete.
     scans,
-    /// Samples that the converter took and that never arrived.
+    /// Samples that the converter took but that did not arrive.
     scans_lost,
     /// Frames of the board that arrived twice.
     scans_repeated,
-    /// Frames of the board that arrived after a younger one, and were not used.
+    /// Frames of the board that arrived after a newer one and were not used.
     scans_late,
-    /// Frames of the board whose framing or check sum was wrong.
+    /// Frames of the board with wrong framing or a wrong checksum.
     frames_corrupted,
-    /// Frames of the board that were whole and made no sense.
+    /// Undamaged frames of the board with invalid contents.
     frames_unknown,
     /// Frames of the daemon that the board did not understand.
     board_errors,
     /// Times the board read its converter too late.
     converter_overruns,
-    /// Times the board held or parked the steering because commands stopped coming in time.
+    /// Times the board held or parked the steering because no new command arrived in time.
     leases_expired,
     /// Times the source went down.
     source_downs,
-    /// Times the recording that is replayed came to its end.
+    /// Times the replay reached the end of the recording.
     replay_ends,
-    /// Holes in the recording that is replayed: damage, or what was not recorded.
+    /// Gaps in the replayed recording: damaged or missing data.
     replay_holes,
-    /// Steering commands given to the source.
+    /// Steering commands passed to the source.
     commands_sent,
     /// Steering commands that the board refused.
     commands_refused,
-    /// Samples dropped because estimation was behind.
+    /// Samples dropped because estimation lagged behind.
     estimation_overflows,
-    /// Samples the controller did not act on: a newer one was there, or they came later than the loop
-    /// delay that its gains are made for.
+    /// Samples that the controller did not act on: a newer one was available, or they arrived later than the
+    /// loop delay of its gains.
     centering_skips,
     /// Times the loop began to acquire.
     lock_acquiring,
     /// Times the loop locked.
     lock_locked,
-    /// Times the stage came to a limit.
+    /// Times the stage reached a limit.
     lock_railed,
     /// Times the loop began to hold the stage.
     lock_held,
@@ -74,23 +74,23 @@ counters! {
     frames,
     /// Pose frames without a valid pose.
     frames_invalid,
-    /// Datagrams that the network stack did not take.
+    /// Datagrams that the network stack did not accept.
     udp_dropped,
-    /// Frames that never reached the TCP side because it was behind.
+    /// Frames that did not reach the TCP server because it lagged behind.
     tcp_overflows,
-    /// Frames dropped for TCP clients that did not keep up, summed over clients.
+    /// Frames dropped for TCP clients that were too slow, summed over clients.
     tcp_dropped,
-    /// Requests for UDP subscriptions that were not granted, or were none.
+    /// Requests for UDP subscriptions that were refused or invalid.
     udp_refused,
-    /// TCP clients that were let in.
+    /// TCP clients that were accepted.
     tcp_connected,
-    /// TCP clients that have gone again.
+    /// TCP clients that have disconnected.
     tcp_disconnected,
-    /// TCP clients that were not let in: too many, or not of an allowed network.
+    /// TCP clients that were refused: too many, or not from an allowed network.
     tcp_refused,
-    /// Entries that never reached the recorder because it was behind.
+    /// Entries that did not reach the recorder because it lagged behind.
     recording_overflows,
-    /// Entries that are in no file because it could not be written.
+    /// Entries lost because the file could not be written.
     recording_lost,
     /// Messages written to recordings.
     recording_messages,
@@ -98,21 +98,21 @@ counters! {
     recording_bytes,
     /// Recordings begun.
     recording_files,
-    /// Recordings deleted because the budget was spent.
+    /// Recordings deleted to keep the budget.
     recording_deletions,
-    /// Times a recording could not go on: disk full, folder gone, or the like.
+    /// Times a recording could not continue: disk full, folder missing, or similar.
     recording_faults,
-    /// Frames that never reached the monitor because it was behind.
+    /// Frames that did not reach the monitor because it lagged behind.
     monitor_overflows,
-    /// Updates of the page that were made, each once for all viewers.
+    /// Updates of the page, each made once for all viewers.
     page_updates,
-    /// Updates of the page that a viewer did not take in time, summed over viewers.
+    /// Updates of the page that a viewer did not accept in time, summed over viewers.
     page_skips,
-    /// HTTP connections that were cut off, and viewers that were not let in: too many.
+    /// HTTP connections that were closed and viewers that were refused: too many.
     monitor_refused,
-    /// HTTP requests that were refused: not addressed to this host alone, or from a page of another.
+    /// HTTP requests that were refused: not addressed to this host alone, or from a page of another host.
     monitor_forbidden,
-    /// Orders by HTTP that were refused: a wrong token, or monitor.control is off.
+    /// Commands over HTTP that were refused: a wrong token, or monitor.control is off.
     monitor_denied,
 }
 
