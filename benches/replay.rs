@@ -12,8 +12,8 @@ use trifacet::config::Config;
 use trifacet::core::time::Clock;
 use trifacet::recording::reader::{Read, Reader};
 use trifacet::recording::{Entry, Topic};
-use trifacet::replay::feed::{self, News};
-use trifacet::replay::{Engine, Verdict};
+use trifacet::replay::read_ahead::{self, News};
+use trifacet::replay::{Comparison, Engine};
 use trifacet_optics::{Estimator, Noise, Optics, Signals, Solution};
 
 fn main() {
@@ -83,8 +83,8 @@ fn bare(samples: &[Signals]) {
 }
 
 fn replay(file: &Path, samples: usize) {
-    let (mut engine, mut verdict) = (Engine::new(), Verdict::default());
-    for news in feed::read(vec![file.to_owned()]) {
+    let (mut engine, mut verdict) = (Engine::new(), Comparison::default());
+    for news in read_ahead::read(vec![file.to_owned()]) {
         let News::Read(reads, _) = news else { continue };
         for read in &reads {
             let Read::Entry(entry) = read else { panic!("{read:?}") };

@@ -18,19 +18,19 @@ use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::actuator::Ack;
 
 use crate::acquisition::task::Newest;
-use crate::recording::{Entry, Tap};
-use crate::steering::{Driver, Event};
+use crate::recording::{Entry, RecordSender};
+use crate::steering::{Driver, StageEvent};
 
 /// A pose older than this says nothing of the wedges now. Seconds.
 const FRESH_S: f64 = 0.1;
 /// How long the last command may wait for its acknowledgement.
 const LAST_ACK: Duration = Duration::from_secs(1);
 /// How often silence is noticed.
-const PATIENCE: Duration = Duration::from_millis(20);
+const SILENCE_TIMEOUT: Duration = Duration::from_millis(20);
 
 /// The edges of the task.
 #[derive(Debug)]
-pub struct Edges {
+pub struct CenteringLinks {
     /// The newest sample, from acquisition.
     pub newest: watch::Receiver<Newest>,
     /// The newest report, from estimation.
@@ -38,14 +38,14 @@ pub struct Edges {
     /// What the loop does, to estimation.
     pub state: watch::Sender<LoopState>,
     /// Orders from outside of the fast side.
-    pub orders: mpsc::Receiver<Order>,
+    pub orders: mpsc::Receiver<CenteringRequest>,
     /// Changes of the lock state, for the record.
-    pub tap: Tap,
+    pub records: RecordSender,
 }
 
 /// What the loop may be told, and asked.
 #[derive(Debug)]
-pub enum Order {
+pub enum CenteringRequest {
     /// To go on with another tuning; the answer says that it does.
     Retune(Box<LoopParams>, oneshot::Sender<()>),
     /// To send the stage to a place, metres; the answer may be a refusal.
@@ -62,12 +62,12 @@ pub async fn run<C: Clock>(
     driver: impl Driver,
     clock: C,
     counters: Arc<Counters>,
-    edges: Edges,
+    edges: CenteringLinks,
     stop: CancellationToken,
 ) {
-    let Edges { mut newest, poses, state, mut orders, tap } = edges;
+    let CenteringLinks { mut newest, poses, state, mut orders, records } = edges;
     let mut heard = clock.now();
-    let mut side = Side { centering, driver, clock, counters, poses, tap };
+    let mut side = Side { centering, driver, clock, counters, poses, records };
     loop {
         tokio::select! {
             biased;
@@ -85,7 +85,7 @@ pub async fn run<C: Clock>(
                     side.act(&sample, heard);
                 }
             }
-            () = sleep(PATIENCE) => {
+            () = sleep(SILENCE_TIMEOUT) => {
                 // The whole thread may have slept: what has come in the meantime has its turn first.
                 yield_now().await;
                 if newest.has_changed().unwrap_or(true) {
@@ -109,34 +109,34 @@ struct Side<D, C> {
     clock: C,
     counters: Arc<Counters>,
     poses: watch::Receiver<Option<PoseReport>>,
-    tap: Tap,
+    records: RecordSender,
 }
 
 impl<D: Driver, C: Clock> Side<D, C> {
-    fn obey(&mut self, order: Order) {
+    fn obey(&mut self, order: CenteringRequest) {
         // Who does not wait for the answer any more does not need it.
         match order {
-            Order::Retune(tuning, done) => {
+            CenteringRequest::Retune(tuning, done) => {
                 let outcome = self.centering.retune(*tuning);
                 self.send(outcome.command);
                 self.say(outcome.transition);
                 let _ = done.send(());
             }
-            Order::Move(to, reply) => drop(reply.send(self.centering.move_to(to))),
-            Order::Search(reply) => drop(reply.send(self.centering.search())),
-            Order::View(reply) => drop(reply.send(self.centering.view())),
+            CenteringRequest::Move(to, reply) => drop(reply.send(self.centering.move_to(to))),
+            CenteringRequest::Search(reply) => drop(reply.send(self.centering.search())),
+            CenteringRequest::View(reply) => drop(reply.send(self.centering.view())),
         }
     }
 
-    fn hear(&mut self, event: &Event) {
+    fn hear(&mut self, event: &StageEvent) {
         match event {
-            Event::Up => self.centering.stage_up(),
-            Event::At(position) => self.centering.stage_at(*position),
-            Event::Down(reason) => {
+            StageEvent::Up => self.centering.stage_up(),
+            StageEvent::At(position) => self.centering.stage_at(*position),
+            StageEvent::Down(reason) => {
                 tracing::warn!(reason, "the stage takes no commands");
                 self.centering.stage_down();
             }
-            Event::Ack(answer) => self.centering.stage_answers(*answer),
+            StageEvent::Ack(answer) => self.centering.stage_answers(*answer),
         }
     }
 
@@ -153,9 +153,9 @@ impl<D: Driver, C: Clock> Side<D, C> {
         let Some(transition) = transition else { return };
         let time = self.clock.now();
         let Transition { from, to, cause } = transition;
-        self.tap.put(|| Entry::Lock { time, before: from, after: to, cause: cause.into() });
+        self.records.put(|| Entry::Lock { time, before: from, after: to, cause: cause.into() });
         tracing::info!(from = from.name(), to = to.name(), cause, "lock");
-        self.counters.lock(to).one();
+        self.counters.lock(to).inc();
     }
 
     fn send(&mut self, command: Option<Command>) {
@@ -175,7 +175,7 @@ impl<D: Driver, C: Clock> Side<D, C> {
         self.driver.steer(last);
         let answer = async {
             loop {
-                if let Event::Ack(Ack { id, accepted }) = self.driver.next().await
+                if let StageEvent::Ack(Ack { id, accepted }) = self.driver.next().await
                     && id == last.id
                 {
                     return accepted;

@@ -21,22 +21,22 @@
 pub mod acquisition;
 pub mod centering;
 pub mod clock;
+pub mod closed_loop_sim;
 pub mod config;
 pub mod control;
 pub mod daemon;
 pub mod estimation;
 pub mod exit;
 pub mod experiment;
+pub mod identification;
 pub mod logging;
 pub mod monitor;
 pub mod publishing;
 pub mod realtime;
 pub mod recording;
 pub mod replay;
-pub mod rig;
 pub mod service;
 pub mod steering;
-pub mod tuning;
 pub mod twin;
 
 pub use publishing::client;

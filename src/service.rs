@@ -1,7 +1,7 @@
 //! Under a supervisor: what is told to systemd, and what is watched with or without it.
 //!
 //! - [`notify`]: the messages to systemd (`sd_notify`).
-//! - [`watch`]: which task makes no turns; pure.
+//! - [`watch`]: which task makes no heartbeats; pure.
 //! - [`Service`]: the task, on the main thread, a few times a second.
 
 pub mod notify;
@@ -14,7 +14,7 @@ use std::time::Duration;
 pub use notify::Notify;
 use tokio::time::{MissedTickBehavior, interval};
 use trifacet_core::telemetry::LatestStatus;
-use trifacet_core::telemetry::heartbeat::{Task, Turns};
+use trifacet_core::telemetry::heartbeat::{Heartbeats, Task};
 use trifacet_wire::{LockState, Status};
 use watch::Watch;
 
@@ -33,7 +33,7 @@ const END: Duration = Duration::from_secs(8);
 pub struct Service {
     /// The way to systemd.
     pub notify: Notify,
-    turns: Arc<Turns>,
+    heartbeats: Arc<Heartbeats>,
     glance: Arc<LatestStatus>,
     /// `realtime.stall_ms`, unless that is never.
     patience: Option<Duration>,
@@ -42,20 +42,20 @@ pub struct Service {
 
 impl Service {
     /// For the daemon with these tasks and frames.
-    pub fn new(config: &RealtimeConfig, turns: Arc<Turns>, glance: Arc<LatestStatus>) -> Self {
+    pub fn new(config: &RealtimeConfig, heartbeats: Arc<Heartbeats>, glance: Arc<LatestStatus>) -> Self {
         let patience = (config.stall_ms > 0).then(|| Duration::from_millis(config.stall_ms.into()));
         let notify = Notify::from_environment();
-        Self { notify, turns, glance, patience, ending: Cell::new(false) }
+        Self { notify, heartbeats, glance, patience, ending: Cell::new(false) }
     }
 
-    /// The daemon is asked to end. From now on tasks may be without turns, but not for ever.
+    /// The daemon is asked to end. From now on tasks may be without heartbeats, but not for ever.
     pub fn ending(&self) {
         self.notify.stopping();
         self.ending.set(true);
     }
 
     /// Tells systemd when there has been a frame, what the newest one says, and that every task has made
-    /// turns. Returns when a task has made none for too long, or when the end takes too long.
+    /// heartbeats. Returns when a task has made none for too long, or when the end takes too long.
     pub async fn run(&self) -> Failure {
         let half = || [self.notify.watchdog(), self.patience].into_iter().flatten().map(|limit| limit / 2);
         let tick = half().fold(TICK, Duration::min);
@@ -77,9 +77,9 @@ impl Service {
                 }
                 continue;
             }
-            watch.look(&self.turns, tell);
-            self.tell(watch.all_turned(&self.turns));
-            let stalled = patience.map_or_else(Vec::new, |ticks| watch.stalled(&self.turns, ticks));
+            watch.look(&self.heartbeats, tell);
+            self.tell(watch.all_turned(&self.heartbeats));
+            let stalled = patience.map_or_else(Vec::new, |ticks| watch.stalled(&self.heartbeats, ticks));
             if !stalled.is_empty() {
                 let ms = self.patience.unwrap_or_default().as_millis();
                 let why = format!("task {} stalls: no turn for {ms} ms (realtime.stall_ms)", list(&stalled));
@@ -94,12 +94,13 @@ impl Service {
         }
         if let Some(newest) = self.glance.newest() {
             self.notify.ready();
-            self.notify.status(&line(newest, &self.turns.stalled()));
+            self.notify.status(&line(newest, &self.heartbeats.stalled()));
         }
     }
 
     fn endless(&self) -> Failure {
-        let running: Vec<_> = Task::ALL.into_iter().filter(|task| !self.turns.of(*task).ended()).collect();
+        let running: Vec<_> =
+            Task::ALL.into_iter().filter(|task| !self.heartbeats.of(*task).ended()).collect();
         let what =
             if running.is_empty() { "clients are".into() } else { format!("task {} is", list(&running)) };
         Failure::new(exit::SOFTWARE, format!("asked to end {} s ago, and {what} still there", END.as_secs()))

@@ -8,7 +8,7 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
-use trifacet::acquisition::{Down, Event, SerialSource, Source};
+use trifacet::acquisition::{SerialSource, Source, SourceError, SourceEvent};
 use trifacet::clock::SystemClock;
 use trifacet::config::{self, Config};
 use trifacet::core::signals::Scan;
@@ -93,9 +93,9 @@ impl Host {
         Self { source, counters, last: None }
     }
 
-    async fn next(&mut self) -> Event {
+    async fn next(&mut self) -> SourceEvent {
         let event = tokio::time::timeout(PATIENCE, self.source.next()).await.expect("nothing happens");
-        if let Event::Scan(scan) = event {
+        if let SourceEvent::Scan(scan) = event {
             if let Some(last) = self.last {
                 assert_eq!(scan.index, last.index + 1 + u64::from(scan.lost), "every scan has its index");
                 assert!(scan.time > last.time, "time never goes back");
@@ -106,7 +106,7 @@ impl Host {
     }
 
     /// Goes on until something happens.
-    async fn until<T>(&mut self, what: impl Fn(&Event) -> Option<T>) -> T {
+    async fn until<T>(&mut self, what: impl Fn(&SourceEvent) -> Option<T>) -> T {
         loop {
             if let Some(found) = what(&self.next().await) {
                 return found;
@@ -115,17 +115,17 @@ impl Host {
     }
 
     async fn up(&mut self) {
-        self.until(|event| matches!(event, Event::Up(_)).then_some(())).await;
+        self.until(|event| matches!(event, SourceEvent::Up(_)).then_some(())).await;
     }
 
     /// Goes on until scans stop for the reason that is looked for; a busy machine may find others.
-    async fn down(&mut self, reason: impl Fn(&Down) -> bool) {
-        self.until(|event| matches!(event, Event::Down(down) if reason(down)).then_some(())).await;
+    async fn down(&mut self, reason: impl Fn(&SourceError) -> bool) {
+        self.until(|event| matches!(event, SourceEvent::Down(down) if reason(down)).then_some(())).await;
     }
 
     async fn scans(&mut self, n: u32) -> Scan {
         for _ in 0..n {
-            self.until(|event| matches!(event, Event::Scan(_)).then_some(())).await;
+            self.until(|event| matches!(event, SourceEvent::Scan(_)).then_some(())).await;
         }
         self.last.unwrap()
     }
@@ -136,7 +136,7 @@ impl Host {
     }
 
     async fn ack(&mut self) -> Ack {
-        self.until(|event| if let Event::Ack(ack) = event { Some(*ack) } else { None }).await
+        self.until(|event| if let SourceEvent::Ack(ack) = event { Some(*ack) } else { None }).await
     }
 }
 
@@ -156,8 +156,9 @@ async fn scans_arrive_without_loss_and_with_their_times() {
     let (_folder, link) = link();
     let _board = Board::new(&link);
     let mut host = Host::new(&link);
-    let identity =
-        host.until(|event| if let Event::Up(identity) = event { Some(identity.clone()) } else { None }).await;
+    let identity = host
+        .until(|event| if let SourceEvent::Up(identity) = event { Some(identity.clone()) } else { None })
+        .await;
     assert!(identity.simulated && identity.roles.len() == 11 && identity.rate_hz == 1000.0);
     let first = host.scans(500).await;
     let last = host.scans(1500).await;
@@ -215,7 +216,7 @@ async fn a_stall_is_told_and_ends_by_itself() {
     let mut host = Host::new(&link);
     host.scans(100).await;
     board.order("stalled 0.3");
-    host.down(|down| matches!(down, Down::Stalled { .. })).await;
+    host.down(|down| matches!(down, SourceError::Stalled { .. })).await;
     let lost = host.counters.scans_lost.get();
     host.scans(100).await;
     assert!(host.counters.scans_lost.get() >= lost + 100);
@@ -228,8 +229,8 @@ async fn a_pulled_cable_is_told_at_once_and_found_again() {
     let mut host = Host::new(&link);
     host.scans(100).await;
     board.order("unplug 0.5");
-    host.down(|down| matches!(down, Down::Unplugged { .. })).await;
-    host.down(|down| matches!(down, Down::Open { .. })).await;
+    host.down(|down| matches!(down, SourceError::Unplugged { .. })).await;
+    host.down(|down| matches!(down, SourceError::Open { .. })).await;
     host.up().await;
     let (before, after) = (host.last.unwrap(), host.scans(1).await);
     assert!(after.lost >= 400, "{} lost", after.lost);
@@ -244,7 +245,7 @@ async fn a_board_that_is_killed_is_replaced_by_the_next_one() {
     let mut host = Host::new(&link);
     host.scans(100).await;
     board.kill();
-    host.down(|down| matches!(down, Down::Unplugged { .. })).await;
+    host.down(|down| matches!(down, SourceError::Unplugged { .. })).await;
     let _next = Board::new(&link);
     host.up().await;
     host.scans(100).await;
@@ -255,7 +256,7 @@ async fn a_port_that_is_not_there_is_waited_for() {
     let (_folder, link) = link();
     let mut host = Host::new(&link);
     match host.next().await {
-        Event::Down(Down::Open { port, .. }) => assert_eq!(Path::new(&port), link),
+        SourceEvent::Down(SourceError::Open { port, .. }) => assert_eq!(Path::new(&port), link),
         other => panic!("{other:?}"),
     }
     let _board = Board::new(&link);

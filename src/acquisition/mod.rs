@@ -11,4 +11,4 @@ pub mod task;
 pub mod timebase;
 
 pub use serial::SerialSource;
-pub use source::{Down, Event, Source};
+pub use source::{Source, SourceError, SourceEvent};

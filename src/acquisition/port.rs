@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serialport::TTYPort;
 
-use super::Down;
+use super::SourceError;
 
 /// Why a port cannot be opened.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -39,7 +39,7 @@ impl PortError {
     }
 }
 
-impl From<PortError> for Down {
+impl From<PortError> for SourceError {
     fn from(error: PortError) -> Self {
         let (PortError::InUse { port, .. } | PortError::Other { port, .. }) = &error;
         Self::Open { port: port.display().to_string(), reason: error.reason() }

@@ -19,7 +19,7 @@ use trifacet_wire::actuator::OutputCommand;
 
 use super::board::{Session, Settings};
 use super::port::{self, PortError};
-use super::{Down, Event, Source};
+use super::{Source, SourceError, SourceEvent};
 use crate::config::Config;
 use crate::exit::{Failure, IN_USE};
 
@@ -150,12 +150,12 @@ impl<C: Clock> SerialSource<C> {
 
     fn unplugged(&mut self, reason: String) {
         self.port = Port::Closed;
-        self.session.disconnected(Down::Unplugged { port: self.path.display().to_string(), reason });
+        self.session.disconnected(SourceError::Unplugged { port: self.path.display().to_string(), reason });
     }
 }
 
 impl<C: Clock> Source for SerialSource<C> {
-    async fn next(&mut self) -> Event {
+    async fn next(&mut self) -> SourceEvent {
         loop {
             if let Some(event) = self.session.event() {
                 return event;

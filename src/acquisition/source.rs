@@ -8,7 +8,7 @@ use trifacet_wire::actuator::{Ack, OutputCommand};
 
 /// Why no scans come.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Down {
+pub enum SourceError {
     /// The port cannot be opened.
     #[error("cannot open {port}: {reason}")]
     Open {
@@ -46,7 +46,7 @@ pub enum Down {
 
 /// What a source reports.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Event {
+pub enum SourceEvent {
     /// The source is ready; scans follow.
     Up(Identity),
     /// A scan.
@@ -55,13 +55,13 @@ pub enum Event {
     Ack(Ack),
     /// Scans have stopped, for this reason. The source keeps trying by itself; `Up` or the next
     /// `Scan` ends it.
-    Down(Down),
+    Down(SourceError),
 }
 
 /// A converter that delivers scans and takes steering commands.
 pub trait Source {
     /// The next thing to know. Cancel-safe: dropping the future loses nothing.
-    fn next(&mut self) -> impl Future<Output = Event>;
+    fn next(&mut self) -> impl Future<Output = SourceEvent>;
 
     /// Takes the newest steering command; an older one not yet sent is dropped.
     /// Never waits. `now` is the present moment.

@@ -14,33 +14,33 @@ use trifacet_core::telemetry::heartbeat::HEARTBEAT;
 use trifacet_core::time::Clock;
 use trifacet_wire::actuator::OutputCommand;
 
-use super::{Down, Event, Source};
-use crate::config::Meaning;
+use super::{Source, SourceError, SourceEvent};
+use crate::config::CalibrationContext;
 use crate::steering::outputs::Answers;
 
 /// What estimation gets, in order.
 #[derive(Debug)]
-pub enum Acquired {
+pub enum SampleEvent {
     /// The source is ready.
     Up(Arc<Identity>),
     /// A sample, and the scan that it was made of.
     Sample(Sample, Scan),
     /// From here on, samples and poses mean something else.
-    Changed(Box<Change>),
+    Changed(Box<SettingsChange>),
     /// No samples come, for this reason.
-    Down(Down),
+    Down(SourceError),
 }
 
 /// What samples and poses shall mean from now on. It goes the way of the samples, so that each of them is
 /// read with the settings that belong to it.
 #[derive(Debug)]
-pub struct Change {
+pub struct SettingsChange {
     /// Another channel map; taken out on its way.
     pub channels: Option<Channels>,
     /// For estimation.
     pub settings: trifacet_core::estimation::Settings,
     /// What says so, for who keeps a record.
-    pub meaning: Arc<Meaning>,
+    pub context: Arc<CalibrationContext>,
     /// Hears that it is so.
     pub done: oneshot::Sender<()>,
 }
@@ -56,9 +56,9 @@ pub struct Newest {
 
 /// The edges of the task.
 #[derive(Debug)]
-pub struct Edges {
+pub struct AcquisitionLinks {
     /// Samples in order, to estimation.
-    pub samples: mpsc::Sender<Acquired>,
+    pub samples: mpsc::Sender<SampleEvent>,
     /// The newest, to centering.
     pub newest: watch::Sender<Newest>,
     /// What the source says of its steering outputs, to their driver.
@@ -66,7 +66,7 @@ pub struct Edges {
     /// Steering commands, from there.
     pub commands: watch::Receiver<Option<OutputCommand>>,
     /// Changes of what samples mean, from outside of the fast side.
-    pub changes: mpsc::Receiver<Change>,
+    pub changes: mpsc::Receiver<SettingsChange>,
 }
 
 /// Runs until `stop`, then closes the source.
@@ -75,10 +75,10 @@ pub async fn run<S: Source, C: Clock>(
     channels: Channels,
     clock: C,
     counters: Arc<Counters>,
-    edges: Edges,
+    edges: AcquisitionLinks,
     stop: CancellationToken,
 ) {
-    let Edges { samples, newest, answers, mut commands, mut changes } = edges;
+    let AcquisitionLinks { samples, newest, answers, mut commands, mut changes } = edges;
     let mut intake = Intake {
         channels,
         counters,
@@ -97,7 +97,7 @@ pub async fn run<S: Source, C: Clock>(
             () = stop.cancelled() => break,
             Ok(()) = commands.changed() => {
                 if let Some(command) = *commands.borrow_and_update() {
-                    intake.counters.commands_sent.one();
+                    intake.counters.commands_sent.inc();
                     source.steer(command, clock.now());
                 }
             }
@@ -113,7 +113,7 @@ pub async fn run<S: Source, C: Clock>(
 struct Intake {
     channels: Channels,
     counters: Arc<Counters>,
-    samples: mpsc::Sender<Acquired>,
+    samples: mpsc::Sender<SampleEvent>,
     newest: watch::Sender<Newest>,
     answers: watch::Sender<Answers>,
     /// The source as it last came up, with its channel map.
@@ -123,15 +123,15 @@ struct Intake {
     /// Samples that estimation had no room for since the last one it took.
     dropped: u32,
     /// A change that estimation had no room for: no sample goes before it.
-    change: Option<Box<Change>>,
+    change: Option<Box<SettingsChange>>,
 }
 
 impl Intake {
-    fn take(&mut self, event: Event) {
+    fn take(&mut self, event: SourceEvent) {
         match event {
-            Event::Up(identity) => self.up(identity),
-            Event::Scan(scan) => {
-                self.counters.scans.one();
+            SourceEvent::Up(identity) => self.up(identity),
+            SourceEvent::Scan(scan) => {
+                self.counters.scans.inc();
                 if let Some((identity, map)) = &mut self.source {
                     let sample = map.sample(&scan);
                     if !std::mem::replace(&mut self.up, true) {
@@ -144,13 +144,13 @@ impl Intake {
                     self.hand_on(sample, scan);
                 }
             }
-            Event::Ack(ack) => {
+            SourceEvent::Ack(ack) => {
                 if !ack.accepted {
-                    self.counters.commands_refused.one();
+                    self.counters.commands_refused.inc();
                 }
                 self.answers.send_modify(|answers| answers.ack = Some(ack));
             }
-            Event::Down(down) => self.down(down),
+            SourceEvent::Down(down) => self.down(down),
         }
     }
 
@@ -160,23 +160,23 @@ impl Intake {
                 tracing::info!(name = identity.name, rate_hz = identity.rate_hz, "source is up");
                 let identity = Arc::new(identity);
                 self.source = Some((Arc::clone(&identity), map));
-                self.tell(Acquired::Up(identity));
+                self.tell(SampleEvent::Up(identity));
             }
-            Err(missing) => self.down(Down::Unfit(missing.to_string())),
+            Err(missing) => self.down(SourceError::Unfit(missing.to_string())),
         }
     }
 
-    fn down(&mut self, down: Down) {
+    fn down(&mut self, down: SourceError) {
         // One fault may have several reasons in turn: pulled, then not to be opened.
         if std::mem::replace(&mut self.up, false) {
-            self.counters.source_downs.one();
+            self.counters.source_downs.inc();
         }
         tracing::warn!(reason = %down, "source is down");
         self.newest.send_modify(|newest| newest.source = None);
-        self.tell(Acquired::Down(down));
+        self.tell(SampleEvent::Down(down));
     }
 
-    fn change(&mut self, mut change: Change) {
+    fn change(&mut self, mut change: SettingsChange) {
         if let Some(channels) = change.channels.take() {
             if let Some((_, map)) = &mut self.source {
                 map.retune(channels.clone());
@@ -190,8 +190,8 @@ impl Intake {
     /// Whether no change is in the way.
     fn pass_change(&mut self) -> bool {
         let Some(change) = self.change.take() else { return true };
-        if let Err(TrySendError::Full(Acquired::Changed(change))) =
-            self.samples.try_send(Acquired::Changed(change))
+        if let Err(TrySendError::Full(SampleEvent::Changed(change))) =
+            self.samples.try_send(SampleEvent::Changed(change))
         {
             self.change = Some(change);
         }
@@ -200,7 +200,7 @@ impl Intake {
 
     fn hand_on(&mut self, mut sample: Sample, scan: Scan) {
         sample.lost = sample.lost.saturating_add(self.dropped);
-        let sample_of = Acquired::Sample(sample, scan);
+        let sample_of = SampleEvent::Sample(sample, scan);
         let sent = if self.pass_change() {
             self.samples.try_send(sample_of)
         } else {
@@ -209,7 +209,7 @@ impl Intake {
         match sent {
             Ok(()) => self.dropped = 0,
             Err(TrySendError::Full(_)) => {
-                self.counters.estimation_overflows.one();
+                self.counters.estimation_overflows.inc();
                 self.dropped = sample.lost.saturating_add(1);
             }
             // Estimation has ended; the daemon sees that and ends too.
@@ -219,9 +219,9 @@ impl Intake {
 
     /// News about the source. With no room left estimation has older samples to work on, and finds out
     /// by the silence after them.
-    fn tell(&self, news: Acquired) {
+    fn tell(&self, news: SampleEvent) {
         if self.samples.try_send(news).is_err() {
-            self.counters.estimation_overflows.one();
+            self.counters.estimation_overflows.inc();
         }
     }
 }
@@ -272,16 +272,16 @@ mod tests {
         };
         let change = || {
             let settings = config.estimation_settings(false, 7).unwrap();
-            Change { channels: None, settings, meaning: Arc::default(), done: oneshot::channel().0 }
+            SettingsChange { channels: None, settings, context: Arc::default(), done: oneshot::channel().0 }
         };
         for index in 1..=3 {
             intake.hand_on(sample(index), scan(index));
         }
         intake.change(change()); // no room
         let mut took = Vec::new();
-        let mut take = |estimation: &mut mpsc::Receiver<Acquired>| match estimation.try_recv() {
-            Ok(Acquired::Sample(sample, _)) => took.push((sample.index, sample.lost)),
-            Ok(Acquired::Changed(_)) => took.push((0, 0)),
+        let mut take = |estimation: &mut mpsc::Receiver<SampleEvent>| match estimation.try_recv() {
+            Ok(SampleEvent::Sample(sample, _)) => took.push((sample.index, sample.lost)),
+            Ok(SampleEvent::Changed(_)) => took.push((0, 0)),
             other => panic!("{other:?}"),
         };
         intake.hand_on(sample(4), scan(4)); // no room

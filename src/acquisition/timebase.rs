@@ -28,7 +28,7 @@ const BLOCK_PART: f64 = 0.25;
 /// A block whose fastest arrival is later than expected by so many standard deviations is not used.
 const GATE: f64 = 5.0;
 /// After so many of them in a row the way itself has become longer.
-const PATIENCE: u32 = 8;
+const REJECTED_IN_A_ROW: u32 = 8;
 /// While a correction makes the clock wait, it runs at this part of its speed.
 const SLOWEST: f64 = 0.5;
 
@@ -181,7 +181,7 @@ impl Filter {
         let expected_ns = (self.variance[0] + sigma_ns * sigma_ns).sqrt();
         if late_ns.abs() > GATE * expected_ns {
             self.refused += 1;
-            if late_ns > 0.0 && self.refused < PATIENCE {
+            if late_ns > 0.0 && self.refused < REJECTED_IN_A_ROW {
                 return;
             }
             self.variance[0] += late_ns * late_ns;

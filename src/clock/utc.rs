@@ -86,7 +86,7 @@ mod tests {
 
     #[test]
     fn utc_looks_at_the_clocks_once_a_second() {
-        // Claims that UTC is 3 s ahead from second 1 on: unseen before a second has passed.
+        // Claims that UTC is 3 s ahead from second 1 on: not seen before a second has passed.
         fn read() -> Reading {
             use std::sync::atomic::{AtomicI64, Ordering};
             static CALLS: AtomicI64 = AtomicI64::new(0);

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand, ValueEnum};
 use trifacet::control::{self, Command};
 use trifacet::exit::{self, Failure};
-use trifacet::recording::Wish;
+use trifacet::recording::RecorderCommand;
 use trifacet_core::centering::LoopMode;
 use trifacet_core::telemetry::heartbeat::{Drill, Task};
 
@@ -19,11 +19,11 @@ pub(crate) struct CtlArgs {
     #[arg(long, value_name = "PATH", default_value = "/run/trifacet/control.sock")]
     socket: PathBuf,
     #[command(subcommand)]
-    order: Order,
+    order: CtlCommand,
 }
 
 #[derive(Debug, Subcommand)]
-enum Order {
+enum CtlCommand {
     /// Say what is going on
     Status,
     /// Let the present pose read zero
@@ -156,27 +156,27 @@ impl From<Which> for Task {
     }
 }
 
-impl Order {
+impl CtlCommand {
     fn command(&self) -> Command {
         match *self {
-            Order::Status => Command::Status,
-            Order::Tare(TareArgs { what: Some(Clear::Clear), save, .. }) => Command::ClearTare { save },
-            Order::Tare(TareArgs { what: None, save, poses }) => Command::Tare { poses, save },
-            Order::Loop { mode: Mode::On } => Command::Loop(LoopMode::On),
-            Order::Loop { mode: Mode::Off } => Command::Loop(LoopMode::Off),
-            Order::Loop { mode: Mode::Shadow } => Command::Loop(LoopMode::Shadow),
-            Order::Loop { mode: Mode::Manual } => Command::Loop(LoopMode::Manual),
-            Order::Move { x_um, y_um } => Command::Move([x_um, y_um]),
-            Order::Park => Command::Park,
-            Order::Search => Command::Search,
-            Order::Setpoint { x_um, y_um } => Command::Setpoint([x_um, y_um]),
-            Order::Gains { kp, ki_per_s } => Command::Gains { kp, ki_per_s },
-            Order::Drill { what, task } => Command::Drill(what.into(), task.into()),
-            Order::Record { what: Recording::Start } => Command::Record(Wish::Start),
-            Order::Record { what: Recording::Stop } => Command::Record(Wish::Stop),
-            Order::Record { what: Recording::Trigger } => Command::Record(Wish::Trigger),
-            Order::Record { what: Recording::Status } => Command::Recording,
-            Order::Reload => Command::Reload,
+            CtlCommand::Status => Command::Status,
+            CtlCommand::Tare(TareArgs { what: Some(Clear::Clear), save, .. }) => Command::ClearTare { save },
+            CtlCommand::Tare(TareArgs { what: None, save, poses }) => Command::Tare { poses, save },
+            CtlCommand::Loop { mode: Mode::On } => Command::Loop(LoopMode::On),
+            CtlCommand::Loop { mode: Mode::Off } => Command::Loop(LoopMode::Off),
+            CtlCommand::Loop { mode: Mode::Shadow } => Command::Loop(LoopMode::Shadow),
+            CtlCommand::Loop { mode: Mode::Manual } => Command::Loop(LoopMode::Manual),
+            CtlCommand::Move { x_um, y_um } => Command::Move([x_um, y_um]),
+            CtlCommand::Park => Command::Park,
+            CtlCommand::Search => Command::Search,
+            CtlCommand::Setpoint { x_um, y_um } => Command::Setpoint([x_um, y_um]),
+            CtlCommand::Gains { kp, ki_per_s } => Command::Gains { kp, ki_per_s },
+            CtlCommand::Drill { what, task } => Command::Drill(what.into(), task.into()),
+            CtlCommand::Record { what: Recording::Start } => Command::Record(RecorderCommand::Start),
+            CtlCommand::Record { what: Recording::Stop } => Command::Record(RecorderCommand::Stop),
+            CtlCommand::Record { what: Recording::Trigger } => Command::Record(RecorderCommand::Trigger),
+            CtlCommand::Record { what: Recording::Status } => Command::Recording,
+            CtlCommand::Reload => Command::Reload,
         }
     }
 }

@@ -7,20 +7,20 @@ use std::time::Duration;
 
 use anyhow::Context;
 use tokio::time::{Instant, timeout_at};
-use trifacet::acquisition::{Event, SerialSource, Source};
+use trifacet::acquisition::{SerialSource, Source, SourceEvent};
 use trifacet::clock::SystemClock;
 use trifacet::config::edit::{self, Edit};
 use trifacet::config::{Config, FaultKind, SourceKind};
 use trifacet::exit::{self, Failure};
 use trifacet::twin::{Twin, TwinSource};
-use trifacet_core::channels::dark::{DarkOffsets, Darkness};
+use trifacet_core::channels::dark::{DarkOffsetEstimator, DarkOffsets};
 use trifacet_core::telemetry::Counters;
 use trifacet_optics::FACETS;
 
 use super::{ConfigArg, written};
 
 /// The longest wait for the next scan.
-const PATIENCE: Duration = Duration::from_secs(5);
+const SCAN_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Options of `dark`.
 #[derive(Debug, clap::Args)]
@@ -74,18 +74,20 @@ async fn average(mut source: impl Source, config: &Config, samples: u32) -> anyh
     let refuse = |error| Failure::new(exit::DATA, format!("no dark offsets: {error}"));
     let mut darkness = None;
     let mut why = "nothing came from the source".to_owned();
-    let mut deadline = Instant::now() + PATIENCE;
+    let mut deadline = Instant::now() + SCAN_TIMEOUT;
     let offsets = loop {
         let Ok(event) = timeout_at(deadline, source.next()).await else {
             return Err(Failure::new(exit::UNAVAILABLE, format!("no dark offsets: {why}")).into());
         };
         match event {
-            Event::Up(identity) => darkness = Some(Darkness::new(&identity).map_err(refuse)?),
-            Event::Down(down) => why = down.to_string(),
-            Event::Ack(_) => {}
-            Event::Scan(scan) => {
+            SourceEvent::Up(identity) => {
+                darkness = Some(DarkOffsetEstimator::new(&identity).map_err(refuse)?)
+            }
+            SourceEvent::Down(down) => why = down.to_string(),
+            SourceEvent::Ack(_) => {}
+            SourceEvent::Scan(scan) => {
                 let Some(darkness) = &mut darkness else { continue };
-                deadline = Instant::now() + PATIENCE;
+                deadline = Instant::now() + SCAN_TIMEOUT;
                 darkness.push(&scan).map_err(refuse)?;
                 if darkness.count() >= samples {
                     break darkness.offsets(config.channels.sum_threshold_v);

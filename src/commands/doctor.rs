@@ -23,7 +23,7 @@ use trifacet_core::time::{Clock, Mono};
 use super::{ConfigArg, written};
 
 /// An answer that takes longer is none.
-const PATIENCE: Duration = Duration::from_secs(3);
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(3);
 /// Frames are looked at for so long.
 const LOOK: Duration = Duration::from_secs(2);
 
@@ -115,7 +115,7 @@ fn configured(config: &Config) -> Result<Endpoint> {
 
 async fn look(endpoint: &Endpoint, interface: Option<String>, config: &Config, report: &mut Report) {
     let options = Options { interface, ..Options::default() };
-    let mut client = match timeout(PATIENCE, Client::connect_with(endpoint, options)).await {
+    let mut client = match timeout(ANSWER_TIMEOUT, Client::connect_with(endpoint, options)).await {
         Ok(Ok(client)) => client,
         Ok(Err(error)) => return link::not_open(endpoint, &error, config, report),
         Err(_) => {
@@ -140,7 +140,7 @@ async fn look(endpoint: &Endpoint, interface: Option<String>, config: &Config, r
 /// Takes what comes, from the first frame on for as long as it takes to judge.
 async fn collect(client: &mut Client, seen: &mut Seen) -> Result<(), ClientError> {
     let mut utc = Utc::system();
-    let mut end = Instant::now() + PATIENCE;
+    let mut end = Instant::now() + ANSWER_TIMEOUT;
     while let Ok(message) = timeout_at(end, client.next()).await {
         match message? {
             Message::Pose(frame) => {

@@ -1,15 +1,15 @@
 //! `trifacet emulate`: an acquisition board on a pseudo-terminal, with the digital twin behind it.
 
+mod command;
 mod link;
-mod order;
 
 use std::io::{self, BufRead, Write};
 use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::Context;
+use command::EmulatorCommand;
 use link::Link;
-use order::Order;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
 use tokio::task::yield_now;
@@ -26,7 +26,7 @@ const PORTION: u64 = 16;
 
 /// Play an acquisition board on a pseudo-terminal, with the digital twin behind it.
 #[derive(Debug, clap::Args)]
-#[command(after_help = order::HELP)]
+#[command(after_help = command::HELP)]
 pub(crate) struct EmulateArgs {
     /// Make PATH a symbolic link to the port, and remove it at the end
     #[arg(long, value_name = "PATH")]
@@ -96,13 +96,13 @@ impl Bench {
 
     fn obey(&mut self, line: &str) -> anyhow::Result<()> {
         match line.parse() {
-            Ok(Order::Status) => say(&serde_json::to_string(&self.board.state())?)?,
-            Ok(Order::Unplug { for_s }) => {
+            Ok(EmulatorCommand::Status) => say(&serde_json::to_string(&self.board.state())?)?,
+            Ok(EmulatorCommand::Unplug { for_s }) => {
                 self.port = None;
                 self.board.unheard();
                 self.plug_in = Some(Instant::now() + Duration::from_secs_f64(for_s));
             }
-            Ok(Order::Fault { kind, for_s }) => {
+            Ok(EmulatorCommand::Fault { kind, for_s }) => {
                 if let Err(error) = self.board.inject(kind, for_s) {
                     refuse(&error.to_string());
                 }

@@ -1,8 +1,8 @@
 //! `trifacet experiment`: the paper's experiment, on the twin or with a running daemon and a person at the stage.
 
 mod choices;
-mod doubt;
-mod guide;
+mod guided;
+mod plausibility;
 mod steps;
 
 use std::fs::{self, File, TryLockError};
@@ -17,7 +17,7 @@ use trifacet::exit::{self, Failure};
 use trifacet::experiment::protocol::{self, Protocol};
 use trifacet::experiment::reading::{self, Part, Reading, Record};
 use trifacet::experiment::report::Report;
-use trifacet::experiment::rest::LEAST;
+use trifacet::experiment::static_record::LEAST;
 use trifacet::experiment::table::{self, Table};
 use trifacet::experiment::twin::{Bench, beyond};
 
@@ -93,7 +93,7 @@ fn made(args: &ExperimentArgs) -> anyhow::Result<()> {
     }
     let protocol = choices::protocol(args)?;
     if let Some(endpoint) = &args.connect {
-        return told(&guide::guided(args, endpoint, &protocol)?, &args.out);
+        return told(&guided::guided(args, endpoint, &protocol)?, &args.out);
     }
     let config = twin(args)?;
     fresh(&args.out)?;

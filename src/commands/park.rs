@@ -6,12 +6,12 @@ use std::time::Duration;
 use clap::Args;
 use tokio::sync::watch;
 use tokio::time::timeout;
-use trifacet::acquisition::{Event as SourceEvent, SerialSource, Source};
+use trifacet::acquisition::{SerialSource, Source, SourceEvent};
 use trifacet::clock::SystemClock;
 use trifacet::config::{Config, SourceKind, SteeringKind};
 use trifacet::control;
 use trifacet::exit::{self, Failure};
-use trifacet::steering::{Driver, Event, gcs};
+use trifacet::steering::{Driver, StageEvent, gcs};
 use trifacet_core::centering::OnExit;
 use trifacet_core::steering::{Command, Xy, codes};
 use trifacet_core::telemetry::Counters;
@@ -21,7 +21,7 @@ use trifacet_wire::actuator::{LeaseAction, OutputCommand};
 use super::ConfigArg;
 
 /// All of it takes at most so long.
-const PATIENCE: Duration = Duration::from_secs(5);
+const PARK_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Options of `park`.
 #[derive(Debug, Args)]
@@ -78,7 +78,7 @@ async fn outputs(mut source: impl Source, config: &Config) -> Result<Xy, Failure
     let steering = &config.steering;
     let position = steering.park_um.map(|um| um * 1e-6);
     let mut why = "the board does not answer".to_owned();
-    let parked = timeout(PATIENCE, async {
+    let parked = timeout(PARK_TIMEOUT, async {
         let (mut bits, mut sent) = (None, false);
         loop {
             match source.next().await {
@@ -116,15 +116,15 @@ async fn stage(config: &Config, counters: &Counters) -> Result<Xy, Failure> {
     let talk = async {
         loop {
             match driver.next().await {
-                Event::Up => driver.steer(command),
-                Event::Ack(ack) => return ack.accepted,
-                Event::Down(reason) => why = reason,
-                Event::At(_) => {}
+                StageEvent::Up => driver.steer(command),
+                StageEvent::Ack(ack) => return ack.accepted,
+                StageEvent::Down(reason) => why = reason,
+                StageEvent::At(_) => {}
             }
         }
     };
     let parked = tokio::select! {
-        parked = timeout(PATIENCE, talk) => parked.ok(),
+        parked = timeout(PARK_TIMEOUT, talk) => parked.ok(),
         () = task.run(counters) => None,
     };
     answered(parked, &why, config.steering.park_um)

@@ -13,12 +13,12 @@ use indicatif::{ProgressBar, ProgressStyle};
 use output::Output;
 use statistics::Statistics;
 use trifacet::clock::SystemClock;
-use trifacet::config::{self, Meaning};
+use trifacet::config::{self, CalibrationContext};
 use trifacet::exit::{self, Failure};
 use trifacet::recording::reader::{Gap, Read, Tally};
 use trifacet::recording::{Entry, Keyframe};
-use trifacet::replay::feed::{self, News};
-use trifacet::replay::{Engine, Verdict};
+use trifacet::replay::read_ahead::{self, News};
+use trifacet::replay::{Comparison, Engine};
 use trifacet_core::time::{Clock, Mono, NS_PER_S};
 
 use super::written;
@@ -48,14 +48,14 @@ pub(crate) fn replay(args: &ReplayArgs) -> anyhow::Result<()> {
     }
     let engine = match &args.config {
         None => Engine::new(),
-        Some(file) => Engine::with(Meaning::read(config::load(Some(file))?)?),
+        Some(file) => Engine::with(CalibrationContext::read(config::load(Some(file))?)?),
     };
     let source = args.files.first().and_then(|file| file.metadata().ok());
     let output = args.output.as_deref().map(|path| Output::create(path, source.as_ref())).transpose()?;
     let size = args.files.iter().filter_map(|file| file.metadata().ok()).map(|about| about.len()).sum();
     let mut run = Run {
         engine,
-        verdict: Verdict::default(),
+        verdict: Comparison::default(),
         statistics: args.config.is_some().then(Statistics::default),
         pace: args.speed.map(Pace::new),
         output,
@@ -64,7 +64,7 @@ pub(crate) fn replay(args: &ReplayArgs) -> anyhow::Result<()> {
     };
     let bar = bar(size);
     let mut tallies = Vec::new();
-    for news in feed::read(args.files.clone()) {
+    for news in read_ahead::read(args.files.clone()) {
         match news {
             News::Read(reads, at) => {
                 bar.set_position(at);
@@ -145,7 +145,7 @@ impl Pace {
 
 struct Run {
     engine: Engine,
-    verdict: Verdict,
+    verdict: Comparison,
     statistics: Option<Statistics>,
     pace: Option<Pace>,
     output: Option<Output>,
@@ -163,13 +163,13 @@ impl Run {
             Read::Damage(damage) => {
                 self.hole(gap(0, &format!("damaged in the recording of then: {damage}")));
             }
-            Read::Foreign { meaning, source, why } => {
+            Read::Foreign { context, source, why } => {
                 if !std::mem::replace(&mut self.cold, true) {
                     eprintln!(
                         "trifacet: {why}: the replay begins without it, and is not the same bit by bit"
                     );
                 }
-                self.engine.cold(meaning, source.as_ref())?;
+                self.engine.cold(context, source.as_ref())?;
             }
         }
         Ok(())

@@ -6,11 +6,11 @@
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use trifacet::closed_loop_sim::{ClosedLoopSim, SimStep};
 use trifacet::config::Config;
 use trifacet::exit::{self, Failure};
 use trifacet::recording::codec::{Encoded, Encoder};
 use trifacet::recording::writer::Writer;
-use trifacet::rig::{Rig, Turn};
 use trifacet::twin::{Twin, TwinScan};
 use trifacet_core::channels::ChannelMap;
 use trifacet_core::signals::Sample;
@@ -47,7 +47,7 @@ pub(crate) fn simulate(args: &SimulateArgs) -> anyhow::Result<()> {
         return record(&config, args.samples, file);
     }
     if args.closed_loop {
-        let rig = Rig::new(&config)?;
+        let rig = ClosedLoopSim::new(&config)?;
         return written(closed_loop(rig, args.samples, io::stdout().lock()));
     }
     let wrong = |message: String| Failure::new(exit::CONFIG, message);
@@ -58,14 +58,14 @@ pub(crate) fn simulate(args: &SimulateArgs) -> anyhow::Result<()> {
 
 /// What the twin's scans lead to, as a recording.
 fn record(config: &Config, samples: u64, file: &Path) -> anyhow::Result<()> {
-    let (mut rig, mut outflow) = Rig::recorded(config)?;
+    let (mut rig, mut receiver) = ClosedLoopSim::recorded(config)?;
     let new = NewFile::create(file, None)?;
     let to = BufWriter::new(new.writer()?);
     let mut writer = cannot_write(Writer::new(to, Some(mcap::Compression::Zstd)), file)?;
     let mut encoder = Encoder::new((Mono(0), 0));
     for _ in 0..samples {
         rig.turn();
-        while let Ok(entry) = outflow.entries.try_recv() {
+        while let Ok(entry) = receiver.entries.try_recv() {
             let put = |message: Encoded<'_>| writer.put(message).map_err(anyhow::Error::from);
             cannot_write(encoder.encode(&entry, put), file)?;
         }
@@ -117,12 +117,12 @@ fn row(scan: &TwinScan, sample: &Sample, out: &mut impl Write) -> io::Result<()>
 /// What the loop and the estimate add to a row. What is not known is NaN.
 const LOOP: [&str; 2] = ["stage_x_m", "stage_y_m"];
 
-fn closed_loop(mut rig: Rig, samples: u64, out: impl Write) -> io::Result<()> {
+fn closed_loop(mut rig: ClosedLoopSim, samples: u64, out: impl Write) -> io::Result<()> {
     let mut out = io::BufWriter::new(out);
     let columns = [&TRUTH[..], &SPOTS, &POWERS, &LOOP, &POSE].concat();
     writeln!(out, "sample,time_s,{},lock,status", columns.join(","))?;
     for _ in 0..samples {
-        let Turn { scan, sample: Some(sample), command, report, state, .. } = rig.turn() else { continue };
+        let SimStep { scan, sample: Some(sample), command, report, state, .. } = rig.turn() else { continue };
         row(&scan, &sample, &mut out)?;
         let stage = command.map_or([f64::NAN; 2], |command| command.position);
         let pose = report.and_then(|report| report.pose).map_or([f64::NAN; 6], Pose::to_array);

@@ -20,12 +20,12 @@ use trifacet::acquisition::{SerialSource, Source};
 use trifacet::clock::SystemClock;
 use trifacet::config::{Config, SourceKind, edit};
 use trifacet::exit::{self, Failure};
+use trifacet::identification::findings::Findings;
+use trifacet::identification::observation::Observer;
+use trifacet::identification::plan::{Choices, Settings};
+use trifacet::identification::task::{self, Recording};
 use trifacet::steering::outputs::Answers;
-use trifacet::steering::{Outputs, Stage, gcs};
-use trifacet::tuning::findings::Findings;
-use trifacet::tuning::look::Looker;
-use trifacet::tuning::plan::{Choices, Settings};
-use trifacet::tuning::task::{self, Recording};
+use trifacet::steering::{Outputs, StageDriver, gcs};
 use trifacet::twin::{Twin, TwinSource};
 use trifacet::{acquisition, realtime};
 use trifacet_core::steering::Xy;
@@ -162,7 +162,7 @@ async fn with<S: Source + 'static>(
         config.read_channels()?,
         SystemClock,
         Arc::clone(&counters),
-        acquisition::task::Edges {
+        acquisition::task::AcquisitionLinks {
             samples: samples_in,
             newest: watch::Sender::default(),
             answers: answers_in,
@@ -171,7 +171,7 @@ async fn with<S: Source + 'static>(
         },
         stop_acquisition.clone(),
     ));
-    let looker = Looker::new(config)?;
+    let looker = Observer::new(config)?;
     let choices = Choices {
         step: args.step.map(|um| um * 1e-6),
         steps: args.steps,
@@ -179,7 +179,7 @@ async fn with<S: Source + 'static>(
         at: args.at,
     };
     let settings = Settings::new(config, looker.beam_sigma(), choices);
-    let edges = task::Edges { samples, stop: interrupted()? };
+    let edges = task::IdentificationLinks { samples, stop: interrupted()? };
     let mut show = Show::new(args.dry_run);
     // Nobody changes the limits meanwhile: the sender may go.
     let gcs = gcs::pair(config, watch::channel(config.steering.clone()).1).map(|(driver, stage)| {
@@ -187,7 +187,7 @@ async fn with<S: Source + 'static>(
         driver
     });
     let outputs = || Outputs::new(config.steering.full_scale_um * 1e-6, commands_in, answers);
-    let driver = gcs.map_or_else(|| Stage::Outputs(outputs()), Stage::Gcs);
+    let driver = gcs.map_or_else(|| StageDriver::Outputs(outputs()), StageDriver::Gcs);
     let result = task::run(settings, looker, driver, SystemClock, edges, &mut show).await;
     show.end();
     stop_acquisition.cancel();

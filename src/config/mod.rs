@@ -9,11 +9,13 @@
 
 mod acquisition;
 mod assembly;
+mod calibration_context;
 mod centering;
 mod channels;
 mod check;
 mod control;
 mod correction;
+mod cross_checks;
 pub mod edit;
 mod error;
 mod estimation;
@@ -34,13 +36,12 @@ mod recording;
 pub mod reload;
 mod replay;
 mod steering;
-mod tables;
 mod text;
-mod together;
 mod twin;
 
 pub use acquisition::{AcquisitionConfig, SerialConfig, SourceKind};
 pub use assembly::AssemblyError;
+pub use calibration_context::{CalibrationContext, TableError, Tables};
 pub use centering::{CenteringConfig, Gains};
 pub use channels::{ChannelsConfig, PsdChannelsConfig};
 pub use control::ControlConfig;
@@ -62,7 +63,6 @@ pub use recording::{Compression, RecordingConfig, RecordingMode};
 pub use replay::ReplayConfig;
 use serde::{Deserialize, Serialize};
 pub use steering::{NO_TILT, SteeringConfig, SteeringKind};
-pub use tables::{Meaning, TableError, Tables};
 pub use twin::{TwinConfig, TwinSteering};
 
 /// The whole file.
@@ -120,7 +120,7 @@ impl Config {
         self.realtime.check(at.section("realtime"));
         self.log.check(at.section("log"));
         if at.clean() {
-            together::check(self, at);
+            cross_checks::check(self, at);
         }
     }
 }

@@ -11,7 +11,7 @@ use super::Command;
 use crate::exit::{self, Failure};
 
 /// Longer than any command takes.
-const PATIENCE: Duration = Duration::from_mins(1);
+const ANSWER_TIMEOUT: Duration = Duration::from_mins(1);
 
 /// Tells a daemon, and returns what it answers.
 ///
@@ -31,8 +31,8 @@ pub fn ask(socket: &Path, command: &Command) -> Result<Value, Failure> {
     })?;
     let broke =
         |e: io::Error| Failure::new(exit::UNAVAILABLE, format!("the daemon at {at} does not answer: {e}"));
-    stream.set_read_timeout(Some(PATIENCE)).map_err(broke)?;
-    stream.set_write_timeout(Some(PATIENCE)).map_err(broke)?;
+    stream.set_read_timeout(Some(ANSWER_TIMEOUT)).map_err(broke)?;
+    stream.set_write_timeout(Some(ANSWER_TIMEOUT)).map_err(broke)?;
     (&stream).write_all(format!("{command}\n").as_bytes()).map_err(broke)?;
     let mut line = String::new();
     BufReader::new(&stream).read_line(&mut line).map_err(broke)?;

@@ -6,7 +6,7 @@ use std::str::FromStr;
 use trifacet_core::centering::LoopMode;
 use trifacet_core::telemetry::heartbeat::{Drill, Task};
 
-use crate::recording::Wish;
+use crate::recording::RecorderCommand;
 
 /// A command.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,7 +47,7 @@ pub enum Command {
     /// What is recorded?
     Recording,
     /// Lets the recorder begin, end, or do as if there were a fault.
-    Record(Wish),
+    Record(RecorderCommand),
     /// Reads the configuration file again.
     Reload,
 }
@@ -83,7 +83,7 @@ fn parse(word: &str, rest: &[&str]) -> Option<Command> {
         ("loop", [mode]) => Command::Loop(LoopMode::ALL.into_iter().find(|m| m.name() == *mode)?),
         ("park", []) => Command::Park,
         ("record", ["status"]) => Command::Recording,
-        ("record", [wish]) => Command::Record(Wish::ALL.into_iter().find(|w| w.name() == *wish)?),
+        ("record", [wish]) => Command::Record(RecorderCommand::ALL.into_iter().find(|w| w.name() == *wish)?),
         ("search", []) => Command::Search,
         ("move", [x, y]) => Command::Move([number(x)?, number(y)?]),
         ("drill", [drill, task]) => Command::Drill(
@@ -159,9 +159,9 @@ mod tests {
             Command::Setpoint([-1.5, 1e-3]),
             Command::Gains { kp: 0.1, ki_per_s: 200.0 },
             Command::Recording,
-            Command::Record(Wish::Start),
-            Command::Record(Wish::Stop),
-            Command::Record(Wish::Trigger),
+            Command::Record(RecorderCommand::Start),
+            Command::Record(RecorderCommand::Stop),
+            Command::Record(RecorderCommand::Trigger),
             Command::Drill(Drill::Stall, Task::Centering),
             Command::Drill(Drill::Block, Task::Acquisition),
             Command::Drill(Drill::End, Task::Estimation),

@@ -11,35 +11,36 @@ use trifacet_core::centering::LoopMode;
 use trifacet_core::channels::Channels;
 use trifacet_core::steering::Xy;
 use trifacet_core::telemetry::Counters;
-use trifacet_core::telemetry::heartbeat::{Drill, Task, Turns};
+use trifacet_core::telemetry::heartbeat::{Drill, Heartbeats, Task};
 use trifacet_core::time::{Clock, Mono};
 use trifacet_optics::Pose;
 use trifacet_wire::stream::{Descriptor, Replayed};
 
-use super::{Command, ToFast};
-use crate::acquisition::task::Change;
-use crate::centering::Order;
+use super::{Command, FastRequests};
+use crate::acquisition::task::SettingsChange;
+use crate::centering::CenteringRequest;
 use crate::clock::SystemClock;
 use crate::config;
 use crate::config::edit::{self, Edit};
 use crate::config::reload::reload;
 use crate::config::{
-    Config, FramesConfig, Meaning, SourceKind, SteeringConfig, SteeringKind, Tables, TransformConfig,
+    CalibrationContext, Config, FramesConfig, SourceKind, SteeringConfig, SteeringKind, Tables,
+    TransformConfig,
 };
-use crate::estimation::Question;
+use crate::estimation::EstimationRequest;
 use crate::exit::{self, Failure};
 use crate::logging::Logging;
 use crate::publishing::descriptor::StreamFacts;
-use crate::recording::{Handle, Wish};
+use crate::recording::{Handle, RecorderCommand};
 
 /// How long the fast side may take to answer.
-const PATIENCE: Duration = Duration::from_secs(5);
+const FAST_SIDE_TIMEOUT: Duration = Duration::from_secs(5);
 /// What a tare averages over, seconds: by default, and at most.
 const TARE_S: [f64; 2] = [0.1, 10.0];
 
 /// What is known of a running daemon, and the ways to change it.
 #[derive(Debug)]
-pub struct Live {
+pub struct RunningConfig {
     /// What it was started with.
     pub file: Option<PathBuf>,
     /// What holds at present.
@@ -55,7 +56,7 @@ pub struct Live {
     /// Where the monitor finds what holds.
     pub told: watch::Sender<Config>,
     /// The ways to the fast side.
-    pub fast: ToFast,
+    pub fast: FastRequests,
     /// Where a stage with a task of its own finds its limits.
     pub steering: watch::Sender<SteeringConfig>,
     /// The log.
@@ -63,14 +64,14 @@ pub struct Live {
     /// Every counter.
     pub counters: Arc<Counters>,
     /// The turns of the fast side's tasks.
-    pub turns: Arc<Turns>,
+    pub heartbeats: Arc<Heartbeats>,
     /// The recorder.
     pub recording: Handle,
     /// When the daemon started.
     pub started: Mono,
 }
 
-impl Live {
+impl RunningConfig {
     /// Does what a command says. What it answers is a JSON object; with an `error` in it if not all was done.
     pub async fn obey(&mut self, command: Command) -> Value {
         if self.running.acquisition.source == SourceKind::Replay && command != Command::Status {
@@ -112,7 +113,7 @@ impl Live {
             let why = format!("{beyond}: allowed is -{limit} to {limit}, steering.limit_um");
             return Err(Failure::new(exit::USAGE, why));
         }
-        self.order(|reply| Order::Move(um.map(|um| um * 1e-6), reply)).await
+        self.order(|reply| CenteringRequest::Move(um.map(|um| um * 1e-6), reply)).await
     }
 
     async fn park(&mut self) -> Result<Value, Failure> {
@@ -121,7 +122,7 @@ impl Live {
     }
 
     async fn search(&mut self) -> Result<Value, Failure> {
-        self.order(Order::Search).await
+        self.order(CenteringRequest::Search).await
     }
 
     /// Only where nothing real hangs on it.
@@ -131,21 +132,23 @@ impl Live {
             let why = "a drill is for the twin with its own stage only: acquisition.source, steering.kind";
             return Err(Failure::new(exit::USAGE, why));
         }
-        self.turns.of(task).drill(drill);
+        self.heartbeats.of(task).drill(drill);
         Ok(json!({ "drill": drill.name(), "task": task.name() }))
     }
 
     /// Tells the loop something that it may refuse.
     async fn order(
         &self,
-        order: impl FnOnce(oneshot::Sender<Result<(), &'static str>>) -> Order,
+        order: impl FnOnce(oneshot::Sender<Result<(), &'static str>>) -> CenteringRequest,
     ) -> Result<Value, Failure> {
-        ask(&self.fast.orders, PATIENCE, order).await?.map_err(|why| Failure::new(exit::USAGE, why))?;
+        ask(&self.fast.orders, FAST_SIDE_TIMEOUT, order)
+            .await?
+            .map_err(|why| Failure::new(exit::USAGE, why))?;
         Ok(json!({ "loop": self.loop_now().await? }))
     }
 
-    async fn record(&self, wish: Wish) -> Result<Value, Failure> {
-        ask(&self.recording.wishes, PATIENCE, |reply| (wish, reply)).await??;
+    async fn record(&self, wish: RecorderCommand) -> Result<Value, Failure> {
+        ask(&self.recording.wishes, FAST_SIDE_TIMEOUT, |reply| (wish, reply)).await??;
         Ok(json!({ "recording": self.recording.state.tell() }))
     }
 
@@ -192,8 +195,8 @@ impl Live {
             return Err(Failure::new(exit::USAGE, why));
         }
         let no_tare = |why: String| Failure::new(exit::DATA, format!("the tare is as it was: {why}"));
-        let patience = PATIENCE + Duration::from_secs_f64(2.0 * f64::from(poses) / rate_hz);
-        let mean = ask(&self.fast.questions, patience, |reply| Question::Mean(poses, reply)).await?;
+        let patience = FAST_SIDE_TIMEOUT + Duration::from_secs_f64(2.0 * f64::from(poses) / rate_hz);
+        let mean = ask(&self.fast.questions, patience, |reply| EstimationRequest::Mean(poses, reply)).await?;
         let mean = mean.map_err(|status| {
             no_tare(format!("no valid pose: {}", status.names().collect::<Vec<_>>().join(", ")))
         })?;
@@ -256,7 +259,7 @@ impl Live {
             // Before the loop acts on them.
             self.steering.send_replace(next.steering.clone());
             let tuning = Box::new(next.loop_params());
-            ask(&self.fast.orders, PATIENCE, |done| Order::Retune(tuning, done)).await?;
+            ask(&self.fast.orders, FAST_SIDE_TIMEOUT, |done| CenteringRequest::Retune(tuning, done)).await?;
         }
         self.told.send_replace(next.clone());
         self.running = next;
@@ -272,16 +275,22 @@ impl Live {
         let mut facts = self.facts;
         let (channels, tables) =
             channels.map_or_else(|| (None, self.tables.clone()), |(map, tables)| (Some(map), tables));
-        let meaning = Arc::new(Meaning { config: next.clone(), tables });
+        let context = Arc::new(CalibrationContext { config: next.clone(), tables });
         if let Some(channels) = &channels {
             facts.calibrated = channels.calibrated();
         }
-        facts.id.config = meaning.id();
+        facts.id.config = context.id();
         let settings = next
             .estimation_settings(facts.calibrated, facts.id.config)
             .map_err(|e| Failure::new(exit::SOFTWARE, format!("the head cannot be built: {e}")))?;
-        let tables = meaning.tables.clone();
-        ask(&self.fast.changes, PATIENCE, |done| Change { channels, settings, meaning, done }).await?;
+        let tables = context.tables.clone();
+        ask(&self.fast.changes, FAST_SIDE_TIMEOUT, |done| SettingsChange {
+            channels,
+            settings,
+            context,
+            done,
+        })
+        .await?;
         if facts.id.config != self.facts.id.config {
             tracing::info!(
                 config = format!("{:08x}", facts.id.config),
@@ -298,7 +307,7 @@ impl Live {
     }
 
     async fn status(&self) -> Result<Value, Failure> {
-        let last = ask(&self.fast.questions, PATIENCE, Question::Last).await?;
+        let last = ask(&self.fast.questions, FAST_SIDE_TIMEOUT, EstimationRequest::Last).await?;
         let now = SystemClock.now();
         let replay = self.replay();
         let pose = last.map(|report| {
@@ -343,7 +352,7 @@ impl Live {
     }
 
     async fn loop_now(&self) -> Result<Value, Failure> {
-        let view = ask(&self.fast.orders, PATIENCE, Order::View).await?;
+        let view = ask(&self.fast.orders, FAST_SIDE_TIMEOUT, CenteringRequest::View).await?;
         let um = |xy: Xy| xy.map(|m| m * 1e6);
         let centering = &self.running.centering;
         let gains = centering.gains(self.running.acquisition.rate_hz);

@@ -13,42 +13,42 @@ pub mod live;
 pub mod server;
 
 pub use command::Command;
-pub use live::Live;
+pub use live::RunningConfig;
 use tokio::sync::mpsc;
 
-use crate::acquisition::task::Change;
-use crate::centering::Order;
-use crate::estimation::Question;
+use crate::acquisition::task::SettingsChange;
+use crate::centering::CenteringRequest;
+use crate::estimation::EstimationRequest;
 
 /// Orders that may wait on each way. They come one at a time, so there is always room.
 const QUEUE: usize = 4;
 
 /// The ways to the tasks of the fast side.
 #[derive(Debug)]
-pub struct ToFast {
-    changes: mpsc::Sender<Change>,
-    questions: mpsc::Sender<Question>,
-    orders: mpsc::Sender<Order>,
+pub struct FastRequests {
+    changes: mpsc::Sender<SettingsChange>,
+    questions: mpsc::Sender<EstimationRequest>,
+    orders: mpsc::Sender<CenteringRequest>,
 }
 
 /// Their ends there.
 #[derive(Debug)]
-pub struct AtFast {
+pub struct FastLink {
     /// For acquisition.
-    pub changes: mpsc::Receiver<Change>,
+    pub changes: mpsc::Receiver<SettingsChange>,
     /// For estimation.
-    pub questions: mpsc::Receiver<Question>,
+    pub questions: mpsc::Receiver<EstimationRequest>,
     /// For centering.
-    pub orders: mpsc::Receiver<Order>,
+    pub orders: mpsc::Receiver<CenteringRequest>,
 }
 
 /// The ways between the main thread and the fast side.
-pub fn ways() -> (ToFast, AtFast) {
+pub fn ways() -> (FastRequests, FastLink) {
     let (changes, changes_end) = mpsc::channel(QUEUE);
     let (questions, questions_end) = mpsc::channel(QUEUE);
     let (orders, orders_end) = mpsc::channel(QUEUE);
     (
-        ToFast { changes, questions, orders },
-        AtFast { changes: changes_end, questions: questions_end, orders: orders_end },
+        FastRequests { changes, questions, orders },
+        FastLink { changes: changes_end, questions: questions_end, orders: orders_end },
     )
 }

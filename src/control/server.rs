@@ -18,7 +18,7 @@ use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 
 use super::live::error;
-use super::{Command, Live};
+use super::{Command, RunningConfig};
 use crate::config::ControlConfig;
 use crate::exit::{self, Failure};
 
@@ -27,7 +27,7 @@ const LINE: u64 = 256;
 /// Most clients at a time.
 const CLIENTS: usize = 16;
 /// A client that says nothing, or takes no answer, for so long is dropped.
-const PATIENCE: Duration = Duration::from_mins(1);
+const CLIENT_TIMEOUT: Duration = Duration::from_mins(1);
 
 /// The socket; its file goes with it.
 #[derive(Debug)]
@@ -63,7 +63,7 @@ impl Socket {
     }
 
     /// Serves clients for ever, each at its own pace; their commands one after the other.
-    pub async fn serve(self, live: Arc<Mutex<Live>>) {
+    pub async fn serve(self, live: Arc<Mutex<RunningConfig>>) {
         let mut clients = JoinSet::new();
         loop {
             match self.listener.accept().await {
@@ -109,17 +109,17 @@ fn clear(path: &Path) -> Result<(), Failure> {
     }
 }
 
-async fn client(stream: UnixStream, live: Arc<Mutex<Live>>) {
+async fn client(stream: UnixStream, live: Arc<Mutex<RunningConfig>>) {
     let uid = stream.peer_cred().map(|peer| peer.uid()).ok();
     let (read, mut write) = stream.into_split();
     let mut lines = BufReader::new(read);
     loop {
-        let line = match timeout(PATIENCE, next_line(&mut lines)).await {
+        let line = match timeout(CLIENT_TIMEOUT, next_line(&mut lines)).await {
             Ok(Ok(Some(line))) => line,
             Ok(Ok(None)) | Err(_) => return,
             Ok(Err(why)) => {
                 let refusal = error(&Failure::new(exit::USAGE, why.to_string()));
-                let _ = timeout(PATIENCE, write.write_all(&encode(refusal))).await;
+                let _ = timeout(CLIENT_TIMEOUT, write.write_all(&encode(refusal))).await;
                 return;
             }
         };
@@ -131,7 +131,7 @@ async fn client(stream: UnixStream, live: Arc<Mutex<Live>>) {
             }
             Err(refusal) => error(&Failure::new(exit::USAGE, refusal.to_string())),
         };
-        match timeout(PATIENCE, write.write_all(&encode(answer))).await {
+        match timeout(CLIENT_TIMEOUT, write.write_all(&encode(answer))).await {
             Ok(Ok(())) => {}
             _ => return,
         }

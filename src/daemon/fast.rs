@@ -12,19 +12,19 @@ use tokio_util::sync::CancellationToken;
 use trifacet_core::centering::Centering;
 use trifacet_core::channels::Channels;
 use trifacet_core::estimation::{Estimation, PoseReport};
-use trifacet_core::telemetry::heartbeat::{Task, Turns, counted};
+use trifacet_core::telemetry::heartbeat::{Heartbeats, Task, counted};
 use trifacet_core::telemetry::{Counters, LatestStatus};
 use trifacet_wire::stream::Descriptor;
 
 use crate::acquisition::{SerialSource, Source};
 use crate::clock::SystemClock;
-use crate::config::{Config, Meaning, RealtimeConfig, SourceKind};
-use crate::control::AtFast;
+use crate::config::{CalibrationContext, Config, RealtimeConfig, SourceKind};
+use crate::control::FastLink;
 use crate::exit::{self, Failure};
 use crate::publishing::Publisher;
-use crate::recording::{Entry, Tap, Witness};
-use crate::replay::{self, Beginning};
-use crate::steering::{self, Gcs, Outputs, Stage};
+use crate::recording::{Entry, EstimationRecorder, RecordSender};
+use crate::replay::{self, RecordingHeader};
+use crate::steering::{self, Gcs, Outputs, StageDriver};
 use crate::twin::{Twin, TwinSource};
 use crate::{acquisition, centering, estimation, realtime};
 
@@ -41,14 +41,14 @@ pub(super) struct Parts {
     pub(super) gcs: Option<Gcs>,
     pub(super) publisher: Publisher<SystemClock>,
     pub(super) counters: Arc<Counters>,
-    pub(super) turns: Arc<Turns>,
+    pub(super) heartbeats: Arc<Heartbeats>,
     pub(super) glance: Arc<LatestStatus>,
-    pub(super) control: AtFast,
-    pub(super) meaning: Arc<Meaning>,
+    pub(super) control: FastLink,
+    pub(super) context: Arc<CalibrationContext>,
     /// Of the recording, if that is the source.
-    pub(super) beginning: Option<Beginning>,
+    pub(super) beginning: Option<RecordingHeader>,
     pub(super) descriptor: watch::Sender<Descriptor>,
-    pub(super) tap: Tap,
+    pub(super) records: RecordSender,
     pub(super) stop: CancellationToken,
 }
 
@@ -99,17 +99,17 @@ async fn fast<S: Source + 'static>(
     source: impl FnOnce() -> io::Result<S>,
 ) -> anyhow::Result<()> {
     let Parts { config, channels, estimation, centering, gcs, mut publisher, .. } = parts;
-    let Parts { counters, turns, glance, control, stop, meaning, tap, .. } = parts;
-    let AtFast { changes, questions, orders } = control;
+    let Parts { counters, heartbeats, glance, control, stop, context, records, .. } = parts;
+    let FastLink { changes, questions, orders } = control;
     let source = source().context("cannot start the source")?;
     let (samples_in, samples) = mpsc::channel(QUEUE);
     let (newest_in, newest) = watch::channel(acquisition::task::Newest::default());
     let (commands_in, commands) = watch::channel(None);
     let (answers_in, answers) = watch::channel(steering::outputs::Answers::default());
     let outputs = || Outputs::new(config.steering.full_scale_um * 1e-6, commands_in, answers);
-    let driver = gcs.map_or_else(|| Stage::Outputs(outputs()), Stage::Gcs);
+    let driver = gcs.map_or_else(|| StageDriver::Outputs(outputs()), StageDriver::Gcs);
     let (state_in, steering) = watch::channel(centering.state());
-    let steering = estimation::loop_liveness::Loop::new(steering, Arc::clone(&turns));
+    let steering = estimation::loop_liveness::Loop::new(steering, Arc::clone(&heartbeats));
     let (poses_in, poses) = watch::channel(None);
     let stop_acquisition = CancellationToken::new();
 
@@ -119,7 +119,7 @@ async fn fast<S: Source + 'static>(
             channels,
             SystemClock,
             Arc::clone(&counters),
-            acquisition::task::Edges {
+            acquisition::task::AcquisitionLinks {
                 samples: samples_in,
                 newest: newest_in,
                 answers: answers_in,
@@ -128,7 +128,7 @@ async fn fast<S: Source + 'static>(
             },
             stop_acquisition.clone(),
         ),
-        &turns,
+        &heartbeats,
         Task::Acquisition,
     );
     let mut centering = spawn(
@@ -137,17 +137,17 @@ async fn fast<S: Source + 'static>(
             driver,
             SystemClock,
             counters,
-            centering::Edges { newest, poses, state: state_in, orders, tap: tap.clone() },
+            centering::CenteringLinks { newest, poses, state: state_in, orders, records: records.clone() },
             stop.clone(),
         ),
-        &turns,
+        &heartbeats,
         Task::Centering,
     );
-    let witness = Witness::new(tap.clone(), meaning);
+    let recorder = EstimationRecorder::new(records.clone(), context);
     let publish = move |report: &PoseReport| {
         let frame = publisher.publish(report);
         let (time, covariance) = (report.time, report.covariance);
-        tap.put(|| Entry::Frame { frame, time, covariance });
+        records.put(|| Entry::Frame { frame, time, covariance });
         glance.at(report);
     };
     let mut estimation = spawn(
@@ -155,9 +155,9 @@ async fn fast<S: Source + 'static>(
             estimation,
             config.acquisition.rate_hz,
             SystemClock,
-            estimation::Edges { samples, questions, steering, newest: poses_in, publish, witness },
+            estimation::EstimationLinks { samples, questions, steering, newest: poses_in, publish, recorder },
         ),
-        &turns,
+        &heartbeats,
         Task::Estimation,
     );
 
@@ -182,30 +182,34 @@ async fn fast<S: Source + 'static>(
 
 /// One task in place of the three: a recording, at the pace at which it was made.
 async fn replayed(parts: Parts) -> anyhow::Result<()> {
-    let Parts { config, estimation, mut publisher, counters, glance, turns, .. } = parts;
+    let Parts { config, estimation, mut publisher, counters, glance, heartbeats, .. } = parts;
     let Parts { control, stop, descriptor, beginning, .. } = parts;
     let beginning = beginning.context("there is no recording")?;
-    let publish = move |told: &replay::teller::Told| {
+    let publish = move |told: &replay::republisher::Republished| {
         publisher.publish_of(&told.report, told.time_ns, told.synced);
         glance.at(&told.report);
     };
-    let means = move |meaning: &Meaning| {
-        let corrected = meaning.tables.0.iter().all(Option::is_some);
-        descriptor.send_modify(|now| (now.config, now.calibrated) = (meaning.id(), corrected));
+    let means = move |context: &CalibrationContext| {
+        let corrected = context.tables.0.iter().all(Option::is_some);
+        descriptor.send_modify(|now| (now.config, now.calibrated) = (context.id(), corrected));
     };
-    let edges = replay::task::Edges { control, publish, means };
+    let edges = replay::task::ReplayLinks { control, publish, means };
     let recording = replay::task::Recording { config: config.replay, beginning, estimation, counters };
     let task = replay::task::run(recording, SystemClock, edges, stop);
     // It does the work of all three.
-    let [acquisition, centering, estimation] = Task::ALL.map(|task| turns.of(task));
+    let [acquisition, centering, estimation] = Task::ALL.map(|task| heartbeats.of(task));
     Box::pin(counted(counted(counted(task, acquisition), centering), estimation)).await;
     Ok(())
 }
 
 /// A task whose turns are counted.
-fn spawn(task: impl Future<Output = ()> + 'static, turns: &Arc<Turns>, name: Task) -> task::JoinHandle<()> {
-    let turns = Arc::clone(turns);
-    task::spawn_local(async move { counted(task, turns.of(name)).await })
+fn spawn(
+    task: impl Future<Output = ()> + 'static,
+    heartbeats: &Arc<Heartbeats>,
+    name: Task,
+) -> task::JoinHandle<()> {
+    let heartbeats = Arc::clone(heartbeats);
+    task::spawn_local(async move { counted(task, heartbeats.of(name)).await })
 }
 
 pub(super) fn fast_end(end: Result<anyhow::Result<()>, oneshot::error::RecvError>) -> anyhow::Result<()> {

@@ -27,23 +27,23 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{Mutex, mpsc, watch};
 use tokio_util::sync::CancellationToken;
 use trifacet_core::estimation::Estimation;
-use trifacet_core::telemetry::heartbeat::Turns;
+use trifacet_core::telemetry::heartbeat::Heartbeats;
 use trifacet_core::telemetry::{Counters, LatestStatus};
 use trifacet_core::time::Clock;
 use trifacet_wire::stream::Descriptor;
 
 use crate::clock::SystemClock;
 use crate::clock::utc::Utc;
-use crate::config::{Config, Meaning};
+use crate::config::{CalibrationContext, Config};
 use crate::control::server::Socket;
-use crate::control::{self, Live};
+use crate::control::{self, RunningConfig};
 use crate::logging::Logging;
 use crate::monitor::page::control::Controls;
 use crate::monitor::view::{self, View};
 use crate::publishing::descriptor::StreamFacts;
-use crate::publishing::{Outlets, Publisher, PublisherSettings, StreamId, subscribe};
+use crate::publishing::{Outlets, Publisher, PublisherSettings, StreamId, subscription_server};
 use crate::recording;
-use crate::replay::Beginning;
+use crate::replay::RecordingHeader;
 use crate::service::Service;
 use crate::steering::gcs;
 
@@ -57,11 +57,11 @@ const TO_MAIN: usize = 16 * 1024;
 pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::Result<()> {
     let started = SystemClock.now();
     let counters = Arc::new(Counters::default());
-    let (turns, glance) = <(Arc<Turns>, Arc<LatestStatus>)>::default();
-    let service = Service::new(&config.realtime, Arc::clone(&turns), Arc::clone(&glance));
-    let (config, meaning, beginning) = &holding(config)?;
-    let channels = config.channels(&meaning.tables)?;
-    let id = StreamId::new(meaning.id());
+    let (heartbeats, glance) = <(Arc<Heartbeats>, Arc<LatestStatus>)>::default();
+    let service = Service::new(&config.realtime, Arc::clone(&heartbeats), Arc::clone(&glance));
+    let (config, context, beginning) = &holding(config)?;
+    let channels = config.channels(&context.tables)?;
+    let id = StreamId::new(context.id());
     let facts = StreamFacts {
         id,
         sample_rate_hz: config.acquisition.rate_hz,
@@ -81,10 +81,11 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let (to_monitor, monitored) = mpsc::channel(TO_MAIN);
     let [server, monitor] = main.block_on(listeners(config))?;
     let (told, config_now) = watch::channel(config.clone());
-    let (tap, recording, recorder) =
+    let (records, recording, recorder) =
         recording::recorder::start(&config.recording, &counters).context("cannot start the recorder")?;
     let udp = config.publishing.udp.clone();
-    let (desk, subscribers) = config.publishing.subscribe.map(subscribe::open).transpose()?.unzip();
+    let (subscription_server, subscribers) =
+        config.publishing.subscribe.map(subscription_server::open).transpose()?.unzip();
     let publisher = Publisher::new(
         PublisherSettings { id, udp },
         SystemClock,
@@ -104,11 +105,11 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         channels,
         publisher,
         counters: Arc::clone(&counters),
-        turns: Arc::clone(&turns),
+        heartbeats: Arc::clone(&heartbeats),
         glance,
         stop: CancellationToken::new(),
-        tap,
-        meaning: Arc::clone(meaning),
+        records,
+        context: Arc::clone(context),
         beginning: beginning.clone(),
         descriptor: descriptor.clone(),
         control: at_fast,
@@ -116,11 +117,11 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     };
     let stop = parts.stop.clone();
     let fast = start(parts)?;
-    let live = Arc::new(Mutex::new(Live {
+    let live = Arc::new(Mutex::new(RunningConfig {
         file: file.map(Path::to_owned),
         running: config.clone(),
         taken: config.clone(),
-        tables: meaning.tables.clone(),
+        tables: context.tables.clone(),
         facts,
         descriptor,
         told,
@@ -128,7 +129,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         steering,
         log: Arc::clone(log),
         counters: Arc::clone(&counters),
-        turns: Arc::clone(&turns),
+        heartbeats: Arc::clone(&heartbeats),
         recording: recording.clone(),
         started,
     }));
@@ -136,8 +137,8 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         counters: Arc::clone(&counters),
         descriptor: descriptor_now.clone(),
         config: config_now,
-        subscribers: desk.as_ref().map(subscribe::Desk::subscribers),
-        turns,
+        subscribers: subscription_server.as_ref().map(subscription_server::SubscriptionServer::subscribers),
+        heartbeats,
         control: Controls::of(&config.monitor, &live),
         recording: recording.state,
     });
@@ -145,7 +146,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         service: &service,
         server: server.map(|listener| Server { listener, frames, descriptor: descriptor_now }),
         monitor: monitor.map(|listener| Monitor { listener, frames: monitored, view }),
-        desk,
+        subscription_server,
         stage: gcs_task,
         session: id.session,
     };
@@ -159,15 +160,15 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
 }
 
 /// The configuration that holds and what poses mean by it; of a recording, what they mean at its beginning.
-fn holding(config: &Config) -> anyhow::Result<(Config, Arc<Meaning>, Option<Beginning>)> {
-    Ok(match Beginning::of_source(config)? {
-        None => (config.clone(), Arc::new(Meaning::read(config.clone())?), None),
-        Some(then) => (then.holding(config), Arc::clone(&then.meaning), Some(then)),
+fn holding(config: &Config) -> anyhow::Result<(Config, Arc<CalibrationContext>, Option<RecordingHeader>)> {
+    Ok(match RecordingHeader::of_source(config)? {
+        None => (config.clone(), Arc::new(CalibrationContext::read(config.clone())?), None),
+        Some(then) => (then.holding(config), Arc::clone(&then.context), Some(then)),
     })
 }
 
 /// What the stream says of itself; also what is replayed, if that is the source.
-fn described(facts: StreamFacts, config: &Config, beginning: Option<&Beginning>) -> Descriptor {
+fn described(facts: StreamFacts, config: &Config, beginning: Option<&RecordingHeader>) -> Descriptor {
     let replay = beginning.map(|then| then.told(&config.replay));
     Descriptor { replay, ..facts.descriptor() }
 }

@@ -16,12 +16,12 @@ use super::fast::{Fast, fast_end};
 use crate::clock::SystemClock;
 use crate::config::Config;
 use crate::control::server::Socket;
-use crate::control::{self, Command, Live};
+use crate::control::{self, Command, RunningConfig};
 use crate::exit::{self, Failure};
 use crate::monitor;
-use crate::monitor::guard::Hosts;
+use crate::monitor::host_filter::Hosts;
 use crate::monitor::view::View;
-use crate::publishing::{subscribe, subscription, tcp};
+use crate::publishing::{subscription, subscription_server, tcp};
 use crate::service::{Notify, Service};
 use crate::steering::gcs;
 
@@ -30,7 +30,7 @@ pub(super) struct Slow<'a> {
     pub(super) service: &'a Service,
     pub(super) server: Option<Server>,
     pub(super) monitor: Option<Monitor>,
-    pub(super) desk: Option<subscribe::Desk>,
+    pub(super) subscription_server: Option<subscription_server::SubscriptionServer>,
     pub(super) stage: Option<gcs::task::Task>,
     pub(super) session: u32,
 }
@@ -64,7 +64,7 @@ pub(super) async fn listeners(config: &Config) -> anyhow::Result<[Option<tokio::
 
 /// Commands and SIGHUP, for ever.
 pub(super) async fn control(
-    live: Arc<Mutex<Live>>,
+    live: Arc<Mutex<RunningConfig>>,
     socket: Option<Socket>,
     mut hangup: Signal,
     notify: &Notify,
@@ -105,7 +105,7 @@ pub(super) fn serve(
     let publishing = &config.publishing;
     let subscriptions =
         subscription::Subscriptions::new(slow.session, publishing.subscribers, publishing.allow.clone());
-    let Slow { service, server, monitor, desk, stage, .. } = slow;
+    let Slow { service, server, monitor, subscription_server, stage, .. } = slow;
     let Fast { thread, mut ended } = fast;
     // A fast thread that does not come back is left behind: its end is that of the process.
     let left_behind = Cell::new(false);
@@ -134,8 +134,10 @@ pub(super) fn serve(
             tokio::join!(serving, monitoring);
         };
         let subscribing = async {
-            match desk {
-                Some(desk) => desk.run(subscriptions, SystemClock, counters, stop.clone()).await,
+            match subscription_server {
+                Some(subscription_server) => {
+                    subscription_server.run(subscriptions, SystemClock, counters, stop.clone()).await
+                }
                 None => std::future::pending().await,
             }
         };

@@ -1,38 +1,38 @@
-//! What may be claimed of the loop: what it said last, for as long as it makes turns.
+//! What may be claimed of the loop: what it said last, for as long as it makes heartbeats.
 
 use std::sync::Arc;
 
 use tokio::sync::watch;
 use trifacet_core::centering::LoopState;
-use trifacet_core::telemetry::heartbeat::{Task, Turns};
+use trifacet_core::telemetry::heartbeat::{Heartbeats, Task};
 
 /// Looks without a turn after which the loop stands still. A look is a
-/// [`HEARTBEAT`](trifacet_core::telemetry::heartbeat::HEARTBEAT) at least, and so long may pass between two turns.
+/// [`HEARTBEAT`](trifacet_core::telemetry::heartbeat::HEARTBEAT) at least, and so long may pass between two heartbeats.
 const LOOKS: u32 = 3;
 
 /// What the loop tells estimation.
 #[derive(Debug)]
 pub struct Loop {
     said: watch::Receiver<LoopState>,
-    turns: Arc<Turns>,
+    heartbeats: Arc<Heartbeats>,
     pulse: Pulse,
 }
 
 impl Loop {
     /// A loop that says this, and makes its turns here.
-    pub fn new(said: watch::Receiver<LoopState>, turns: Arc<Turns>) -> Self {
-        Self { said, turns, pulse: Pulse::default() }
+    pub fn new(said: watch::Receiver<LoopState>, heartbeats: Arc<Heartbeats>) -> Self {
+        Self { said, heartbeats, pulse: Pulse::default() }
     }
 
-    /// Looks whether it makes turns; to be called with every heartbeat.
+    /// Looks whether it makes heartbeats; to be called with every heartbeat.
     pub fn look(&mut self) {
-        self.pulse.look(self.turns.of(Task::Centering).count());
+        self.pulse.look(self.heartbeats.of(Task::Centering).count());
     }
 
     /// What may be claimed of it now.
     pub fn now(&self) -> LoopState {
         let said = *self.said.borrow();
-        if self.pulse.stands_still() { said.unseen() } else { said }
+        if self.pulse.stands_still() { said.without_observation() } else { said }
     }
 }
 
@@ -40,15 +40,15 @@ impl Loop {
 /// still there is one look, and nobody is blamed.
 #[derive(Clone, Copy, Debug, Default)]
 struct Pulse {
-    turns: u64,
+    heartbeats: u64,
     /// Looks since the last new turn.
     silent: u32,
 }
 
 impl Pulse {
-    fn look(&mut self, turns: u64) {
-        self.silent = if turns == self.turns { self.silent.saturating_add(1) } else { 0 };
-        self.turns = turns;
+    fn look(&mut self, heartbeats: u64) {
+        self.silent = if heartbeats == self.heartbeats { self.silent.saturating_add(1) } else { 0 };
+        self.heartbeats = heartbeats;
     }
 
     fn stands_still(self) -> bool {
@@ -65,8 +65,8 @@ mod tests {
     #[test]
     fn who_makes_turns_is_believed() {
         let mut pulse = Pulse::default();
-        for turns in [1, 1, 1, 2, 2, 2, 900] {
-            pulse.look(turns);
+        for heartbeats in [1, 1, 1, 2, 2, 2, 900] {
+            pulse.look(heartbeats);
             assert!(!pulse.stands_still(), "{pulse:?}");
         }
         let still: Vec<_> = (0..4).map(|_| (pulse.look(900), pulse.stands_still()).1).collect();

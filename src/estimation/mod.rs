@@ -15,22 +15,22 @@ use trifacet_optics::Pose;
 use trifacet_wire::Status;
 use trifacet_wire::channel::Role;
 
-use crate::acquisition::task::Acquired;
+use crate::acquisition::task::SampleEvent;
 use crate::estimation::loop_liveness::Loop;
-use crate::recording::Witness;
+use crate::recording::EstimationRecorder;
 
 /// How often silence is reported, at most.
 const SILENCE_HZ: f64 = 100.0;
 /// The shortest silence that counts.
-const PATIENCE: Duration = Duration::from_millis(20);
+const SILENCE_TIMEOUT: Duration = Duration::from_millis(20);
 
 /// The edges of the task.
 #[derive(Debug)]
-pub struct Edges<Publish> {
+pub struct EstimationLinks<Publish> {
     /// Samples in order, from acquisition.
-    pub samples: mpsc::Receiver<Acquired>,
+    pub samples: mpsc::Receiver<SampleEvent>,
     /// Questions from outside of the fast side.
-    pub questions: mpsc::Receiver<Question>,
+    pub questions: mpsc::Receiver<EstimationRequest>,
     /// What the loop does, from centering.
     pub steering: Loop,
     /// The newest report, in the sensor's world, to centering.
@@ -38,12 +38,12 @@ pub struct Edges<Publish> {
     /// Every report, in the user's frame, to publishing.
     pub publish: Publish,
     /// What goes in, for the record.
-    pub witness: Witness,
+    pub recorder: EstimationRecorder,
 }
 
 /// What may be asked.
 #[derive(Debug)]
-pub enum Question {
+pub enum EstimationRequest {
     /// The last report that was published, if there was one.
     Last(oneshot::Sender<Option<PoseReport>>),
     /// The mean of so many poses in the sensor's world, from the next one on; the status of the first
@@ -56,13 +56,14 @@ pub async fn run<C: Clock>(
     mut estimation: Estimation,
     rate_hz: f64,
     clock: C,
-    edges: Edges<impl FnMut(&PoseReport)>,
+    edges: EstimationLinks<impl FnMut(&PoseReport)>,
 ) {
-    let Edges { mut samples, mut questions, mut steering, newest, mut publish, mut witness } = edges;
-    let mut rhythm = Rhythm::new(rate_hz);
+    let EstimationLinks { mut samples, mut questions, mut steering, newest, mut publish, mut recorder } =
+        edges;
+    let mut silence_timer = SilenceTimer::new(rate_hz);
     let mut last = None;
     let mut mean: Option<PoseMean> = None;
-    let mut doubts = Doubts::default();
+    let mut warnings = WarningLatch::default();
     let mut heartbeat = interval(HEARTBEAT);
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay); // one look after the thread has slept
     loop {
@@ -71,50 +72,50 @@ pub async fn run<C: Clock>(
             Some(question) = questions.recv() => {
                 match question {
                     // Who does not wait for the answer any more does not need it.
-                    Question::Last(reply) => drop(reply.send(last)),
-                    Question::Mean(count, reply) => mean = Some(PoseMean::new(count, reply)),
+                    EstimationRequest::Last(reply) => drop(reply.send(last)),
+                    EstimationRequest::Mean(count, reply) => mean = Some(PoseMean::new(count, reply)),
                 }
                 None
             }
             acquired = samples.recv() => match acquired {
                 None => break,
-                Some(Acquired::Up(identity)) => {
-                    rhythm = rhythm.of(&identity);
-                    doubts.source(&identity, estimation.fuses());
+                Some(SampleEvent::Up(identity)) => {
+                    silence_timer = silence_timer.of(&identity);
+                    warnings.source(&identity, estimation.fuses());
                     estimation.source(identity.simulated);
-                    witness.source(identity);
+                    recorder.source(identity);
                     None
                 }
-                Some(Acquired::Sample(sample, scan)) => {
-                    rhythm.heard();
+                Some(SampleEvent::Sample(sample, scan)) => {
+                    silence_timer.heard();
                     let steering = steering.now();
-                    witness.sample(&sample, scan, &steering, estimation.memory());
+                    recorder.sample(&sample, scan, &steering, estimation.memory());
                     estimation.sample(&sample, &steering)
                 }
-                Some(Acquired::Changed(change)) => {
+                Some(SampleEvent::Changed(change)) => {
                     estimation.retune(change.settings);
-                    doubts.fusion(estimation.fuses());
-                    witness.meaning(change.meaning);
+                    warnings.fusion(estimation.fuses());
+                    recorder.context(change.context);
                     let _ = change.done.send(());
                     None
                 }
                 // Said at once, not after the next silence.
-                Some(Acquired::Down(down)) => {
-                    rhythm.silent();
+                Some(SampleEvent::Down(down)) => {
+                    silence_timer.silent();
                     let (now, steering) = (clock.now(), steering.now());
-                    witness.silence(now, &steering, Some(down), estimation.memory());
+                    recorder.silence(now, &steering, Some(down), estimation.memory());
                     Some(estimation.silence(now, &steering))
                 }
             },
-            () = sleep_until(rhythm.next) => {
+            () = sleep_until(silence_timer.next) => {
                 // The whole thread may have slept: what has come in the meantime has its turn first.
                 yield_now().await;
                 if !samples.is_empty() {
                     continue;
                 }
-                rhythm.silent();
+                silence_timer.silent();
                 let (now, steering) = (clock.now(), steering.now());
-                witness.silence(now, &steering, None, estimation.memory());
+                recorder.silence(now, &steering, None, estimation.memory());
                 Some(estimation.silence(now, &steering))
             }
             _ = heartbeat.tick() => {
@@ -124,7 +125,7 @@ pub async fn run<C: Clock>(
         };
         if let Some(mut report) = report {
             report.solved = clock.now();
-            doubts.report(&report);
+            warnings.report(&report);
             let published = estimation.in_user_frame(&report);
             publish(&published);
             last = Some(published);
@@ -136,12 +137,12 @@ pub async fn run<C: Clock>(
 
 /// What the log says of the steering position, once each time.
 #[derive(Default)]
-struct Doubts {
+struct WarningLatch {
     no_readback: bool,
     inconsistent: bool,
 }
 
-impl Doubts {
+impl WarningLatch {
     fn source(&mut self, identity: &Identity, fuses: bool) {
         self.no_readback = ![0, 1].iter().all(|axis| identity.roles.contains(&Role::Steering(*axis)));
         self.fusion(fuses);
@@ -209,20 +210,20 @@ impl PoseMean {
 }
 
 /// When silence is to be reported.
-struct Rhythm {
+struct SilenceTimer {
     patience: Duration,
     repeat: Duration,
     next: Instant,
 }
 
-impl Rhythm {
+impl SilenceTimer {
     fn new(rate_hz: f64) -> Self {
-        let patience = PATIENCE.max(Duration::from_secs_f64(5.0 / rate_hz));
+        let patience = SILENCE_TIMEOUT.max(Duration::from_secs_f64(5.0 / rate_hz));
         let repeat = Duration::from_secs_f64(1.0 / rate_hz.min(SILENCE_HZ));
         Self { patience, repeat, next: Instant::now() + patience }
     }
 
-    /// The rhythm of another source; the silence so far counts.
+    /// The timer for another source; the silence so far counts.
     fn of(&self, identity: &Identity) -> Self {
         Self { next: self.next, ..Self::new(identity.rate_hz) }
     }

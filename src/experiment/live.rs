@@ -5,8 +5,8 @@ use std::time::Duration;
 use tokio::time::timeout;
 use trifacet_wire::{LockState, Status};
 
-use super::look::{Look, Mean, at_rest};
-use super::rest::parted;
+use super::observation::{Mean, Observation, at_rest};
+use super::static_record::parted;
 use super::twin::why_not;
 use crate::client::{Client, ClientError, Endpoint, Message, PoseFrame};
 
@@ -16,7 +16,7 @@ const SILENCE: Duration = Duration::from_secs(3);
 /// is no longer taken for noise.
 const SETTLE_NS: i64 = 600_000_000;
 /// Without a frame that counts for so long, something is to be done about it.
-const PATIENCE_NS: i64 = 5_000_000_000;
+const FRAME_TIMEOUT_NS: i64 = 5_000_000_000;
 
 /// Why there is no reading.
 #[derive(Debug, thiserror::Error)]
@@ -34,14 +34,14 @@ pub enum Trouble {
 
 /// The stream of a daemon.
 #[derive(Debug)]
-pub struct Feed {
+pub struct DaemonStream {
     client: Client,
     endpoint: Endpoint,
     /// Frames a second, once the daemon has told.
     rate_hz: f64,
 }
 
-impl Feed {
+impl DaemonStream {
     /// Connects to a daemon.
     ///
     /// # Errors
@@ -75,8 +75,8 @@ impl Feed {
         &mut self,
         count: u32,
         average: u32,
-        mut taken: impl FnMut(&[Look]) -> Result<(), Trouble>,
-    ) -> Result<Vec<Look>, Trouble> {
+        mut taken: impl FnMut(&[Observation]) -> Result<(), Trouble>,
+    ) -> Result<Vec<Observation>, Trouble> {
         let (mut readings, mut mean) = (Vec::new(), Mean::default());
         let (mut calm_since, mut vain_since, mut config) = (None, None, None);
         while readings.len() < count as usize {
@@ -84,7 +84,7 @@ impl Feed {
             let now = frame.time_ns;
             if let Some(why) = objection(&frame) {
                 (calm_since, mean) = (None, Mean::default());
-                if now - *vain_since.get_or_insert(now) > PATIENCE_NS {
+                if now - *vain_since.get_or_insert(now) > FRAME_TIMEOUT_NS {
                     return Err(Trouble::NoPose(why));
                 }
             } else if now - *calm_since.get_or_insert(now) >= SETTLE_NS {
@@ -113,12 +113,12 @@ impl Feed {
     /// The mirror at rest for so many seconds.
     ///
     /// # Errors
-    /// As [`Feed::readings`]; or there is a hole in the record, or the sensor was tared meanwhile.
-    pub async fn rest(&mut self, seconds: f64) -> Result<Vec<Look>, Trouble> {
+    /// As [`DaemonStream::readings`]; or there is a hole in the record, or the sensor was tared meanwhile.
+    pub async fn rest(&mut self, seconds: f64) -> Result<Vec<Observation>, Trouble> {
         let poses = self.poses(seconds).await?;
         let average = at_rest(poses);
         let period_s = f64::from(average) / self.rate_hz;
-        let follows = |looks: &[Look]| match looks {
+        let follows = |looks: &[Observation]| match looks {
             [.., last, next] => parted(last, next, period_s).map_or(Ok(()), |why| Err(Trouble::Parted(why))),
             _ => Ok(()),
         };
@@ -145,8 +145,8 @@ fn objection(frame: &PoseFrame) -> Option<String> {
     (!counts).then(|| why_not(frame.status, frame.lock))
 }
 
-fn look(frame: &PoseFrame) -> Look {
-    Look {
+fn look(frame: &PoseFrame) -> Observation {
+    Observation {
         time_ns: frame.time_ns,
         pose: frame.pose,
         deviations: frame.deviations,

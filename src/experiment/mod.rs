@@ -1,22 +1,22 @@
 //! The paper's experiment: each axis moved in small intervals, fifty readings at each point, held against a
 //! reference.
 //!
-//! - [`protocol`]: what is measured where. [`amount`], [`reference`](mod@reference): the interferometer.
-//! - [`look`], [`reading`]: what was read, and its file. [`statistics`], [`rest`], [`allan`](mod@allan), [`fit`]: what it says.
+//! - [`protocol`]: what is measured where. [`quantity`], [`reference`](mod@reference): the interferometer.
+//! - [`observation`], [`reading`]: what was read, and its file. [`statistics`], [`static_record`], [`allan`](mod@allan), [`fit`]: what it says.
 //! - [`twin`], [`live`]: where readings come from.
 //! - [`table`], [`report`]: how it is told.
 
 pub mod allan;
-pub mod amount;
+pub mod csv_input;
 pub mod fit;
 pub mod live;
-pub mod look;
+pub mod observation;
 pub mod protocol;
+pub mod quantity;
 pub mod reading;
 pub mod reference;
 pub mod report;
-pub mod rest;
-pub mod sheet;
+pub mod static_record;
 pub mod statistics;
 pub mod table;
 pub mod twin;

@@ -7,8 +7,8 @@ use std::path::Path;
 use trifacet_wire::Status;
 use trifacet_wire::layout::{DEVIATIONS, POSE};
 
-use super::look::Look;
-use super::sheet::{Row, Sheet};
+use super::csv_input::{CsvInput, Row};
+use super::observation::Observation;
 use crate::config::Axis;
 use crate::exit::{self, Failure};
 
@@ -20,17 +20,17 @@ pub enum Part {
     /// The same with what the design reaches beyond the paper.
     Beyond,
     /// The mirror at rest, one reading after the other.
-    Rest,
+    StaticRecord,
 }
 
 impl Part {
-    const ALL: [Part; 3] = [Part::Table2, Part::Beyond, Part::Rest];
+    const ALL: [Part; 3] = [Part::Table2, Part::Beyond, Part::StaticRecord];
 
     fn name(self) -> &'static str {
         match self {
             Part::Table2 => "table2",
             Part::Beyond => "beyond",
-            Part::Rest => "rest",
+            Part::StaticRecord => "rest",
         }
     }
 }
@@ -47,7 +47,7 @@ pub struct Reading {
     /// Counts the readings of a point from 1.
     pub number: u32,
     /// What the sensor says.
-    pub look: Look,
+    pub look: Observation,
 }
 
 /// Readings, where they come from, and how they were taken.
@@ -102,7 +102,7 @@ pub fn write(record: &Record, to: impl Write) -> std::io::Result<()> {
 /// # Errors
 /// What is wrong, with file and line.
 pub fn read(file: &Path) -> Result<Record, Failure> {
-    let mut sheet = Sheet::open(file, &columns())?;
+    let mut sheet = CsvInput::open(file, &columns())?;
     let mut readings = Vec::new();
     let mut seen = HashSet::new();
     while let Some(row) = sheet.next_row()? {
@@ -141,7 +141,7 @@ fn reading(row: &Row) -> Result<Reading, Failure> {
     let part =
         row.parse("part", "table2, beyond or rest", |text| Part::ALL.into_iter().find(|p| p.name() == text))?;
     let moved = match part {
-        Part::Rest => None,
+        Part::StaticRecord => None,
         _ => Some((axis(row)?, row.number("reference_si")?)),
     };
     let six = |names: &[&str; 6]| -> Result<[f64; 6], Failure> {
@@ -167,7 +167,7 @@ fn reading(row: &Row) -> Result<Reading, Failure> {
         moved,
         point: row.count("point")?,
         number: row.count("reading")?,
-        look: Look {
+        look: Observation {
             time_ns: row.count("time_ns")?,
             pose: six(&POSE)?,
             deviations,
@@ -188,17 +188,18 @@ pub(super) fn axis(row: &Row) -> Result<Axis, Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::look::tests::look;
+    use crate::experiment::observation::tests::look;
 
     #[test]
     fn what_is_written_is_read_again() {
         let moved = Some((Axis::Pitch, -1.0 / 3.0e6));
         let status = Status::POSE_VALID | Status::SIMULATED;
-        let one = Look { status, pose: [1.0 / 3.0, -2.0 / 3.0e7, 0.0, 1e-9, 5.0, 6.0], ..look(-5, 0.0) };
+        let one =
+            Observation { status, pose: [1.0 / 3.0, -2.0 / 3.0e7, 0.0, 1e-9, 5.0, 6.0], ..look(-5, 0.0) };
         let readings = vec![
             Reading { part: Part::Table2, moved, point: 2, number: 50, look: one },
             Reading { part: Part::Beyond, moved, point: 3, number: 1, look: look(7, 1e-6) },
-            Reading { part: Part::Rest, moved: None, point: 0, number: 9, look: look(8, 2e-6) },
+            Reading { part: Part::StaticRecord, moved: None, point: 0, number: 9, look: look(8, 2e-6) },
         ];
         let file = tempfile::NamedTempFile::new().unwrap();
         let record = Record { source: "tcp://lab:7361".into(), options: "50 readings".into(), readings };

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::amount;
+use super::csv_input::CsvInput;
 use super::protocol::Course;
+use super::quantity;
 use super::reading::axis;
-use super::sheet::Sheet;
 use crate::config::Axis;
 use crate::exit::{self, Failure};
 
@@ -18,12 +18,12 @@ pub const COLUMNS: [&str; 4] = ["axis", "unit", "point", "reference"];
 /// # Errors
 /// What is wrong, with file and line.
 pub fn read(file: &Path) -> Result<Vec<Course>, Failure> {
-    let mut sheet = Sheet::open(file, &COLUMNS)?;
+    let mut sheet = CsvInput::open(file, &COLUMNS)?;
     let mut found: BTreeMap<(usize, u32), f64> = BTreeMap::new();
     while let Some(row) = sheet.next_row()? {
         let axis = axis(&row)?;
-        let allowed = format!("one of {} for {}", amount::allowed(axis), axis.name());
-        let si = row.parse("unit", &allowed, |name| amount::unit(axis, name))?;
+        let allowed = format!("one of {} for {}", quantity::allowed(axis), axis.name());
+        let si = row.parse("unit", &allowed, |name| quantity::unit(axis, name))?;
         let point: u32 = row.parse("point", "1, 2, 3, ...", |text| text.parse().ok().filter(|n| *n > 0))?;
         let reference = row.number("reference")? * si;
         if found.insert((axis as usize, point), reference).is_some() {

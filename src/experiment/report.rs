@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use trifacet_wire::Status;
 
 use super::reading::{Part, Reading};
-use super::rest::Rest;
+use super::static_record::StaticRecord;
 use super::statistics::{Measured, measured};
 use crate::exit::{self, Failure};
 
@@ -30,7 +30,7 @@ pub struct Report {
     /// The same beyond the paper; empty where that was not measured.
     pub beyond: Vec<Measured>,
     /// The record at rest, if there is one.
-    pub rest: Option<Rest>,
+    pub rest: Option<StaticRecord>,
     /// The light was computed by a twin.
     pub simulated: bool,
     /// Every status bit of any reading.
@@ -58,7 +58,7 @@ impl Report {
             source,
             table2,
             beyond: measured(readings, Part::Beyond)?,
-            rest: Rest::of(readings)?,
+            rest: StaticRecord::of(readings)?,
             simulated: status.has(Status::SIMULATED),
             status,
             time_ns: [times().min().unwrap_or(0), times().max().unwrap_or(0)],
@@ -123,8 +123,8 @@ fn bound(all: &[Measured]) -> Value {
     })
 }
 
-fn at_rest(rest: &Rest) -> Value {
-    let axis = |(axis, still): (crate::config::Axis, &super::rest::Still)| {
+fn at_rest(rest: &StaticRecord) -> Value {
+    let axis = |(axis, still): (crate::config::Axis, &super::static_record::Still)| {
         json!({
             "name": axis.name(),
             "unit": unit(axis.is_turn()),

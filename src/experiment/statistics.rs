@@ -164,7 +164,7 @@ mod tests {
     use trifacet_wire::Status;
 
     use super::*;
-    use crate::experiment::look::Look;
+    use crate::experiment::observation::Observation;
 
     /// Readings about a line of slope 1.1 with an offset, and with yaw a tenth of tx.
     fn line(points: u32, readings: u32) -> Vec<Reading> {
@@ -172,7 +172,7 @@ mod tests {
             let x = f64::from(point) * 2e-6;
             let swing = if number.is_multiple_of(2) { 1e-7 } else { -1e-7 };
             let pose = [1.1 * x + 5e-6 + swing, 0.0, 0.0, 0.0, 0.0, -0.1 * x];
-            let look = Look {
+            let look = Observation {
                 time_ns: 0,
                 pose,
                 deviations: [1e-7; 6],

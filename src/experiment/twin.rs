@@ -5,22 +5,22 @@ use trifacet_core::estimation::PoseReport;
 use trifacet_optics::Pose;
 use trifacet_wire::{LockState, Status};
 
-use super::look::{Look, Mean, at_rest};
+use super::observation::{Mean, Observation, at_rest};
 use super::protocol::Protocol;
 use super::reading::{Part, Reading};
-use super::{place, rest};
+use super::{place, static_record};
+use crate::closed_loop_sim::ClosedLoopSim;
 use crate::config::{Axis, Config, FramesConfig};
 use crate::exit::{self, Failure};
-use crate::rig::Rig;
 
 /// Without a pose that counts for so long, seconds of the twin, there will be none.
-const PATIENCE_S: f64 = 5.0;
+const POSE_TIMEOUT_S: f64 = 5.0;
 /// Samples that the mirror takes from point to point: a jump would be taken for noise, as that of a stage is not.
 const WAY: u32 = 64;
 
 /// The paper's bench, as a twin.
 pub struct Bench {
-    rig: Rig,
+    rig: ClosedLoopSim,
     /// Where the mirror stands, metres and radians.
     at: [f64; 6],
     /// Samples for which poses must count, one after the other, before one is taken.
@@ -53,13 +53,13 @@ impl Bench {
     /// What would keep the daemon from starting.
     pub fn new(config: &Config) -> Result<Self, Failure> {
         let config = Config { frames: FramesConfig::default(), ..config.clone() };
-        let mut rig = Rig::new(&config)?;
+        let mut rig = ClosedLoopSim::new(&config)?;
         rig.place(Pose::default());
         let rate_hz = config.acquisition.rate_hz;
         let average = u32::from(config.estimation.average);
         // What was begun before the mirror moved does not count, nor how the loop comes after it.
         let settle = (config.centering.lock_time_ms * 1e-3 * rate_hz).ceil() as u64 + u64::from(average);
-        let patience = (PATIENCE_S * rate_hz).ceil() as u64 + 2 * settle;
+        let patience = (POSE_TIMEOUT_S * rate_hz).ceil() as u64 + 2 * settle;
         Ok(Self { rig, at: [0.0; 6], settle, calm: 0, patience, rate_hz, average, why: String::new() })
     }
 
@@ -105,17 +105,17 @@ impl Bench {
         let mut readings = Vec::new();
         let period_s = f64::from(self.average) / self.rate_hz;
         let failed = |why| Failure::new(exit::UNAVAILABLE, format!("at rest: {why}; --rest 0 does without"));
-        let mut last: Option<Look> = None;
+        let mut last: Option<Observation> = None;
         for _ in 0..poses {
             let look = self.look().map_err(failed)?;
-            if let Some(why) = last.and_then(|last| rest::parted(&last, &look, period_s)) {
+            if let Some(why) = last.and_then(|last| static_record::parted(&last, &look, period_s)) {
                 let at_s = look.time_ns as f64 * 1e-9;
                 return Err(failed(format!("{why}, at {at_s:.3} s; before: {}", self.why)));
             }
             last = Some(look);
             if let Some(look) = mean.push(&look, of) {
                 let number = readings.len() as u32 + 1;
-                readings.push(Reading { part: Part::Rest, moved: None, point: 0, number, look });
+                readings.push(Reading { part: Part::StaticRecord, moved: None, point: 0, number, look });
             }
         }
         Ok(readings)
@@ -135,7 +135,7 @@ impl Bench {
     }
 
     /// The next pose that counts: valid and locked, as were those before it since the mirror settled.
-    fn look(&mut self) -> Result<Look, String> {
+    fn look(&mut self) -> Result<Observation, String> {
         for _ in 0..self.patience {
             let Some(report) = self.rig.turn().report else { continue };
             match look(&report) {
@@ -148,19 +148,19 @@ impl Bench {
                 Err(why) => (self.calm, self.why) = (0, why),
             }
         }
-        Err(format!("no pose to count on for {PATIENCE_S} s: {}", self.why))
+        Err(format!("no pose to count on for {POSE_TIMEOUT_S} s: {}", self.why))
     }
 }
 
 /// A report as a look, or why it does not count.
-fn look(report: &PoseReport) -> Result<Look, String> {
+fn look(report: &PoseReport) -> Result<Observation, String> {
     let (Some(pose), Some(covariance)) = (report.pose, report.covariance) else {
         return Err(why_not(report.status, report.lock));
     };
     if report.lock != LockState::Locked {
         return Err(why_not(report.status, report.lock));
     }
-    Ok(Look {
+    Ok(Observation {
         time_ns: report.time.0,
         pose: pose.to_array(),
         deviations: std::array::from_fn(|i| covariance[(i, i)].sqrt() as f32),

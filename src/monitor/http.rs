@@ -24,7 +24,7 @@ use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 use trifacet_wire::PoseFrame;
 
-use super::guard::Hosts;
+use super::host_filter::Hosts;
 use super::page;
 use super::view::View;
 use crate::exit::Failure;
@@ -32,7 +32,7 @@ use crate::exit::Failure;
 /// Most connections at a time; further ones are cut off.
 const CONNECTIONS: usize = 128;
 /// A connection that has not said what it wants for this long is closed.
-const PATIENCE: Duration = Duration::from_secs(30);
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(30);
 /// One that takes nothing of its answer for this long is cut off.
 const STALL_MS: u32 = 10_000;
 /// At the end: how long answers that are under way may take.
@@ -124,7 +124,7 @@ impl Server {
             let (view, hosts, router) = (Arc::clone(&self.view), self.hosts.clone(), self.router.clone());
             self.open.spawn(talk(stream, peer, view, hosts, router));
         } else {
-            self.view.sources.counters.monitor_refused.one();
+            self.view.sources.counters.monitor_refused.inc();
             tracing::warn!("monitor: refused a connection, {CONNECTIONS} are open already");
         }
     }
@@ -139,7 +139,7 @@ async fn talk(stream: TcpStream, peer: SocketAddr, view: Arc<View>, hosts: Hosts
     let router = TowerToHyperService::new(router);
     let service = service_fn(|mut request: Request<Incoming>| {
         let refusal = hosts.refusal(request.uri(), request.headers(), own.ip()).map(|(code, why)| {
-            view.sources.counters.monitor_forbidden.one();
+            view.sources.counters.monitor_forbidden.inc();
             match request.uri().path() {
                 "/control" => page::control::refusal(code, why.trim_end()),
                 _ => (code, why).into_response(),
@@ -156,7 +156,7 @@ async fn talk(stream: TcpStream, peer: SocketAddr, view: Arc<View>, hosts: Hosts
     });
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
-        .header_read_timeout(PATIENCE)
+        .header_read_timeout(REQUEST_TIMEOUT)
         .serve_connection(TokioIo::new(stream), service)
         .with_upgrades();
     let mut connection = std::pin::pin!(connection);

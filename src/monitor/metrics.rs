@@ -38,15 +38,15 @@ impl Collector for View {
         let mut page = Page(encoder);
         page.daemon(self)?;
         page.clients(self)?;
-        for ((name, count), meaning) in self.sources.counters.list().into_iter().zip(Counters::MEANINGS) {
-            page.put(name, meaning.trim_end_matches('.'), &ConstCounter::new(count))?;
+        for ((name, count), context) in self.sources.counters.list().into_iter().zip(Counters::MEANINGS) {
+            page.put(name, context.trim_end_matches('.'), &ConstCounter::new(count))?;
         }
         page.state(self)?;
         page.recording(self)?;
-        let books = self.books();
-        page.frames(&books.tally)?;
-        page.second(&books.tally.second)?;
-        let trend = books.tally.trend.per_second();
+        let aggregates = self.aggregates();
+        page.frames(&aggregates.tally)?;
+        page.second(&aggregates.tally.second)?;
+        let trend = aggregates.tally.trend.per_second();
         page.known(
             "power_trend_watts_per_second",
             "Slope of the total power over the last ten minutes",

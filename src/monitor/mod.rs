@@ -4,10 +4,10 @@
 //! - [`health`], [`tally`], [`trend`]: what becomes of every frame. Pure.
 //! - [`metrics`]: all that as Prometheus reads it.
 //! - [`page`]: the live page.
-//! - [`http`]: the server. [`guard`]: which requests are meant for it.
+//! - [`http`]: the server. [`host_filter`]: which requests are meant for it.
 
-pub mod guard;
 pub mod health;
+pub mod host_filter;
 pub mod http;
 pub mod metrics;
 pub mod page;

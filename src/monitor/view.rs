@@ -9,7 +9,7 @@ use tokio::sync::{Semaphore, broadcast, mpsc, watch};
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 use trifacet_core::telemetry::Counters;
-use trifacet_core::telemetry::heartbeat::{Task, Turns};
+use trifacet_core::telemetry::heartbeat::{Heartbeats, Task};
 use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::PoseFrame;
 use trifacet_wire::stream::Descriptor;
@@ -17,7 +17,7 @@ use trifacet_wire::stream::Descriptor;
 use super::health::{Checks, Readiness, Standstill};
 use super::page::bins::History;
 use super::page::control::Controls;
-use super::page::gathered::Gathered;
+use super::page::state::PageState;
 use super::tally::Tally;
 use crate::clock::SystemClock;
 use crate::config::Config;
@@ -51,7 +51,7 @@ pub struct Sources {
     /// Who subscribes to datagrams at present, if anyone may.
     pub subscribers: Option<watch::Receiver<Arc<[Subscriber]>>>,
     /// Signs of life of the fast side's tasks.
-    pub turns: Arc<Turns>,
+    pub heartbeats: Arc<Heartbeats>,
     /// What the recorder does.
     pub recording: Arc<State>,
     /// How the page steers, if it may.
@@ -66,7 +66,7 @@ pub struct View {
     /// Cancelled when the daemon ends: whoever still sends says goodbye.
     pub ending: CancellationToken,
     newest: watch::Sender<Option<Newest>>,
-    books: Mutex<Books>,
+    aggregates: Mutex<Aggregates>,
     /// The page, once for all viewers.
     updates: broadcast::Sender<Utf8Bytes>,
     pub(super) seats: Arc<Semaphore>,
@@ -74,7 +74,7 @@ pub struct View {
 
 /// What is kept of every frame.
 #[derive(Debug)]
-pub(super) struct Books {
+pub(super) struct Aggregates {
     /// When frames were last looked for.
     looked: Mono,
     /// The newest frame, or the start, was seen then.
@@ -83,7 +83,7 @@ pub(super) struct Books {
     stalled_ns: Option<i64>,
     pub(super) checks: Checks,
     pub(super) tally: Tally,
-    page: Gathered,
+    page: PageState,
 }
 
 /// The newest frame.
@@ -99,13 +99,13 @@ impl View {
     /// A view of a daemon that has not made a frame yet.
     pub fn new(sources: Sources) -> Self {
         let now = SystemClock.now();
-        let (checks, tally, page) = (Checks::default(), Tally::new(now), Gathered::default());
-        let books = Books { looked: now, heard: now, stalled_ns: None, checks, tally, page };
+        let (checks, tally, page) = (Checks::default(), Tally::new(now), PageState::default());
+        let aggregates = Aggregates { looked: now, heard: now, stalled_ns: None, checks, tally, page };
         Self {
             sources,
             ending: CancellationToken::new(),
             newest: watch::channel(None).0,
-            books: books.into(),
+            aggregates: aggregates.into(),
             updates: broadcast::channel(BEHIND).0,
             seats: Arc::new(Semaphore::new(VIEWERS)),
         }
@@ -124,7 +124,7 @@ impl View {
 
     /// The past of the axes, up to the newest update.
     pub(super) fn history(&self, span_s: u32) -> History {
-        self.books().page.history(span_s)
+        self.aggregates().page.history(span_s)
     }
 
     /// How many have the page open.
@@ -139,20 +139,20 @@ impl View {
             let told = self.sources.descriptor.borrow();
             1.0 / (told.rate_hz * told.replay.as_ref().map_or(1.0, |replay| replay.speed))
         };
-        let books = self.books();
-        let held_up_s = SystemClock.now().seconds_since(books.looked);
-        let silent_s = books.looked.seconds_since(books.heard);
+        let aggregates = self.aggregates();
+        let held_up_s = SystemClock.now().seconds_since(aggregates.looked);
+        let silent_s = aggregates.looked.seconds_since(aggregates.heard);
         if held_up_s > STANDSTILL_S {
             let why = format!("the main side was held up for {held_up_s:.1} s");
             return Some(Standstill { why, since_ns: newest_ns, silent: true });
         }
         let silent = (silent_s > STANDSTILL_S.max(3.0 * period_s))
             .then(|| format!("the fast side has made no frame for {silent_s:.1} s"));
-        let names: Vec<_> = self.sources.turns.stalled().into_iter().map(Task::name).collect();
+        let names: Vec<_> = self.sources.heartbeats.stalled().into_iter().map(Task::name).collect();
         let stalled = (!names.is_empty()).then(|| format!("task {} stands still", names.join(", ")));
         let parts: Vec<_> = stalled.into_iter().chain(silent).collect();
         let silent = newest_ns.is_none() || silent_s > YOUNG_S.max(3.0 * period_s);
-        let since_ns = books.stalled_ns.filter(|_| !silent).or(newest_ns);
+        let since_ns = aggregates.stalled_ns.filter(|_| !silent).or(newest_ns);
         (!parts.is_empty()).then(|| Standstill { why: parts.join(", "), since_ns, silent })
     }
 
@@ -160,12 +160,12 @@ impl View {
     pub fn readiness(&self) -> Readiness {
         let dead = self.dead();
         let newest = self.newest.borrow().map(|newest| newest.frame);
-        self.books().checks.readiness(newest.as_ref(), dead.as_ref())
+        self.aggregates().checks.readiness(newest.as_ref(), dead.as_ref())
     }
 
     /// Nothing can panic while they are open, so they are never torn.
-    pub(super) fn books(&self) -> MutexGuard<'_, Books> {
-        self.books.lock().unwrap_or_else(PoisonError::into_inner)
+    pub(super) fn aggregates(&self) -> MutexGuard<'_, Aggregates> {
+        self.aggregates.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Takes frames until none can come any more.
@@ -194,30 +194,31 @@ impl View {
     fn update(&self) {
         let (dead, ready) = (self.dead(), self.readiness());
         let newest = self.newest.borrow().map(|newest| newest.frame);
-        let update = self.books().page.update(newest.as_ref(), dead, ready, &self.sources.counters);
-        self.sources.counters.page_updates.one();
+        let update = self.aggregates().page.update(newest.as_ref(), dead, ready, &self.sources.counters);
+        self.sources.counters.page_updates.inc();
         // Fails if the last viewer has just gone, which is no loss.
         let _ = self.updates.send(serde_json::json!({ "update": update }).to_string().into());
     }
 
-    /// Enters frames into the books.
+    /// Enters frames into the aggregates.
     fn enter(&self, batch: &[PoseFrame]) {
         let half_m = self.sources.config.borrow().head.psd_size_mm * 0.5e-3;
         let rate_hz = self.sources.descriptor.borrow().rate_hz;
-        let stalled = !self.sources.turns.stalled().is_empty();
-        let mut books = self.books();
-        books.looked = SystemClock.now();
-        books.page.frames(batch, rate_hz, self.updates.receiver_count() > 0);
+        let stalled = !self.sources.heartbeats.stalled().is_empty();
+        let mut aggregates = self.aggregates();
+        aggregates.looked = SystemClock.now();
+        aggregates.page.frames(batch, rate_hz, self.updates.receiver_count() > 0);
         for frame in batch {
-            books.checks.frame(frame);
-            books.tally.frame(frame, half_m);
+            aggregates.checks.frame(frame);
+            aggregates.tally.frame(frame, half_m);
         }
         if !batch.is_empty() {
-            books.heard = books.looked;
+            aggregates.heard = aggregates.looked;
         }
-        books.stalled_ns = books.stalled_ns.or(batch.last().map(|frame| frame.time_ns)).filter(|_| stalled);
-        let now = books.looked;
-        books.tally.tick(now);
+        aggregates.stalled_ns =
+            aggregates.stalled_ns.or(batch.last().map(|frame| frame.time_ns)).filter(|_| stalled);
+        let now = aggregates.looked;
+        aggregates.tally.tick(now);
     }
 }
 

@@ -4,8 +4,8 @@
 //! - [`message`]: how messages follow each other on TCP, and how a reader finds them again after damage.
 //! - [`descriptor`]: what the daemon says of itself in JSON: descriptor, heartbeat, answer, refusal.
 //! - [`publisher`]: the fast side: makes every frame; [`target`] sends the datagrams ([`endian`]: in network order).
-//! - [`subscription`]: who leases datagrams and until when; [`subscribe`] is the task.
-//! - [`tcp`]: the slow side: the TCP server. [`request`] is what its clients say, [`form`] the shape of what
+//! - [`subscription`]: who leases datagrams and until when; [`subscription_server`] is the task.
+//! - [`tcp`]: the slow side: the TCP server. [`request`] is what its clients say, [`encoding`] the shape of what
 //!   they get, [`query`] the answers in one line; [`held`] keeps the last pose for those who ask for it.
 //! - [`client`]: reads all this back; [`columns`] names what is in a frame for JSON and CSV.
 //!
@@ -14,11 +14,11 @@
 pub mod client;
 pub mod columns;
 pub mod descriptor;
-pub mod form;
+pub mod encoding;
 pub mod publisher;
 pub mod query;
-pub mod subscribe;
 pub mod subscription;
+pub mod subscription_server;
 pub mod target;
 pub mod tcp;
 

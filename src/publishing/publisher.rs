@@ -47,7 +47,7 @@ pub struct PublisherSettings {
 /// Where frames go besides the fixed targets. What is none, is switched off.
 #[derive(Debug, Default)]
 pub struct Outlets {
-    /// Those of [`super::subscribe`].
+    /// Those of [`super::subscription_server`].
     pub subscribers: Option<Subscribers>,
     /// To [`super::tcp::serve`].
     pub tcp: Option<mpsc::Sender<PoseFrame>>,
@@ -104,9 +104,9 @@ impl<C: Clock> Publisher<C> {
         let mut frame = report.frame(stamp);
         frame.status.set(Status::RECORDING_FAULT, self.recording_fault.load(Ordering::Relaxed));
         self.sequence += 1;
-        self.counters.frames.one();
+        self.counters.frames.inc();
         if frame.pose[0].is_nan() {
-            self.counters.frames_invalid.one();
+            self.counters.frames_invalid.inc();
         }
         self.targets.send(&frame, &self.counters);
         hand_on(frame, self.tcp.as_ref(), &self.counters.tcp_overflows);
@@ -120,7 +120,7 @@ fn hand_on(frame: PoseFrame, to: Option<&mpsc::Sender<PoseFrame>>, overflows: &C
     if let Some(to) = to
         && let Err(TrySendError::Full(_)) = to.try_send(frame)
     {
-        overflows.one();
+        overflows.inc();
     }
 }
 

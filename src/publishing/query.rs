@@ -6,32 +6,32 @@ use trifacet_wire::layout::POSE;
 use trifacet_wire::stream::Descriptor;
 use trifacet_wire::{PoseFrame, Status};
 
-use super::form::Issue;
+use super::encoding::EncodedFrame;
 
 /// A pose older than this, and than three frames, is not given out as valid: the daemon itself is stuck.
 const STALE_S: f64 = 1.0;
 
 /// The newest pose: `pose?`.
-pub fn pose(issue: &Issue, frames_hz: f64) -> String {
-    let frame = issue.frame();
-    let valid = valid(issue, frames_hz);
+pub fn pose(frame_once: &EncodedFrame, frames_hz: f64) -> String {
+    let frame = frame_once.frame();
+    let valid = valid(frame_once, frames_hz);
     let mut line = format!("valid={}", u8::from(valid));
     for (name, x) in POSE.iter().zip(frame.pose) {
         // Seventeen digits give the same number back.
         let _ = if valid { write!(line, " {name}={x:.16e}") } else { write!(line, " {name}=nan") };
     }
-    line + &state(frame, issue.age_s())
+    line + &state(frame, frame_once.age_s())
 }
 
 /// The newest state: `status?`.
-pub fn status(issue: &Issue, frames_hz: f64) -> String {
-    let frame = issue.frame();
+pub fn status(frame_once: &EncodedFrame, frames_hz: f64) -> String {
+    let frame = frame_once.frame();
     let names: Vec<_> = frame.status.names().collect();
     let names = if names.is_empty() { "none".into() } else { names.join(",") };
     format!(
         "valid={}{} bits={names} session=0x{:08x} config=0x{:08x} rate_hz={frames_hz}",
-        u8::from(valid(issue, frames_hz)),
-        state(frame, issue.age_s()),
+        u8::from(valid(frame_once, frames_hz)),
+        state(frame, frame_once.age_s()),
         frame.session,
         frame.config
     )
@@ -42,8 +42,8 @@ pub fn descriptor(descriptor: &Descriptor) -> serde_json::Result<Vec<u8>> {
     Ok(format!("{{\"descriptor\":{}}}\n", serde_json::to_string(descriptor)?).into_bytes())
 }
 
-fn valid(issue: &Issue, frames_hz: f64) -> bool {
-    issue.frame().status.has(Status::POSE_VALID) && issue.age_s() <= STALE_S.max(3.0 / frames_hz)
+fn valid(frame_once: &EncodedFrame, frames_hz: f64) -> bool {
+    frame_once.frame().status.has(Status::POSE_VALID) && frame_once.age_s() <= STALE_S.max(3.0 / frames_hz)
 }
 
 fn state(frame: &PoseFrame, age_s: f64) -> String {

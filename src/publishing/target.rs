@@ -173,7 +173,7 @@ impl Link {
             Err(e) => Some(e),
         };
         if failure.is_some() {
-            counters.udp_dropped.one();
+            counters.udp_dropped.inc();
         }
         match (self.failing, failure) {
             (false, Some(e)) => {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use byteorder::LittleEndian;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use trifacet_core::estimation::Memory;
+use trifacet_core::estimation::EstimatorState;
 use trifacet_core::signals::{Identity, Scan};
 use trifacet_core::time::Mono;
 use trifacet_core::utc::Reading;
@@ -14,7 +14,7 @@ use trifacet_wire::Status;
 
 use super::message::{self, Time, Unknown};
 use super::{Entry, Keyframe, Topic};
-use crate::config::{ConfigError, Meaning, Tables, parse};
+use crate::config::{CalibrationContext, ConfigError, Tables, parse};
 
 /// The version of this program: the state of another one may have another form.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -91,7 +91,7 @@ pub struct Encoder {
     offset_ns: i64,
     /// The last moment that was told.
     latest: Mono,
-    meaning: Option<Arc<Meaning>>,
+    context: Option<Arc<CalibrationContext>>,
     source: Option<Arc<Identity>>,
     /// Keyframes since those were forgotten.
     keyframes: u32,
@@ -102,7 +102,7 @@ impl Encoder {
     /// An encoder that knows the time by both clocks, until frames tell it better.
     pub fn new((latest, utc_ns): Reading) -> Self {
         let offset_ns = utc_ns - latest.0;
-        Self { offset_ns, latest, meaning: None, source: None, keyframes: 0, bytes: Vec::new() }
+        Self { offset_ns, latest, context: None, source: None, keyframes: 0, bytes: Vec::new() }
     }
 
     /// The time by both clocks, for entries that come before the frame that tells it.
@@ -112,7 +112,7 @@ impl Encoder {
 
     /// A new file begins: configuration and source are written again.
     pub fn restart(&mut self) {
-        (self.meaning, self.source, self.keyframes) = (None, None, 0);
+        (self.context, self.source, self.keyframes) = (None, None, 0);
     }
 
     /// UTC of the last moment that was told, nanoseconds since 1970.
@@ -180,11 +180,11 @@ impl Encoder {
             self.restart();
         }
         self.keyframes += 1;
-        let Keyframe { meaning, source, last, memory } = keyframe;
+        let Keyframe { context, source, last, memory } = keyframe;
         let stamp = last.map_or(Time::new(self.now_ns()), |last| self.at(last.time));
-        if self.meaning.as_ref().is_none_or(|known| !Arc::ptr_eq(known, meaning)) {
-            self.put(Topic::Config, &config(stamp, meaning).map_err(EncodeError::from)?, &mut *put)?;
-            self.meaning = Some(Arc::clone(meaning));
+        if self.context.as_ref().is_none_or(|known| !Arc::ptr_eq(known, context)) {
+            self.put(Topic::Config, &config(stamp, context).map_err(EncodeError::from)?, &mut *put)?;
+            self.context = Some(Arc::clone(context));
         }
         if let Some(source) = source
             && self.source.as_ref().is_none_or(|known| !Arc::ptr_eq(known, source))
@@ -218,13 +218,13 @@ impl Encoder {
     }
 }
 
-fn config(stamp: Time, meaning: &Meaning) -> Result<message::Config, toml::ser::Error> {
-    let [a, b, c] = meaning.tables.0.clone().map(Option::unwrap_or_default);
+fn config(stamp: Time, context: &CalibrationContext) -> Result<message::Config, toml::ser::Error> {
+    let [a, b, c] = context.tables.0.clone().map(Option::unwrap_or_default);
     Ok(message::Config {
         stamp,
         version: VERSION.to_owned(),
-        id: meaning.id(),
-        toml: meaning.config.to_text()?,
+        id: context.id(),
+        toml: context.config.to_text()?,
         tables: (a, b, c),
     })
 }
@@ -232,14 +232,14 @@ fn config(stamp: Time, meaning: &Meaning) -> Result<message::Config, toml::ser::
 /// Turns messages into entries, in the order of the file.
 #[derive(Clone, Debug, Default)]
 pub struct Decoder {
-    meaning: Option<Arc<Meaning>>,
+    context: Option<Arc<CalibrationContext>>,
     source: Option<Arc<Identity>>,
 }
 
 impl Decoder {
     /// The last configuration that was read.
-    pub fn meaning(&self) -> Option<&Arc<Meaning>> {
-        self.meaning.as_ref()
+    pub fn context(&self) -> Option<&Arc<CalibrationContext>> {
+        self.context.as_ref()
     }
 
     /// The last source that was read.
@@ -281,8 +281,8 @@ impl Decoder {
                 Some(Entry::Lock { time, before, after, cause: Cow::Owned(cause) })
             }
             Topic::Config => {
-                self.meaning = None;
-                self.meaning = Some(Arc::new(meaning(read(topic, data)?)?));
+                self.context = None;
+                self.context = Some(Arc::new(context(read(topic, data)?)?));
                 None
             }
             Topic::Source => {
@@ -294,22 +294,22 @@ impl Decoder {
     }
 
     fn keyframe(&self, message: message::Keyframe) -> Result<Keyframe, DecodeError> {
-        let meaning = self.meaning.clone().ok_or(DecodeError::Order)?;
+        let context = self.context.clone().ok_or(DecodeError::Order)?;
         let source = self.source.clone().filter(|_| message.source);
         if message.version != VERSION {
             return Err(DecodeError::Version(message.version));
         }
-        let (last, memory): (Option<Scan>, Memory) =
+        let (last, memory): (Option<Scan>, EstimatorState) =
             postcard::from_bytes(&message.state).map_err(DecodeError::State)?;
-        Ok(Keyframe { meaning, source, last, memory })
+        Ok(Keyframe { context, source, last, memory })
     }
 }
 
-fn meaning(message: message::Config) -> Result<Meaning, DecodeError> {
+fn context(message: message::Config) -> Result<CalibrationContext, DecodeError> {
     let config = parse(&message.toml, None).map_err(DecodeError::Config)?;
     let (a, b, c) = message.tables;
     let tables = Tables([a, b, c].map(|table| (!table.is_empty()).then_some(table)));
-    Ok(Meaning { config, tables })
+    Ok(CalibrationContext { config, tables })
 }
 
 /// The message in these bytes.

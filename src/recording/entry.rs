@@ -7,13 +7,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use nalgebra::Matrix6;
 use tokio::sync::mpsc;
 use trifacet_core::centering::LoopState;
-use trifacet_core::estimation::Memory;
+use trifacet_core::estimation::EstimatorState;
 use trifacet_core::signals::{Identity, Sample, Scan};
 use trifacet_core::telemetry::Counters;
 use trifacet_core::time::Mono;
 use trifacet_wire::{LockState, PoseFrame};
 
-use crate::config::Meaning;
+use crate::config::CalibrationContext;
 
 /// Entries that may wait for the recorder, which may wait for a disk: 6 s at 10 kHz. Takes memory only
 /// while they wait.
@@ -81,31 +81,31 @@ impl Entry {
 #[derive(Clone, Debug)]
 pub struct Keyframe {
     /// Configuration and correction tables in force.
-    pub meaning: Arc<Meaning>,
+    pub context: Arc<CalibrationContext>,
     /// The source, if one has come up.
     pub source: Option<Arc<Identity>>,
     /// The scan before: the channel map interpolates from it.
     pub last: Option<Scan>,
     /// What estimation remembers.
-    pub memory: Memory,
+    pub memory: EstimatorState,
 }
 
 /// Where the fast side hands over what happens. Costs a look at a flag while nobody wants it.
 #[derive(Clone, Debug, Default)]
-pub struct Tap(Option<Feed>);
+pub struct RecordSender(Option<Queue>);
 
 /// A tap that leads somewhere.
 #[derive(Clone, Debug)]
-struct Feed {
+struct Queue {
     to: mpsc::Sender<Entry>,
     open: Arc<AtomicBool>,
     keyframe: Arc<AtomicBool>,
     counters: Arc<Counters>,
 }
 
-/// The recorder's end of a [`Tap`].
+/// The recorder's end of a [`RecordSender`].
 #[derive(Debug)]
-pub struct Outflow {
+pub struct RecordReceiver {
     /// What came, in order. To be asked with `try_recv` now and then: a receiver that sleeps costs whoever
     /// wakes it a call of the system.
     pub entries: mpsc::Receiver<Entry>,
@@ -115,33 +115,33 @@ pub struct Outflow {
     pub keyframe: Arc<AtomicBool>,
 }
 
-impl Tap {
-    /// A tap, closed for now, and its other end. What does not fit is counted.
-    pub fn new(counters: Arc<Counters>) -> (Self, Outflow) {
+impl RecordSender {
+    /// A sender, closed for now, and its other end. What does not fit is counted.
+    pub fn new(counters: Arc<Counters>) -> (Self, RecordReceiver) {
         let (to, entries) = mpsc::channel(QUEUE);
         let (open, keyframe) = <(Arc<AtomicBool>, Arc<AtomicBool>)>::default();
-        let feed = Feed { to, open: Arc::clone(&open), keyframe: Arc::clone(&keyframe), counters };
-        (Self(Some(feed)), Outflow { entries, open, keyframe })
+        let queue = Queue { to, open: Arc::clone(&open), keyframe: Arc::clone(&keyframe), counters };
+        (Self(Some(queue)), RecordReceiver { entries, open, keyframe })
     }
 
     /// Whether entries are wanted.
     pub fn open(&self) -> bool {
-        self.0.as_ref().is_some_and(|feed| feed.open.load(Ordering::Relaxed))
+        self.0.as_ref().is_some_and(|queue| queue.open.load(Ordering::Relaxed))
     }
 
     /// Whether a keyframe is wanted before its time: said once.
     pub fn wants_keyframe(&self) -> bool {
-        self.0.as_ref().is_some_and(|feed| {
-            feed.keyframe.load(Ordering::Relaxed) && feed.keyframe.swap(false, Ordering::Relaxed)
+        self.0.as_ref().is_some_and(|queue| {
+            queue.keyframe.load(Ordering::Relaxed) && queue.keyframe.swap(false, Ordering::Relaxed)
         })
     }
 
     /// Hands an entry over, if it is wanted; false if it was and there was no room. Never waits.
     pub fn put(&self, entry: impl FnOnce() -> Entry) -> bool {
-        let Some(feed) = self.0.as_ref().filter(|_| self.open()) else { return true };
-        let fits = feed.to.try_send(entry()).is_ok();
+        let Some(queue) = self.0.as_ref().filter(|_| self.open()) else { return true };
+        let fits = queue.to.try_send(entry()).is_ok();
         if !fits {
-            feed.counters.recording_overflows.one();
+            queue.counters.recording_overflows.inc();
         }
         fits
     }

@@ -12,7 +12,7 @@ use crate::exit::Failure;
 
 /// What may be asked of the recorder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Wish {
+pub enum RecorderCommand {
     /// To record from now on, with what is in the ring.
     Start,
     /// To end the recording.
@@ -21,22 +21,23 @@ pub enum Wish {
     Trigger,
 }
 
-impl Wish {
-    /// Every wish.
-    pub const ALL: [Wish; 3] = [Wish::Start, Wish::Stop, Wish::Trigger];
+impl RecorderCommand {
+    /// Every command.
+    pub const ALL: [RecorderCommand; 3] =
+        [RecorderCommand::Start, RecorderCommand::Stop, RecorderCommand::Trigger];
 
-    /// The wish as a word.
+    /// The command as a word.
     pub fn name(self) -> &'static str {
         match self {
-            Wish::Start => "start",
-            Wish::Stop => "stop",
-            Wish::Trigger => "trigger",
+            RecorderCommand::Start => "start",
+            RecorderCommand::Stop => "stop",
+            RecorderCommand::Trigger => "trigger",
         }
     }
 }
 
-/// A wish with the way back: done, or why not.
-pub type Asked = (Wish, oneshot::Sender<Result<(), Failure>>);
+/// A command with the way back: done, or why not.
+pub type Asked = (RecorderCommand, oneshot::Sender<Result<(), Failure>>);
 
 /// What holds at present.
 #[derive(Debug)]

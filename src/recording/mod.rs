@@ -1,7 +1,7 @@
 //! The record of what went in and what came out, so that a measurement can be replayed.
 //!
 //! - [`entry`]: what is recorded, as the fast side hands it over without ever waiting.
-//! - [`witness`]: what estimation says for the record, with a keyframe every second.
+//! - [`estimation_recorder`]: what estimation says for the record, with a keyframe every second.
 //! - [`schema`], [`message`]: topics and messages, as tools for ROS 2 know them. [`codec`]: entries to messages and back.
 //! - [`reader`]: a file to entries, past every damage.
 //! - [`writer`]: messages to a file. [`ring`]: the last seconds in memory. [`folder`], `output`, `disk`: where files are.
@@ -10,6 +10,7 @@
 pub mod codec;
 mod disk;
 pub mod entry;
+pub mod estimation_recorder;
 pub mod folder;
 pub mod handle;
 pub mod message;
@@ -19,11 +20,10 @@ pub mod recorder;
 pub mod ring;
 pub mod schema;
 pub mod trigger;
-pub mod witness;
 pub mod writer;
 
-pub use entry::{Entry, Keyframe, Tap};
-pub use handle::{Handle, Wish};
+pub use entry::{Entry, Keyframe, RecordSender};
+pub use estimation_recorder::EstimationRecorder;
+pub use handle::{Handle, RecorderCommand};
 pub use reader::Reader;
 pub use schema::Topic;
-pub use witness::Witness;

@@ -1,7 +1,7 @@
-//! The recorder: a thread that takes what the tap gives, and writes it as the configuration and people want.
+//! The recorder: a thread that takes what the senders give, and writes it as the configuration and people want.
 //!
 //! ```text
-//!  tap ─> drain ─┬─(recording)─> file ─> disk thread: fdatasync each second
+//!  records ─> drain ─┬─(recording)─> file ─> disk thread: fdatasync each second
 //!                └─(on-fault)──> ring ──(fault)──> file
 //! ```
 //!
@@ -11,9 +11,9 @@
 //! Nothing that happens to it reaches the measurement: what cannot be written is lost, counted, told in
 //! the log, in every frame (RECORDING_FAULT), and in the next file.
 
+mod commands;
 mod faults;
 mod files;
-mod orders;
 #[cfg(test)]
 mod tests;
 mod thread;
@@ -22,8 +22,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use commands::Stopping;
 use faults::Fault;
-use orders::Stopping;
 pub use thread::{Thread, start};
 use tokio::sync::mpsc::error::TryRecvError;
 use tokio::sync::mpsc::{self};
@@ -33,7 +33,7 @@ use trifacet_core::time::{Clock, Mono, NS_PER_S};
 use super::Entry;
 use super::codec::Encoder;
 use super::disk::Disk;
-use super::entry::Outflow;
+use super::entry::RecordReceiver;
 use super::folder::Folder;
 use super::handle::{Asked, State};
 use super::output::Output;
@@ -57,7 +57,7 @@ struct Recorder {
     config: RecordingConfig,
     compression: Option<mcap::Compression>,
     folder: Folder,
-    outflow: Outflow,
+    receiver: RecordReceiver,
     asked: mpsc::Receiver<Asked>,
     disk: Disk,
     state: Arc<State>,
@@ -92,7 +92,7 @@ struct Recorder {
 impl Recorder {
     fn new(
         config: RecordingConfig,
-        outflow: Outflow,
+        receiver: RecordReceiver,
         asked: mpsc::Receiver<Asked>,
         disk: Disk,
         state: Arc<State>,
@@ -108,7 +108,7 @@ impl Recorder {
         Self {
             compression,
             folder: Folder(config.folder.clone()),
-            outflow,
+            receiver,
             asked,
             disk,
             state,
@@ -143,7 +143,7 @@ impl Recorder {
             if ended {
                 break;
             }
-            if !self.fill(now) && self.outflow.entries.len() < BATCH {
+            if !self.fill(now) && self.receiver.entries.len() < BATCH {
                 std::thread::sleep(LOOK);
             }
         }
@@ -156,10 +156,10 @@ impl Recorder {
     /// Takes what is there; true at the end.
     fn drain(&mut self) -> bool {
         let open = self.wanted || self.ring.is_some();
-        self.outflow.open.store(open, Ordering::Relaxed);
+        self.receiver.open.store(open, Ordering::Relaxed);
         let now = SystemClock.now();
         for _ in 0..BATCH {
-            match self.outflow.entries.try_recv() {
+            match self.receiver.entries.try_recv() {
                 Ok(entry) if open => self.take(&entry, now),
                 Ok(_) => {}
                 Err(TryRecvError::Empty) => return self.stop.load(Ordering::Relaxed),
@@ -236,7 +236,7 @@ impl Recorder {
         }
         self.hear_disk();
         if self.waits_for_keyframe(now) {
-            self.outflow.keyframe.store(true, Ordering::Relaxed);
+            self.receiver.keyframe.store(true, Ordering::Relaxed);
         }
         self.answer(now);
         self.mishap.take_if(|(until, _)| now >= *until);

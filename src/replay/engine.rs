@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use trifacet_core::centering::LoopState;
 use trifacet_core::channels::ChannelMap;
-use trifacet_core::estimation::{Estimation, Memory, PoseReport};
+use trifacet_core::estimation::{Estimation, EstimatorState, PoseReport};
 use trifacet_core::signals::{Identity, Sample, Scan};
 
-use crate::config::Meaning;
+use crate::config::CalibrationContext;
 use crate::exit::{self, Failure};
 use crate::recording::{Entry, Keyframe};
 
@@ -19,7 +19,7 @@ use crate::recording::{Entry, Keyframe};
 #[derive(Debug, Default)]
 pub struct Engine {
     /// What samples and poses shall mean, whatever they meant then.
-    other: Option<Arc<Meaning>>,
+    other: Option<Arc<CalibrationContext>>,
     state: Option<State>,
     report: Option<PoseReport>,
     /// How often the state of a keyframe was taken.
@@ -30,7 +30,7 @@ pub struct Engine {
 
 #[derive(Debug)]
 struct State {
-    meaning: Arc<Meaning>,
+    context: Arc<CalibrationContext>,
     source: Option<Arc<Identity>>,
     map: Option<ChannelMap>,
     last: Option<Scan>,
@@ -46,8 +46,8 @@ impl Engine {
     }
 
     /// With this configuration throughout.
-    pub fn with(meaning: Meaning) -> Self {
-        Self { other: Some(Arc::new(meaning)), ..Self::default() }
+    pub fn with(context: CalibrationContext) -> Self {
+        Self { other: Some(Arc::new(context)), ..Self::default() }
     }
 
     /// Whether the same reports must come out.
@@ -89,12 +89,16 @@ impl Engine {
     ///
     /// # Errors
     /// The configuration and the source do not go together.
-    pub fn cold(&mut self, meaning: &Arc<Meaning>, source: Option<&Arc<Identity>>) -> Result<(), Failure> {
-        let goes_on = |state: &State| state.meaning == *meaning && state.source.as_ref() == source;
+    pub fn cold(
+        &mut self,
+        context: &Arc<CalibrationContext>,
+        source: Option<&Arc<Identity>>,
+    ) -> Result<(), Failure> {
+        let goes_on = |state: &State| state.context == *context && state.source.as_ref() == source;
         if self.state.as_ref().is_none_or(|state| self.other.is_none() && !goes_on(state)) {
-            let (meaning, source) = (Arc::clone(meaning), source.cloned());
-            let keyframe = Keyframe { meaning, source, last: None, memory: Memory::default() };
-            let own = self.other.as_ref().unwrap_or(&keyframe.meaning);
+            let (context, source) = (Arc::clone(context), source.cloned());
+            let keyframe = Keyframe { context, source, last: None, memory: EstimatorState::default() };
+            let own = self.other.as_ref().unwrap_or(&keyframe.context);
             self.state = Some(State::new(&keyframe, Some(own))?);
             self.taken_up += 1;
         }
@@ -103,9 +107,9 @@ impl Engine {
 
     /// The state between the last sample and the next, to go on from; none before the first keyframe.
     pub fn now(&self) -> Option<Keyframe> {
-        let State { meaning, source, last, estimation, .. } = self.state.as_ref()?;
-        let (meaning, memory) = (Arc::clone(meaning), estimation.memory().clone());
-        Some(Keyframe { meaning, source: source.clone(), last: *last, memory })
+        let State { context, source, last, estimation, .. } = self.state.as_ref()?;
+        let (context, memory) = (Arc::clone(context), estimation.memory().clone());
+        Some(Keyframe { context, source: source.clone(), last: *last, memory })
     }
 
     /// Estimation as it is between the last sample and the next; none before the first keyframe.
@@ -158,13 +162,13 @@ impl Engine {
 }
 
 impl State {
-    fn new(keyframe: &Keyframe, other: Option<&Arc<Meaning>>) -> Result<Self, Failure> {
-        let meaning = Arc::clone(other.unwrap_or(&keyframe.meaning));
-        let channels = meaning.config.channels(&meaning.tables)?;
+    fn new(keyframe: &Keyframe, other: Option<&Arc<CalibrationContext>>) -> Result<Self, Failure> {
+        let context = Arc::clone(other.unwrap_or(&keyframe.context));
+        let channels = context.config.channels(&context.tables)?;
         let wrong = |message: String| Failure::new(exit::CONFIG, message);
-        let settings = meaning
+        let settings = context
             .config
-            .estimation_settings(channels.calibrated(), meaning.id())
+            .estimation_settings(channels.calibrated(), context.id())
             .map_err(|e| wrong(e.to_string()))?;
         let mut estimation = Estimation::new(settings);
         if other.is_none() {
@@ -182,7 +186,7 @@ impl State {
             map.follow(&last);
         }
         Ok(Self {
-            meaning,
+            context,
             source: keyframe.source.clone(),
             map,
             last: keyframe.last,
@@ -193,16 +197,16 @@ impl State {
 
     /// Whether this is the state of the keyframe.
     fn is(&self, keyframe: &Keyframe) -> bool {
-        let same = |a: &Arc<Meaning>, b| Arc::ptr_eq(a, b) || a == b;
-        same(&self.meaning, &keyframe.meaning)
+        let same = |a: &Arc<CalibrationContext>, b| Arc::ptr_eq(a, b) || a == b;
+        same(&self.context, &keyframe.context)
             && self.source == keyframe.source
             && self.last == keyframe.last
             && bytes(self.estimation.memory()) == bytes(&keyframe.memory)
     }
 
     fn interrupt(&mut self, keyframe: &Keyframe) -> Result<(), Failure> {
-        let Self { meaning, last, estimation, .. } = self;
-        let fresh = Self::new(keyframe, Some(meaning))?;
+        let Self { context, last, estimation, .. } = self;
+        let fresh = Self::new(keyframe, Some(context))?;
         self.map = fresh.map;
         *last = keyframe.last;
         if let Some(source) = &self.source {
@@ -213,6 +217,6 @@ impl State {
 }
 
 /// A memory to be compared: what is not a number must be the same nothing.
-fn bytes(memory: &Memory) -> Option<Vec<u8>> {
+fn bytes(memory: &EstimatorState) -> Option<Vec<u8>> {
     postcard::to_stdvec(memory).ok()
 }

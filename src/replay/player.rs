@@ -9,12 +9,12 @@ use trifacet_core::time::{Clock, Mono, NS_PER_S};
 use trifacet_wire::stream::Replayed;
 
 use super::pace::Pace;
-use super::tape::{Next, Tape};
+use super::playback::{Next, Playback};
+use super::republisher::{Republished, Republisher};
 use super::task::Recording;
-use super::teller::{Teller, Told};
-use super::{Engine, Verdict};
-use crate::centering::Order;
-use crate::config::{Meaning, ReplayConfig};
+use super::{Comparison, Engine};
+use crate::centering::CenteringRequest;
+use crate::config::{CalibrationContext, ReplayConfig};
 use crate::recording::reader::Read;
 use crate::recording::{Entry, Keyframe};
 
@@ -32,17 +32,17 @@ pub(super) struct Player<C, Publish, Means> {
     counters: Arc<Counters>,
     clock: C,
     means: Means,
-    teller: Teller<C, Publish>,
-    tape: Tape,
+    teller: Republisher<C, Publish>,
+    tape: Playback,
     pace: Pace,
     waits: Option<Entry>,
     engine: Engine,
-    verdict: Verdict,
+    verdict: Comparison,
     /// What is said while nothing is due.
     quiet: Estimation,
     patience_ns: i64,
     steering: LoopState,
-    meaning: Option<u32>,
+    context: Option<u32>,
     /// A recorded moment and its UTC.
     utc: (Mono, i64),
     /// When something was due last; none before the first.
@@ -51,7 +51,7 @@ pub(super) struct Player<C, Publish, Means> {
     logged: Option<Mono>,
 }
 
-impl<C: Clock, Publish: FnMut(&Told), Means: FnMut(&Meaning)> Player<C, Publish, Means> {
+impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> Player<C, Publish, Means> {
     pub(super) fn new(recording: Recording, clock: C, publish: Publish, means: Means) -> Self {
         let Recording { config, beginning, estimation: mut quiet, counters } = recording;
         let (now, utc) = (clock.now(), beginning.first);
@@ -60,32 +60,32 @@ impl<C: Clock, Publish: FnMut(&Told), Means: FnMut(&Meaning)> Player<C, Publish,
         let Replayed { file, recorded, speed, repeat } = beginning.told(&config);
         tracing::info!(file, recorded, speed, repeat, "a recording is replayed");
         Self {
-            tape: Tape::new(config.file.clone()),
+            tape: Playback::new(config.file.clone()),
             config,
-            teller: Teller::new(clock.clone(), publish, Arc::clone(&counters)),
+            teller: Republisher::new(clock.clone(), publish, Arc::clone(&counters)),
             counters,
             clock,
             means,
             pace,
             waits: None,
             engine: Engine::new(),
-            verdict: Verdict::default(),
+            verdict: Comparison::default(),
             quiet,
             patience_ns: pace.patience_ns(beginning.rate_hz()),
             steering: LoopState::default(),
-            meaning: Some(beginning.meaning.id()),
+            context: Some(beginning.context.id()),
             utc,
             heard: None,
             logged: None,
         }
     }
 
-    pub(super) fn obey(&self, order: Order) {
+    pub(super) fn obey(&self, order: CenteringRequest) {
         const WHY: &str = "a recording is replayed: nothing steers";
         match order {
-            Order::Retune(_, done) => drop(done.send(())),
-            Order::Move(_, reply) | Order::Search(reply) => drop(reply.send(Err(WHY))),
-            Order::View(reply) => drop(reply.send(self.teller.view(&self.steering))),
+            CenteringRequest::Retune(_, done) => drop(done.send(())),
+            CenteringRequest::Move(_, reply) | CenteringRequest::Search(reply) => drop(reply.send(Err(WHY))),
+            CenteringRequest::View(reply) => drop(reply.send(self.teller.view(&self.steering))),
         }
     }
 
@@ -132,13 +132,13 @@ impl<C: Clock, Publish: FnMut(&Told), Means: FnMut(&Meaning)> Player<C, Publish,
                     tracing::warn!(%damage, "the recording is damaged");
                     self.lose();
                 }
-                Next::Read(Read::Foreign { meaning, source, why }) => {
-                    if let Err(failure) = self.engine.cold(&meaning, source.as_ref()) {
+                Next::Read(Read::Foreign { context, source, why }) => {
+                    if let Err(failure) = self.engine.cold(&context, source.as_ref()) {
                         tracing::error!(%failure, "the recording cannot be replayed");
                     } else {
                         tracing::warn!(why, "poses are not those of the recording bit by bit");
                     }
-                    self.go_on_with(&meaning);
+                    self.go_on_with(&context);
                 }
                 Next::End => self.lap(),
                 Next::Later | Next::Nothing => return None,
@@ -148,9 +148,9 @@ impl<C: Clock, Publish: FnMut(&Told), Means: FnMut(&Meaning)> Player<C, Publish,
 
     /// The recording is at its end, for good or for now.
     fn lap(&mut self) {
-        let Verdict { same: identical, other: different, .. } = self.verdict;
-        (self.engine, self.verdict) = (Engine::new(), Verdict::default());
-        self.counters.replay_ends.one();
+        let Comparison { same: identical, other: different, .. } = self.verdict;
+        (self.engine, self.verdict) = (Engine::new(), Comparison::default());
+        self.counters.replay_ends.inc();
         // One without a single sample would begin again for ever.
         if !(self.config.repeat && self.heard.is_some()) {
             tracing::info!(identical, different, "the recording is at its end");
@@ -191,7 +191,7 @@ impl<C: Clock, Publish: FnMut(&Told), Means: FnMut(&Meaning)> Player<C, Publish,
                     self.heard = Some(now);
                 }
             }
-            Entry::Keyframe(keyframe) => self.go_on_with(&keyframe.meaning),
+            Entry::Keyframe(keyframe) => self.go_on_with(&keyframe.context),
             Entry::Frame { frame, time, .. } => self.utc = (*time, frame.time_ns),
             Entry::Lock { .. } => {}
         }
@@ -213,23 +213,23 @@ impl<C: Clock, Publish: FnMut(&Told), Means: FnMut(&Meaning)> Player<C, Publish,
         let counters = &self.counters;
         match entry {
             Entry::Sample { sample, .. } => {
-                counters.scans.one();
+                counters.scans.inc();
                 counters.scans_lost.add(sample.lost.into());
             }
-            Entry::Silence { why: Some(_), .. } => counters.source_downs.one(),
-            Entry::Lock { after, .. } => counters.lock(*after).one(),
+            Entry::Silence { why: Some(_), .. } => counters.source_downs.inc(),
+            Entry::Lock { after, .. } => counters.lock(*after).inc(),
             _ => {}
         }
     }
 
     /// Takes over what a keyframe says of configuration and source.
-    fn go_on_with(&mut self, meaning: &Meaning) {
-        let id = meaning.id();
-        if self.meaning.replace(id) != Some(id) {
-            (self.means)(meaning);
+    fn go_on_with(&mut self, context: &CalibrationContext) {
+        let id = context.id();
+        if self.context.replace(id) != Some(id) {
+            (self.means)(context);
         }
         let Some(Keyframe { source, .. }) = self.engine.now() else { return };
-        let rate_hz = source.map_or(meaning.config.acquisition.rate_hz, |source| source.rate_hz);
+        let rate_hz = source.map_or(context.config.acquisition.rate_hz, |source| source.rate_hz);
         self.patience_ns = self.pace.patience_ns(rate_hz);
         if let Some(estimation) = self.engine.estimation() {
             self.quiet = estimation.clone();

@@ -10,21 +10,21 @@ use trifacet_core::estimation::Estimation;
 use trifacet_core::telemetry::Counters;
 use trifacet_core::time::Clock;
 
-use super::Beginning;
+use super::RecordingHeader;
 use super::player::Player;
-use super::teller::Told;
-use crate::config::{Meaning, ReplayConfig};
-use crate::control::AtFast;
-use crate::estimation::Question;
+use super::republisher::Republished;
+use crate::config::{CalibrationContext, ReplayConfig};
+use crate::control::FastLink;
+use crate::estimation::EstimationRequest;
 
 /// How often is looked whether something is due: a timer of the runtime is not finer.
 const TICK: Duration = Duration::from_millis(1);
 
 /// Where things go.
 #[derive(Debug)]
-pub struct Edges<Publish, Means> {
+pub struct ReplayLinks<Publish, Means> {
     /// Questions and orders from outside of the fast side.
-    pub control: AtFast,
+    pub control: FastLink,
     /// Every report, in the user's frame.
     pub publish: Publish,
     /// What poses mean from the next report on.
@@ -37,7 +37,7 @@ pub struct Recording {
     /// Where it is, and its pace.
     pub config: ReplayConfig,
     /// What it says at its beginning.
-    pub beginning: Beginning,
+    pub beginning: RecordingHeader,
     /// That of the beginning: it says what there is to say while nothing is due.
     pub estimation: Estimation,
     /// Counts what is replayed, as if it came from a source.
@@ -48,11 +48,11 @@ pub struct Recording {
 pub async fn run<C: Clock>(
     recording: Recording,
     clock: C,
-    edges: Edges<impl FnMut(&Told), impl FnMut(&Meaning)>,
+    edges: ReplayLinks<impl FnMut(&Republished), impl FnMut(&CalibrationContext)>,
     stop: CancellationToken,
 ) {
-    let Edges { control, publish, means } = edges;
-    let AtFast { changes: _changes, mut questions, mut orders } = control;
+    let ReplayLinks { control, publish, means } = edges;
+    let FastLink { changes: _changes, mut questions, mut orders } = control;
     let mut player = Player::new(recording, clock, publish, means);
     loop {
         tokio::select! {
@@ -60,8 +60,8 @@ pub async fn run<C: Clock>(
             () = stop.cancelled() => break,
             Some(question) = questions.recv() => match question {
                 // Who does not wait for the answer any more does not need it.
-                Question::Last(reply) => drop(reply.send(player.last())),
-                Question::Mean(_, reply) => drop(reply),
+                EstimationRequest::Last(reply) => drop(reply.send(player.last())),
+                EstimationRequest::Mean(_, reply) => drop(reply),
             },
             Some(order) = orders.recv() => player.obey(order),
             () = sleep(TICK) => player.play(),

@@ -1,9 +1,9 @@
 //! What the rig puts on record comes out again.
 
-use super::{Engine, Verdict};
+use super::{Comparison, Engine};
+use crate::closed_loop_sim::ClosedLoopSim;
 use crate::config::{Config, parse};
 use crate::recording::Entry;
-use crate::rig::Rig;
 
 fn config(text: &str) -> Config {
     parse(text, None).unwrap()
@@ -11,17 +11,17 @@ fn config(text: &str) -> Config {
 
 /// What the twin puts on record in so many scans.
 fn recorded(config: &Config, scans: u64) -> Vec<Entry> {
-    let (mut rig, mut outflow) = Rig::recorded(config).unwrap();
+    let (mut rig, mut receiver) = ClosedLoopSim::recorded(config).unwrap();
     let mut entries = Vec::new();
     for _ in 0..scans {
         rig.turn();
-        entries.extend(std::iter::from_fn(|| outflow.entries.try_recv().ok()));
+        entries.extend(std::iter::from_fn(|| receiver.entries.try_recv().ok()));
     }
     entries
 }
 
-fn replayed(entries: &[Entry]) -> (Engine, Verdict) {
-    let (mut engine, mut verdict) = (Engine::new(), Verdict::default());
+fn replayed(entries: &[Entry]) -> (Engine, Comparison) {
+    let (mut engine, mut verdict) = (Engine::new(), Comparison::default());
     for entry in entries {
         engine.take(entry).unwrap();
         verdict.take(entry, engine.report());

@@ -50,7 +50,7 @@ impl Notify {
         }
     }
 
-    /// Every task makes turns.
+    /// Every task makes heartbeats.
     pub fn alive(&self) {
         if self.watchdog.is_some() {
             self.send("WATCHDOG=1");

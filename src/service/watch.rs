@@ -1,36 +1,36 @@
-//! Which tasks make no turns. Time is counted in looks, not read from a clock: after the whole process, or
+//! Which tasks make no heartbeats. Time is counted in looks, not read from a clock: after the whole process, or
 //! the machine, stood still, there is one look, and nobody is blamed.
 
-use trifacet_core::telemetry::heartbeat::{Task, Turns};
+use trifacet_core::telemetry::heartbeat::{Heartbeats, Task};
 
 /// What was seen of each task.
 #[derive(Debug, Default)]
 pub struct Watch {
-    /// Turns at the last look.
+    /// Heartbeats at the last look.
     seen: [u64; 3],
     /// Looks since then without a turn.
     silent: [u32; 3],
-    /// Turns when all had turned last.
+    /// Heartbeats when all had turned last.
     fed: [u64; 3],
 }
 
 impl Watch {
     /// Looks at the tasks. One that made no turn for `tell` looks is marked and told of, and again when it
     /// goes on.
-    pub fn look(&mut self, turns: &Turns, tell: u32) {
+    pub fn look(&mut self, heartbeats: &Heartbeats, tell: u32) {
         for (i, task) in Task::ALL.into_iter().enumerate() {
-            let turn = turns.of(task);
+            let turn = heartbeats.of(task);
             let count = turn.count();
             let goes_on = count != self.seen[i] || turn.ended();
             self.silent[i] = if goes_on { 0 } else { self.silent[i].saturating_add(1) };
             self.seen[i] = count;
         }
-        let stalled = self.stalled(turns, tell);
+        let stalled = self.stalled(heartbeats, tell);
         for task in Task::ALL {
             let now = stalled.contains(&task);
-            let before = turns.of(task).mark_stalled(now);
+            let before = heartbeats.of(task).mark_stalled(now);
             if now && !before {
-                let within = turns.of(task).inside();
+                let within = heartbeats.of(task).inside();
                 tracing::error!(%task, within_a_turn = within, "a task of the fast side stalls");
             } else if before && !now {
                 tracing::warn!(%task, "the task goes on");
@@ -40,22 +40,22 @@ impl Watch {
 
     /// The tasks without a turn for so many looks. If one of them is within a turn it is the one: the others
     /// wait for it.
-    pub fn stalled(&self, turns: &Turns, looks: u32) -> Vec<Task> {
+    pub fn stalled(&self, heartbeats: &Heartbeats, looks: u32) -> Vec<Task> {
         let silent = || Task::ALL.into_iter().zip(self.silent).filter(|(_, n)| *n >= looks).map(|(t, _)| t);
-        match silent().find(|task| turns.of(*task).inside()) {
+        match silent().find(|task| heartbeats.of(*task).inside()) {
             Some(task) => vec![task],
             None => silent().collect(),
         }
     }
 
     /// Whether every task that lives has made a turn since this was true last.
-    pub fn all_turned(&mut self, turns: &Turns) -> bool {
+    pub fn all_turned(&mut self, heartbeats: &Heartbeats) -> bool {
         let all = Task::ALL.into_iter().zip(self.fed).all(|(task, fed)| {
-            let turn = turns.of(task);
+            let turn = heartbeats.of(task);
             turn.count() != fed || turn.ended()
         });
         if all {
-            self.fed = Task::ALL.map(|task| turns.of(task).count());
+            self.fed = Task::ALL.map(|task| heartbeats.of(task).count());
         }
         all
     }
@@ -66,18 +66,18 @@ mod tests {
     use std::cell::RefCell;
     use std::task::{Context, Waker};
 
-    use trifacet_core::telemetry::heartbeat::{Turn, counted};
+    use trifacet_core::telemetry::heartbeat::{Heartbeat, counted};
 
     use super::*;
 
-    fn turn_all(turns: &Turns, times: usize) {
+    fn turn_all(heartbeats: &Heartbeats, times: usize) {
         for task in Task::ALL {
-            turn(turns.of(task), times);
+            turn(heartbeats.of(task), times);
         }
     }
 
     /// Some turns of a task that has nothing to do.
-    fn turn(turn: &Turn, times: usize) {
+    fn turn(turn: &Heartbeat, times: usize) {
         let mut task = std::pin::pin!(counted(std::future::pending(), turn));
         for _ in 0..times {
             let _ = task.as_mut().poll(&mut Context::from_waker(Waker::noop()));
@@ -86,42 +86,42 @@ mod tests {
 
     #[test]
     fn who_makes_no_turns_is_named_and_nobody_is_fed() {
-        let turns = Turns::default();
+        let heartbeats = Heartbeats::default();
         let mut watch = Watch::default();
         for _ in 0..3 {
-            turn_all(&turns, 2);
-            watch.look(&turns, 2);
-            assert!(watch.all_turned(&turns) && !watch.all_turned(&turns));
-            assert!(turns.stalled().is_empty());
+            turn_all(&heartbeats, 2);
+            watch.look(&heartbeats, 2);
+            assert!(watch.all_turned(&heartbeats) && !watch.all_turned(&heartbeats));
+            assert!(heartbeats.stalled().is_empty());
         }
         for looks in 1..4 {
-            turn(turns.of(Task::Acquisition), 1);
-            turn(turns.of(Task::Estimation), 1);
-            watch.look(&turns, 2);
-            assert!(!watch.all_turned(&turns));
+            turn(heartbeats.of(Task::Acquisition), 1);
+            turn(heartbeats.of(Task::Estimation), 1);
+            watch.look(&heartbeats, 2);
+            assert!(!watch.all_turned(&heartbeats));
             let stalled = if looks < 2 { vec![] } else { vec![Task::Centering] };
-            assert_eq!(turns.stalled(), stalled, "{looks}");
-            assert_eq!(watch.stalled(&turns, 3), if looks < 3 { vec![] } else { vec![Task::Centering] });
+            assert_eq!(heartbeats.stalled(), stalled, "{looks}");
+            assert_eq!(watch.stalled(&heartbeats, 3), if looks < 3 { vec![] } else { vec![Task::Centering] });
         }
-        turn_all(&turns, 1);
-        watch.look(&turns, 2);
-        assert!(watch.all_turned(&turns) && turns.stalled().is_empty());
+        turn_all(&heartbeats, 1);
+        watch.look(&heartbeats, 2);
+        assert!(watch.all_turned(&heartbeats) && heartbeats.stalled().is_empty());
     }
 
     #[test]
     fn of_all_that_wait_the_one_within_a_turn_is_to_blame() {
-        let turns = Turns::default();
+        let heartbeats = Heartbeats::default();
         let watch = RefCell::new(Watch::default());
         let within = std::pin::pin!(counted(
             async {
-                watch.borrow_mut().look(&turns, 1);
-                watch.borrow_mut().look(&turns, 1);
-                assert_eq!(turns.stalled(), [Task::Estimation]);
+                watch.borrow_mut().look(&heartbeats, 1);
+                watch.borrow_mut().look(&heartbeats, 1);
+                assert_eq!(heartbeats.stalled(), [Task::Estimation]);
             },
-            turns.of(Task::Estimation)
+            heartbeats.of(Task::Estimation)
         ));
         let _ = within.poll(&mut Context::from_waker(Waker::noop()));
-        watch.borrow_mut().look(&turns, 1);
-        assert_eq!(turns.stalled(), [Task::Acquisition, Task::Centering], "the third has ended");
+        watch.borrow_mut().look(&heartbeats, 1);
+        assert_eq!(heartbeats.stalled(), [Task::Acquisition, Task::Centering], "the third has ended");
     }
 }

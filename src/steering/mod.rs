@@ -19,7 +19,7 @@ use trifacet_wire::actuator::Ack;
 
 /// What a driver reports.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Event {
+pub enum StageEvent {
     /// The stage is there, perhaps again, or another one: it may stand anywhere.
     Up,
     /// The stage's answer to a command.
@@ -37,19 +37,19 @@ pub trait Driver {
     fn steer(&mut self, command: Command);
 
     /// The next thing to know. Cancel-safe: dropping the future loses nothing.
-    fn next(&mut self) -> impl Future<Output = Event>;
+    fn next(&mut self) -> impl Future<Output = StageEvent>;
 }
 
 /// The stage of the configuration.
 #[derive(Debug)]
-pub enum Stage {
+pub enum StageDriver {
     /// The outputs of the board or the twin.
     Outputs(Outputs),
     /// A stage of PI.
     Gcs(Gcs),
 }
 
-impl Driver for Stage {
+impl Driver for StageDriver {
     fn steer(&mut self, command: Command) {
         match self {
             Self::Outputs(outputs) => outputs.steer(command),
@@ -57,7 +57,7 @@ impl Driver for Stage {
         }
     }
 
-    async fn next(&mut self) -> Event {
+    async fn next(&mut self) -> StageEvent {
         match self {
             Self::Outputs(outputs) => outputs.next().await,
             Self::Gcs(gcs) => gcs.next().await,

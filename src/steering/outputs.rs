@@ -11,7 +11,7 @@ use trifacet_core::signals::Identity;
 use trifacet_core::steering::{Command, codes};
 use trifacet_wire::actuator::{Ack, OutputCommand};
 
-use super::{Driver, Event};
+use super::{Driver, StageEvent};
 
 /// What the source says of its outputs.
 #[derive(Clone, Debug, Default)]
@@ -45,17 +45,17 @@ impl Outputs {
     }
 
     /// What is new, the source first.
-    fn news(&mut self) -> Option<Event> {
+    fn news(&mut self) -> Option<StageEvent> {
         let answers = self.answers.borrow_and_update();
         if let Some(source) = &answers.source
             && !self.source.as_ref().is_some_and(|told| Arc::ptr_eq(told, source))
         {
             self.source = Some(Arc::clone(source));
-            return Some(Event::Up);
+            return Some(StageEvent::Up);
         }
         if answers.ack != self.ack {
             self.ack = answers.ack;
-            return self.ack.map(Event::Ack);
+            return self.ack.map(StageEvent::Ack);
         }
         None
     }
@@ -73,7 +73,7 @@ impl Driver for Outputs {
         }));
     }
 
-    async fn next(&mut self) -> Event {
+    async fn next(&mut self) -> StageEvent {
         loop {
             if let Some(event) = self.news() {
                 return event;
@@ -104,14 +104,14 @@ mod tests {
 
         let identity = Arc::new(Twin::new(&Config::default()).unwrap().identity().clone());
         answers.send_modify(|a| a.source = Some(identity));
-        assert_eq!(outputs.next().await, Event::Up);
+        assert_eq!(outputs.next().await, StageEvent::Up);
         for (position, codes) in [([250e-6, -125e-6], [16384, -8192]), ([500e-6, -1.0], [32767, -32768])] {
             outputs.steer(command(position));
             assert_eq!(sent.borrow().unwrap().codes, codes);
         }
         let ack = Ack { id: 7, accepted: true };
         answers.send_modify(|a| a.ack = Some(ack));
-        assert_eq!(outputs.next().await, Event::Ack(ack));
+        assert_eq!(outputs.next().await, StageEvent::Ack(ack));
         answers.send_modify(|_| {});
         assert_eq!(outputs.news(), None);
     }

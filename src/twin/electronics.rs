@@ -6,7 +6,7 @@ use rand_distr::StandardNormal;
 use trifacet_core::channels::Amplifier;
 use trifacet_wire::channel::{Converter, SIGNALS};
 
-use super::light::Spot;
+use super::scene::Spot;
 use crate::config::{Config, PsdChannelsConfig};
 
 /// The random numbers of one scan, as standard deviations. Every scan draws all of them, whatever is

@@ -7,7 +7,7 @@
 //!
 //! - [`trajectory`]: how the mirror moves.
 //! - [`stage`], [`outputs`]: how the laser follows its commands.
-//! - [`light`]: what the PSDs see.
+//! - [`scene`]: what the PSDs see.
 //! - [`electronics`]: from light to codes.
 //! - [`faults`]: what goes wrong.
 //! - [`emulator`], [`pty`]: a serial board with the twin behind it.
@@ -15,9 +15,9 @@
 pub mod electronics;
 pub mod emulator;
 pub mod faults;
-pub mod light;
 pub mod outputs;
 pub mod pty;
+pub mod scene;
 pub mod source;
 pub mod stage;
 pub mod trajectory;
@@ -26,14 +26,14 @@ use electronics::{Electronics, Noise, READBACK};
 pub use emulator::Emulator;
 pub use faults::Fate;
 use faults::{Active, Faults};
-use light::Lighting;
-pub use light::{Scene, Spot};
 pub use outputs::{OUTPUT_BITS, Outputs};
 pub use pty::Pty;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
+use scene::Lighting;
+pub use scene::{Scene, Spot};
 pub use source::TwinSource;
-use stage::Stage;
+use stage::StageSim;
 use trajectory::Trajectory;
 use trifacet_core::signals::{Identity, Scan};
 use trifacet_core::time::Mono;
@@ -68,7 +68,7 @@ pub struct TwinScan {
     pub index: u64,
     /// When it is taken: `index / rate`, seconds since the twin's start.
     pub t_s: f64,
-    /// The codes; only the first `Identity::roles.len()` have a meaning.
+    /// The codes; only the first `Identity::roles.len()` are used.
     pub codes: [i32; MAX_CHANNELS],
     /// Whether it arrives. The codes are those of the converter, also of a scan that does not.
     pub fate: Fate,
@@ -102,7 +102,7 @@ pub struct Twin {
     laser_rest: [f64; 2],
     /// What the axes of the stage do to the laser.
     matrix: [[f64; 2]; 2],
-    stage: Stage,
+    stage: StageSim,
     outputs: Outputs,
     lighting: Lighting,
     electronics: Electronics,
@@ -130,7 +130,7 @@ impl Twin {
             trajectory: Trajectory::new(&twin.motion, seed)?,
             laser_rest: twin.laser_offset_um.map(|um| um * 1e-6),
             matrix: steering.matrix,
-            stage: Stage::new(steering.delay_ms * 1e-3, steering.lag_ms * 1e-3, steering.limit_um * 1e-6),
+            stage: StageSim::new(steering.delay_ms * 1e-3, steering.lag_ms * 1e-3, steering.limit_um * 1e-6),
             outputs: Outputs::new(&config.steering),
             lighting,
             electronics,

@@ -9,11 +9,11 @@ use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_wire::actuator::{Ack, LeaseAction, OutputCommand};
 
 use super::{Fate, Outputs, Twin};
-use crate::acquisition::{Down, Event, Source};
+use crate::acquisition::{Source, SourceError, SourceEvent};
 use crate::clock::pace::{Pace, Waiting};
 
 /// Runs a [`Twin`] on an absolute schedule. What its faults do to the link shows as it would with a
-/// board: a lost scan as a gap before the next one, silence as [`Down::Stalled`]. It counts what no
+/// board: a lost scan as a gap before the next one, silence as [`SourceError::Stalled`]. It counts what no
 /// event tells: lost scans, corrupted frames, leases that ran out.
 pub struct TwinSource<C: Waiting> {
     twin: Twin,
@@ -21,7 +21,7 @@ pub struct TwinSource<C: Waiting> {
     pace: Pace<C>,
     counters: Arc<Counters>,
     /// Happened, and not yet told.
-    events: VecDeque<Event>,
+    events: VecDeque<SourceEvent>,
     /// Scans that are due and not yet taken.
     due: u64,
     /// Scans lost since the last one that arrived.
@@ -41,7 +41,7 @@ impl<C: Waiting> TwinSource<C> {
         let rate_hz = twin.identity().rate_hz;
         let pace = Pace::new(clock, rate_hz)?;
         Ok(Self {
-            events: VecDeque::from([Event::Up(twin.identity().clone())]),
+            events: VecDeque::from([SourceEvent::Up(twin.identity().clone())]),
             outputs: twin.outputs().clone(),
             counters,
             due: 0,
@@ -59,7 +59,7 @@ impl<C: Waiting> TwinSource<C> {
     fn sample(&mut self) {
         let time = self.pace.schedule().time(self.twin.next_index());
         if let Some(then) = self.outputs.expire(time) {
-            self.counters.leases_expired.one();
+            self.counters.leases_expired.inc();
             if then == LeaseAction::Park {
                 self.twin.steer(self.outputs.park(), self.twin.next_s());
             }
@@ -70,7 +70,7 @@ impl<C: Waiting> TwinSource<C> {
             Some(scan) => {
                 self.counters.scans_lost.add(scan.lost.into());
                 (self.heard, self.lost, self.down) = (time, 0, false);
-                self.events.push_back(Event::Scan(scan));
+                self.events.push_back(SourceEvent::Scan(scan));
             }
             None => self.miss(scan.fate, time),
         }
@@ -80,19 +80,19 @@ impl<C: Waiting> TwinSource<C> {
     fn miss(&mut self, fate: Fate, time: Mono) {
         self.lost = self.lost.saturating_add(1);
         if fate == Fate::Corrupted {
-            self.counters.frames_corrupted.one();
+            self.counters.frames_corrupted.inc();
         }
         let silence = time - self.heard;
         if silence >= self.patience && !self.down {
             self.down = true;
             let silence_ms = u32::try_from(silence / 1_000_000).unwrap_or(u32::MAX);
-            self.events.push_back(Event::Down(Down::Stalled { silence_ms }));
+            self.events.push_back(SourceEvent::Down(SourceError::Stalled { silence_ms }));
         }
     }
 }
 
 impl<C: Waiting> Source for TwinSource<C> {
-    async fn next(&mut self) -> Event {
+    async fn next(&mut self) -> SourceEvent {
         loop {
             if let Some(event) = self.events.pop_front() {
                 return event;
@@ -105,7 +105,9 @@ impl<C: Waiting> Source for TwinSource<C> {
                     Ok(due) => self.due = due,
                     Err(e) if !self.down => {
                         self.down = true;
-                        return Event::Down(Down::Unfit(format!("the twin's timer failed: {e}")));
+                        return SourceEvent::Down(SourceError::Unfit(format!(
+                            "the twin's timer failed: {e}"
+                        )));
                     }
                     // Said already, and without a timer nothing more can come.
                     Err(_) => std::future::pending().await,
@@ -124,7 +126,7 @@ impl<C: Waiting> Source for TwinSource<C> {
         }
         // A stalled board sends no answers either.
         if !self.stalled {
-            self.events.push_back(Event::Ack(Ack { id: command.id, accepted }));
+            self.events.push_back(SourceEvent::Ack(Ack { id: command.id, accepted }));
         }
     }
 
@@ -164,7 +166,7 @@ mod tests {
 
     impl Bench {
         /// All that happens in so many milliseconds, with their time.
-        async fn run(&mut self, ms: u32) -> Vec<Event> {
+        async fn run(&mut self, ms: u32) -> Vec<SourceEvent> {
             let mut events = Vec::new();
             for _ in 0..ms {
                 self.clock.advance(MS);
@@ -174,7 +176,7 @@ mod tests {
         }
 
         /// All that is there without waiting.
-        async fn now(&mut self) -> Vec<Event> {
+        async fn now(&mut self) -> Vec<SourceEvent> {
             let mut events = Vec::new();
             loop {
                 tokio::select! {
@@ -199,8 +201,8 @@ mod tests {
         }
     }
 
-    fn scans(events: &[Event]) -> Vec<Scan> {
-        events.iter().filter_map(|e| if let Event::Scan(s) = e { Some(*s) } else { None }).collect()
+    fn scans(events: &[SourceEvent]) -> Vec<Scan> {
+        events.iter().filter_map(|e| if let SourceEvent::Scan(s) = e { Some(*s) } else { None }).collect()
     }
 
     /// Position of the stage in micrometres by the readback of a scan.
@@ -212,7 +214,9 @@ mod tests {
     async fn it_comes_up_and_delivers_every_scan_with_its_scheduled_time() {
         let mut bench = bench(&[]);
         let start = bench.clock.now();
-        assert!(matches!(&bench.now().await[..], [Event::Up(id), Event::Scan(_)] if id.simulated));
+        assert!(
+            matches!(&bench.now().await[..], [SourceEvent::Up(id), SourceEvent::Scan(_)] if id.simulated)
+        );
         bench.clock.advance(30 * MS + 1);
         let scans = scans(&bench.now().await);
         assert_eq!(scans.len(), 30);
@@ -226,12 +230,12 @@ mod tests {
     async fn a_stall_is_told_once_and_ends_with_a_gap() {
         let mut bench = bench(&[Fault { at_s: 0.1, for_s: Some(0.1), kind: FaultKind::Stalled }]);
         let events = bench.run(250).await;
-        let silence = Event::Down(Down::Stalled { silence_ms: 20 });
-        assert_eq!(events.iter().filter(|e| matches!(e, Event::Down(_))).count(), 1);
+        let silence = SourceEvent::Down(SourceError::Stalled { silence_ms: 20 });
+        assert_eq!(events.iter().filter(|e| matches!(e, SourceEvent::Down(_))).count(), 1);
         let at = events.iter().position(|e| *e == silence).unwrap();
         // Up and scans 0 to 99 come before; then scan 200 with the gap.
         assert_eq!(at, 101);
-        let Event::Scan(first) = events[at + 1] else { panic!("{:?}", events[at + 1]) };
+        let SourceEvent::Scan(first) = events[at + 1] else { panic!("{:?}", events[at + 1]) };
         assert_eq!((first.index, first.lost), (200, 100));
         assert_eq!(bench.counters.scans_lost.get(), 100);
     }
@@ -261,7 +265,7 @@ mod tests {
         bench.command([6554, 0], LeaseAction::Hold);
         bench.command([40_000, 0], LeaseAction::Hold);
         let events = bench.now().await;
-        assert_eq!(events, [true, false].map(|accepted| Event::Ack(Ack { id: 9, accepted })));
+        assert_eq!(events, [true, false].map(|accepted| SourceEvent::Ack(Ack { id: 9, accepted })));
         let last = *scans(&bench.run(200).await).last().unwrap();
         assert!((readback_um(&last) - 100.0).abs() < 1.0, "held at the end of the lease");
         assert_eq!(bench.counters.leases_expired.get(), 1);

@@ -10,7 +10,7 @@ const AT_LIMIT: f64 = 1e-8;
 /// Between commands each axis follows `x' = (target - x) / lag`, solved exactly, so the result does
 /// not depend on how often it is looked at.
 #[derive(Clone, Debug)]
-pub struct Stage {
+pub struct StageSim {
     delay_s: f64,
     lag_s: f64,
     limit: f64,
@@ -22,7 +22,7 @@ pub struct Stage {
     pending: VecDeque<(f64, [f64; 2])>,
 }
 
-impl Stage {
+impl StageSim {
     /// A stage at rest in its middle. Times in seconds, the limit in metres.
     pub fn new(delay_s: f64, lag_s: f64, limit: f64) -> Self {
         Self {
@@ -81,7 +81,7 @@ mod tests {
 
     #[test]
     fn a_step_arrives_after_the_delay_with_the_lag() {
-        let mut stage = Stage::new(1e-3, 0.5e-3, 1e-3);
+        let mut stage = StageSim::new(1e-3, 0.5e-3, 1e-3);
         stage.command([100e-6, -40e-6], 0.01);
         assert_eq!(stage.advance(0.011, false), [0.0; 2]);
         let after_one_lag = stage.advance(0.0115, false);
@@ -95,7 +95,7 @@ mod tests {
     #[test]
     fn the_path_does_not_depend_on_when_it_is_looked_at() {
         let run = |looks: u32| {
-            let mut stage = Stage::new(0.3e-3, 0.7e-3, 60e-6);
+            let mut stage = StageSim::new(0.3e-3, 0.7e-3, 60e-6);
             stage.command([50e-6, 90e-6], 0.0);
             stage.command([-20e-6, 10e-6], 0.9e-3);
             (1..=looks).map(|k| stage.advance(2e-3 * f64::from(k) / f64::from(looks), false)).last().unwrap()
@@ -106,7 +106,7 @@ mod tests {
 
     #[test]
     fn the_limit_holds_and_is_told() {
-        let mut stage = Stage::new(0.0, 1e-3, 500e-6);
+        let mut stage = StageSim::new(0.0, 1e-3, 500e-6);
         stage.command([0.0, -700e-6], 0.0);
         assert_eq!(stage.advance(1.0, false), [0.0, -500e-6]);
         assert!(stage.railed());
@@ -117,7 +117,7 @@ mod tests {
 
     #[test]
     fn without_lag_it_jumps_and_late_commands_act_at_once() {
-        let mut stage = Stage::new(0.0, 0.0, 1e-3);
+        let mut stage = StageSim::new(0.0, 0.0, 1e-3);
         stage.advance(5.0, false);
         stage.command([1e-6, 2e-6], 4.0);
         assert_eq!(stage.advance(5.0, false), [1e-6, 2e-6]);
@@ -125,7 +125,7 @@ mod tests {
 
     #[test]
     fn stuck_it_stays_and_then_follows_the_last_command() {
-        let mut stage = Stage::new(0.0, 1e-4, 1e-3);
+        let mut stage = StageSim::new(0.0, 1e-4, 1e-3);
         stage.command([10e-6, 0.0], 0.0);
         stage.advance(1.0, false);
         stage.command([90e-6, 0.0], 1.0);

@@ -5,8 +5,8 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
+use trifacet::closed_loop_sim::{ClosedLoopSim, SimStep};
 use trifacet::config::{Axis, Config, Fault, FaultKind, Motion, MotionKind};
-use trifacet::rig::{Rig, Turn};
 use trifacet_wire::{LockState, Status};
 
 use crate::{bench, motion, wide_bench};
@@ -111,7 +111,7 @@ struct Watch<'a> {
 }
 
 impl Watch<'_> {
-    fn see(&mut self, turn: &Turn) {
+    fn see(&mut self, turn: &SimStep) {
         let limit_um = self.sequence.config.steering.limit_um;
         if let Some(command) = turn.command {
             assert!(command.position.iter().all(|p| p.abs() <= limit_um * 1e-6), "{command:?}");
@@ -152,7 +152,7 @@ impl Watch<'_> {
 }
 
 fn run(sequence: &Sequence) -> Worst {
-    let mut rig = Rig::new(&sequence.config).unwrap();
+    let mut rig = ClosedLoopSim::new(&sequence.config).unwrap();
     let mut watch = Watch { sequence, lying_since: None, bursts: 0, into_burst: 0, worst: Worst::default() };
     let mut silent = false;
     loop {
@@ -241,7 +241,7 @@ fn with_the_light_of_the_demo_it_is_locked_again_too() {
             config.twin.laser_mw = [0.6, 0.8][step as usize % 2]; // 0.8 mW on one PSD clip it
             config.twin.steering.readback_noise_um = None;
             let over_s = 0.62 + 0.2 * f64::from(step);
-            let mut rig = Rig::new(&config).unwrap();
+            let mut rig = ClosedLoopSim::new(&config).unwrap();
             let locked = std::iter::repeat_with(|| rig.turn())
                 .take_while(|turn| turn.scan.t_s < over_s + 5.0)
                 .any(|turn| turn.scan.t_s > over_s && turn.state.lock == LockState::Locked);
@@ -253,7 +253,7 @@ fn with_the_light_of_the_demo_it_is_locked_again_too() {
 #[test]
 fn a_hand_on_one_psd_does_not_send_the_stage_away() {
     for psd in 0..3 {
-        let mut rig = Rig::new(&demo(FaultKind::PsdDark { psd }, 0.9)).unwrap();
+        let mut rig = ClosedLoopSim::new(&demo(FaultKind::PsdDark { psd }, 0.9)).unwrap();
         while rig.turn().scan.t_s < 1.5 {
             let [x, y] = rig.centering().state().position.unwrap();
             assert!(x.hypot(y) < 3e-6, "psd {psd}: {x} {y}");
@@ -267,7 +267,7 @@ fn a_stage_that_moves_the_beam_the_other_way_is_given_up_and_never_locked() {
     for matrix in [[[-1.0, 0.0], [0.0, -1.0]], [[0.0, 1.0], [1.0, 0.0]]] {
         let mut config = Config::default();
         config.steering.matrix = matrix;
-        let mut rig = Rig::new(&config).unwrap();
+        let mut rig = ClosedLoopSim::new(&config).unwrap();
         let mut locked_late = false;
         let last = std::iter::repeat_with(|| rig.turn()).take(30_000).inspect(|turn| {
             locked_late |= turn.scan.t_s > 1.0 && turn.state.lock == LockState::Locked;

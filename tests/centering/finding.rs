@@ -2,8 +2,8 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
+use trifacet::closed_loop_sim::ClosedLoopSim;
 use trifacet::config::{Axis, Config, MotionKind};
-use trifacet::rig::Rig;
 use trifacet_wire::LockState;
 
 use crate::{motion, wide_bench};
@@ -15,7 +15,7 @@ const AXES: [Axis; 6] = [Axis::Tx, Axis::Ty, Axis::Tz, Axis::Roll, Axis::Pitch, 
 
 /// Seconds until it says that it is locked, which must then be true; none within `most_s`.
 fn seconds_to_lock(config: &Config, most_s: f64) -> Option<f64> {
-    let mut rig = Rig::new(config).unwrap();
+    let mut rig = ClosedLoopSim::new(config).unwrap();
     loop {
         let turn = rig.turn();
         let command = turn.command.map_or([0.0; 2], |command| command.position);

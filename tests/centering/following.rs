@@ -2,8 +2,8 @@
 //!
 //! 10 kHz; a command computed from sample k acts on sample k+4. One tuning for all rows.
 
+use trifacet::closed_loop_sim::ClosedLoopSim;
 use trifacet::config::{Axis, Config, Motion, MotionKind};
-use trifacet::rig::Rig;
 
 use crate::{bench, motion};
 
@@ -18,7 +18,7 @@ fn offsets(change: Change, motion: &Motion, samples: usize) -> Vec<f64> {
     let mut config = bench();
     config.twin.motion.push(motion.clone());
     change(&mut config);
-    let mut rig = Rig::new(&config).unwrap();
+    let mut rig = ClosedLoopSim::new(&config).unwrap();
     (0..samples).map(|_| rig.turn().scan.truth.offset.x * 1e6).collect()
 }
 

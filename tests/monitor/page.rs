@@ -89,7 +89,7 @@ pub(crate) struct Family {
     pub(crate) name: String,
     #[serde(rename = "type")]
     pub(crate) kind: String,
-    pub(crate) meaning: String,
+    pub(crate) context: String,
     pub(crate) samples: Vec<(String, BTreeMap<String, String>, f64)>,
 }
 

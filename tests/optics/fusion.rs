@@ -1,7 +1,7 @@
 //! Eleven signals against weighted least squares by brute force.
 
 use nalgebra::{SMatrix, SVector};
-use trifacet_optics::{Estimator, Innovation, Model, Noise, Optics, Pose, Sighting, Vec2};
+use trifacet_optics::{BeamPosition, Estimator, Innovation, Model, Noise, Optics, Pose, Vec2};
 
 use crate::heads::{self, Draw};
 use crate::slopes::{Unknowns, differences};
@@ -35,7 +35,7 @@ fn fusion_is_the_weighted_solution_of_eleven_equations() {
             let x = Unknowns::from([p[0], p[1], p[2], p[3], p[4], p[5], offset.x, offset.y, total]);
 
             let residual = Vec2::new(draw.within(2e-6), draw.within(2e-6));
-            let sighting = Sighting { at: beam(&optics, &x) + residual, deviation: SIGHTING_DEVIATION };
+            let sighting = BeamPosition { at: beam(&optics, &x) + residual, deviation: SIGHTING_DEVIATION };
             let spread = estimator.sensitivity(&solution).unwrap().spread(&noise);
             let innovation = Innovation::new(&optics, &solution, &spread, &sighting).unwrap();
             let fused = innovation.fuse(&solution);

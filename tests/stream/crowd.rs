@@ -68,10 +68,10 @@ async fn of_64_clients_at_1_khz_one_stalls_and_the_others_lose_nothing() {
     }
     assert_eq!(refused, 1);
     // 5000 lines of JSON fit neither the queue nor the sockets. It is evicted, and what it missed counted.
-    let mut witness = connect(address).await;
+    let mut recorder = connect(address).await;
     let counted = async {
         loop {
-            if let Message::Heartbeat(heartbeat) = witness.next().await.unwrap()
+            if let Message::Heartbeat(heartbeat) = recorder.next().await.unwrap()
                 && heartbeat.counters["tcp_dropped"] > 0
             {
                 return;

@@ -21,8 +21,8 @@ impl Optics {
         for iterations in 0..MAX_STEPS {
             let split = Split::new(&normals, d);
             let [a, b] = [split.wedge(0), split.wedge(1)];
-            let slopes = Matrix2::from_rows(&[a.moment.transpose(), b.moment.transpose()]);
-            let inverse = slopes.try_inverse().ok_or(SolveError::Singular { iterations })?;
+            let jacobian = Matrix2::from_rows(&[a.moment.transpose(), b.moment.transpose()]);
+            let inverse = jacobian.try_inverse().ok_or(SolveError::Singular { iterations })?;
             let mut step = inverse * Vec2::new(powers[0] / total - a.power, powers[1] / total - b.power);
             let size = step.norm();
             if size > 1.0 {

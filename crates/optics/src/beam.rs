@@ -97,7 +97,7 @@ impl Split {
 
     /// How the light on a facet changes with offset and turn.
     #[inline(always)]
-    pub fn slopes(&self, facet: usize) -> WedgeSlopes {
+    pub fn jacobian(&self, facet: usize) -> WedgeSlopes {
         let (lo, hi) = self.around(facet);
         WedgeSlopes {
             power_turn: hi.turn * hi.f - lo.turn * lo.f,

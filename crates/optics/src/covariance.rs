@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
 
-use super::slopes::Residual;
+use super::jacobian::Residual;
 use super::{Estimator, Solution, SolveError, Vec2, Vec3};
 
 /// One standard deviation of each signal, in its unit; the noises are taken as independent.
@@ -24,7 +24,7 @@ pub struct Sensitivity(pub SMatrix<f64, 8, 9>);
 /// What one deviation of each of `N` independent signals does to the result, rows as in
 /// [`Sensitivity`]: a root of its covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Spread<const N: usize>(pub SMatrix<f64, 8, N>);
+pub struct ErrorPropagation<const N: usize>(pub SMatrix<f64, 8, N>);
 
 impl Estimator {
     /// The sensitivity at a solution. Fails if the equations are singular there.
@@ -66,15 +66,15 @@ impl Solution {
 
 impl Sensitivity {
     /// What this noise does to the result.
-    pub fn spread(mut self, noise: &Noise) -> Spread<9> {
+    pub fn spread(mut self, noise: &Noise) -> ErrorPropagation<9> {
         for (mut column, sd) in self.0.column_iter_mut().zip(noise.spots.iter().chain(&noise.powers)) {
             column *= *sd;
         }
-        Spread(self.0)
+        ErrorPropagation(self.0)
     }
 }
 
-impl<const N: usize> Spread<N> {
+impl<const N: usize> ErrorPropagation<N> {
     /// Covariance of the pose: tx, ty, tz (m), roll, pitch, yaw (rad).
     pub fn pose_covariance(&self) -> Matrix6<f64> {
         let pose = self.0.fixed_rows::<6>(0);

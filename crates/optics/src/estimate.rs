@@ -11,8 +11,8 @@ use std::sync::Arc;
 use nalgebra::{Quaternion, UnitQuaternion};
 use serde::{Deserialize, Serialize};
 
-use super::light::{Light, State};
-use super::slopes::{Linearised, Residual};
+use super::forward::{Light, State};
+use super::jacobian::{Linearised, Residual};
 use super::{FACETS, Model, Optics, Pose, Vec2, Vec3};
 
 /// The six coordinates and three powers of one moment.
@@ -103,7 +103,7 @@ pub struct Solution {
     pub iterations: u8,
     state: State,
     /// The equations of the last step, perhaps of an earlier sample.
-    slopes: Arc<Linearised>,
+    jacobian: Arc<Linearised>,
     pub(super) fractions: Vec2,
 }
 
@@ -169,7 +169,7 @@ impl Estimator {
     ) -> Result<Solution, SolveError> {
         let mut iterations = 0;
         if let Some(warm) = warm {
-            let kept = Some(Arc::clone(&warm.slopes));
+            let kept = Some(Arc::clone(&warm.jacobian));
             let solution = self.iterate::<GAUSSIAN>(target, warm.state, kept, &mut iterations);
             if solution.is_ok() {
                 return solution;
@@ -229,21 +229,21 @@ impl Estimator {
                 return Err(SolveError::OutOfRange { iterations });
             }
             let fresh = kept.is_none();
-            let slopes = match kept.take() {
-                Some(slopes) => slopes,
+            let jacobian = match kept.take() {
+                Some(jacobian) => jacobian,
                 None => Linearised::new(&self.optics, &light)
                     .map(Arc::new)
                     .ok_or(SolveError::Singular { iterations })?,
             };
-            let (step, limited) = self.step(&slopes, &target.minus(&light), &mut state);
+            let (step, limited) = self.step(&jacobian, &target.minus(&light), &mut state);
             *count += 1;
             let shrink = if last_step.is_finite() { step / last_step } else { KEEP };
             let next = step * if fresh { step * CURVATURE } else { shrink };
             if next < AT_REST && !limited {
-                return Ok(self.solution(target, state, slopes, *count));
+                return Ok(self.solution(target, state, jacobian, *count));
             }
             let good = if fresh { step < NEAR } else { shrink <= KEEP && step < NEAR };
-            kept = (good && !limited).then_some(slopes);
+            kept = (good && !limited).then_some(jacobian);
             last_step = step;
         }
         Err(SolveError::NotConverged { iterations: *count })
@@ -253,8 +253,8 @@ impl Estimator {
     /// any part of it stays one) and whether it was shortened, so that the offset moves by at most the
     /// beam's deviation.
     #[inline(always)]
-    fn step(&self, slopes: &Linearised, residual: &Residual, state: &mut State) -> (f64, bool) {
-        let (dt, dw, doffset) = slopes.solve(residual);
+    fn step(&self, jacobian: &Linearised, residual: &Residual, state: &mut State) -> (f64, bool) {
+        let (dt, dw, doffset) = jacobian.solve(residual);
         let reach = doffset.norm() / self.optics.sigma;
         let scale = if reach > 1.0 { 1.0 / reach } else { 1.0 };
         state.t += dt * scale;
@@ -267,7 +267,7 @@ impl Estimator {
     }
 
     #[inline(always)]
-    fn solution(&self, target: &Target, state: State, slopes: Arc<Linearised>, iterations: u8) -> Solution {
+    fn solution(&self, target: &Target, state: State, jacobian: Arc<Linearised>, iterations: u8) -> Solution {
         let rotation = self.optics.to_world * state.turn.to_rotation_matrix().into_inner();
         Solution {
             pose: Pose::new(self.optics.to_world * state.t, &rotation),
@@ -275,7 +275,7 @@ impl Estimator {
             total_power: target.total,
             iterations,
             state,
-            slopes,
+            jacobian,
             fractions: target.fractions,
         }
     }

@@ -9,12 +9,12 @@
 
 use nalgebra::{Matrix2, SMatrix, Vector6};
 
-use super::covariance::Spread;
+use super::covariance::ErrorPropagation;
 use super::{Optics, Pose, Solution, Vec2};
 
 /// Where the beam is by another instrument.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sighting {
+pub struct BeamPosition {
     /// Where the beam crosses the plane of the apex at rest, across the beam, metres.
     pub at: Vec2,
     /// One standard deviation of that per axis, metres.
@@ -28,7 +28,7 @@ pub struct Innovation<'a> {
     pub residual: Vec2,
     /// Inverse of its covariance, 1/m^2.
     weight: Matrix2<f64>,
-    spread: &'a Spread<9>,
+    spread: &'a ErrorPropagation<9>,
     /// How the noise of each signal shows in the solved place, metres.
     seen: SMatrix<f64, 2, 9>,
     deviation: f64,
@@ -42,7 +42,7 @@ pub struct Fused {
     /// Beam centre minus apex, across the beam, metres.
     pub offset: Vec2,
     /// How the noise shows in it: that of the nine signals, and of the sighting along x and y.
-    pub spread: Spread<11>,
+    pub spread: ErrorPropagation<11>,
 }
 
 impl<'a> Innovation<'a> {
@@ -51,8 +51,8 @@ impl<'a> Innovation<'a> {
     pub fn new(
         optics: &Optics,
         solution: &Solution,
-        spread: &'a Spread<9>,
-        sighting: &Sighting,
+        spread: &'a ErrorPropagation<9>,
+        sighting: &BeamPosition,
     ) -> Option<Self> {
         let residual = sighting.at - optics.across(solution.pose.t) - solution.offset;
         let across = optics.to_world.fixed_columns::<2>(0).transpose();
@@ -87,7 +87,7 @@ impl<'a> Innovation<'a> {
         Fused {
             pose: Pose::from_array(pose.into()),
             offset: solution.offset + update.fixed_rows::<2>(6),
-            spread: Spread(spread),
+            spread: ErrorPropagation(spread),
         }
     }
 }

@@ -6,7 +6,7 @@
 //! - [`beam`]: how a Gaussian beam splits on the mirror: powers and centroids, with derivatives.
 //! - [`model`]: the whole path, from pose and beam offset to signals.
 //! - [`estimate`]: the way back, from signals to pose and beam offset.
-//! - [`glimpse`]: where the beam is when a single PSD sees light.
+//! - [`facet_offset`]: where the beam is when a single PSD sees light.
 //! - [`covariance`]: how the noise of the signals shows in the result.
 //! - [`fusion`]: the beam's place by another instrument, as two more signals.
 //!
@@ -18,20 +18,20 @@ mod balance;
 pub mod beam;
 pub mod covariance;
 pub mod estimate;
+pub mod facet_offset;
+mod forward;
 pub mod fusion;
-pub mod glimpse;
 pub mod head;
-mod light;
+mod jacobian;
 mod linear;
 pub mod model;
 pub mod pose;
 pub mod ray;
-mod slopes;
 
-pub use covariance::{Noise, Sensitivity, Spread};
+pub use covariance::{ErrorPropagation, Noise, Sensitivity};
 pub use estimate::{Estimator, Signals, Solution, SolveError};
-pub use fusion::{Fused, Innovation, Sighting};
-pub use glimpse::Glimpse;
+pub use facet_offset::FacetOffset;
+pub use fusion::{BeamPosition, Fused, Innovation};
 pub use head::{Head, HeadError, Psd};
 pub use model::{Model, Optics, Reading, TraceError};
 pub use pose::{Pose, Rigid};

@@ -39,7 +39,7 @@ impl LockState {
     /// What may be claimed of this state on a frame without samples or without light. The loop may have
     /// said it a moment before, or after.
     #[must_use]
-    pub fn unseen(self) -> LockState {
+    pub fn without_observation(self) -> LockState {
         match self {
             LockState::Acquiring | LockState::Locked | LockState::Railed => LockState::Held,
             other => other,

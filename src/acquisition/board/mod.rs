@@ -4,9 +4,9 @@
 //! [`Session`] leads the conversation.
 
 mod compatibility;
+mod link_faults;
 mod sequence;
 mod session;
-mod tally;
 
 pub use sequence::{Arrival, Sequence};
 pub use session::{Session, Settings};

@@ -10,10 +10,10 @@ use trifacet_wire::actuator::OutputCommand;
 use trifacet_wire::board::message::{BoardScan, ErrorReason, Reply, StartResult};
 use trifacet_wire::board::{Answer, BoardIdentity, Deframer, MessageError, Request};
 
-use super::tally::{Mishap, Tally};
+use super::link_faults::{LinkFault, Tally};
 use super::{Arrival, Sequence, compatibility};
 use crate::acquisition::timebase::Timebase;
-use crate::acquisition::{Down, Event};
+use crate::acquisition::{SourceError, SourceEvent};
 use crate::config::{Config, SteeringKind};
 
 const MS: i64 = NS_PER_S / 1000;
@@ -90,9 +90,9 @@ pub struct Session {
     tally: Tally,
     /// Time of the last scan of all.
     last: Option<Mono>,
-    events: VecDeque<Event>,
+    events: VecDeque<SourceEvent>,
     /// Why no scans come, as last told.
-    told: Option<Down>,
+    told: Option<SourceError>,
     /// Frames under way to the wire.
     out: Vec<u8>,
     /// The newest command, not yet under way.
@@ -126,14 +126,14 @@ impl Session {
     }
 
     /// The wire is not there, for this reason.
-    pub fn disconnected(&mut self, reason: Down) {
+    pub fn disconnected(&mut self, reason: SourceError) {
         self.state = State::Unlinked;
         self.out.clear();
         self.down(reason);
     }
 
     /// The next thing to tell.
-    pub fn event(&mut self) -> Option<Event> {
+    pub fn event(&mut self) -> Option<SourceEvent> {
         self.events.pop_front()
     }
 
@@ -193,7 +193,7 @@ impl Session {
             State::Resting { .. } => self.identify(now),
             State::Running(running) => {
                 let silence_ms = ((now - running.heard) / MS) as u32;
-                self.rest(Down::Stalled { silence_ms }, now);
+                self.rest(SourceError::Stalled { silence_ms }, now);
                 self.state = State::Resting { until: now + REST_NS, stalled: Some(running) };
             }
         }
@@ -206,7 +206,7 @@ impl Session {
             match frame.map(Answer::decode) {
                 Ok(Ok(answer)) => self.answered(answer, now),
                 Ok(Err(error)) => self.not_understood(error, now),
-                Err(_) if self.scanning() => self.tally.count(Mishap::Corrupted),
+                Err(_) if self.scanning() => self.tally.count(LinkFault::Corrupted),
                 Err(_) => self.garbage += 1,
             }
         }
@@ -234,7 +234,7 @@ impl Session {
                 self.scanned(&scan, now);
             }
             (Answer::Ack { id, result }, State::Running(_) | State::Resting { stalled: Some(_), .. }) => {
-                self.events.push_back(Event::Ack(result.ack(id)));
+                self.events.push_back(SourceEvent::Ack(result.ack(id)));
             }
             (Answer::Identity(board), State::Identifying { .. }) => self.identified(board, now),
             (Answer::Reply(reply @ Reply { start: true, .. }), State::Starting { .. }) => {
@@ -243,7 +243,7 @@ impl Session {
             (Answer::Error { reason: ErrorReason::Version, .. }, State::Identifying { .. }) => {
                 self.unfit("it does not speak version 1 of the protocol".into(), now);
             }
-            (Answer::Error { .. }, _) => self.tally.count(Mishap::BoardError),
+            (Answer::Error { .. }, _) => self.tally.count(LinkFault::BoardError),
             // Scans from before START, and answers that come after the time for them.
             (Answer::Scan(_) | Answer::Ack { .. } | Answer::Identity(_) | Answer::Reply(_), _) => {}
         }
@@ -254,7 +254,7 @@ impl Session {
             return self.unfit(error.to_string(), now);
         }
         tracing::debug!("board link: {error}");
-        self.tally.count(Mishap::Unknown);
+        self.tally.count(LinkFault::Unknown);
     }
 
     fn identified(&mut self, board: BoardIdentity, now: Mono) {
@@ -288,7 +288,7 @@ impl Session {
         });
         tracing::debug!("board started: {}, {} channels at {rate_hz} Hz", board.name, board.roles.len());
         self.told = None;
-        self.events.push_back(Event::Up(compatibility::identity(&board, rate_hz)));
+        self.events.push_back(SourceEvent::Up(compatibility::identity(&board, rate_hz)));
     }
 
     fn scanned(&mut self, scan: &BoardScan, now: Mono) {
@@ -297,25 +297,25 @@ impl Session {
             return;
         };
         if usize::from(scan.channels) != running.channels {
-            return self.tally.count(Mishap::Unknown);
+            return self.tally.count(LinkFault::Unknown);
         }
         let (index, lost) = match self.sequence.arrived(scan.sequence) {
             Arrival::New { index, lost } => (index, lost),
-            Arrival::Repeated => return self.tally.count(Mishap::Repeated),
-            Arrival::Late => return self.tally.count(Mishap::Late),
+            Arrival::Repeated => return self.tally.count(LinkFault::Repeated),
+            Arrival::Late => return self.tally.count(LinkFault::Late),
         };
         self.tally.lost(lost);
         if scan.overrun {
-            self.tally.count(Mishap::Overrun);
+            self.tally.count(LinkFault::Overrun);
         }
         if scan.lease_expired && !running.lease_expired {
-            self.tally.count(Mishap::LeaseExpired);
+            self.tally.count(LinkFault::LeaseExpired);
         }
         running.lease_expired = scan.lease_expired;
         running.heard = now;
         let moment = running.timebase.moment(scan.tick, now);
         self.last = Some(moment.time);
-        self.events.push_back(Event::Scan(Scan {
+        self.events.push_back(SourceEvent::Scan(Scan {
             index,
             time: moment.time,
             time_sigma_ns: Some(moment.sigma_ns),
@@ -344,24 +344,24 @@ impl Session {
                 "{frames} corrupted frames instead of an answer: does the board run at {baud} baud?"
             );
         }
-        self.rest(Down::Timeout { step, timeout_ms: ANSWER_MS }, now);
+        self.rest(SourceError::Timeout { step, timeout_ms: ANSWER_MS }, now);
     }
 
     fn unfit(&mut self, reason: String, now: Mono) {
-        self.rest(Down::Unfit(reason), now);
+        self.rest(SourceError::Unfit(reason), now);
     }
 
-    fn rest(&mut self, reason: Down, now: Mono) {
+    fn rest(&mut self, reason: SourceError, now: Mono) {
         self.state = State::Resting { until: now + REST_NS, stalled: None };
         self.down(reason);
     }
 
     /// Tells why no scans come, once for each reason.
-    fn down(&mut self, reason: Down) {
+    fn down(&mut self, reason: SourceError) {
         self.command = None;
         if self.told.as_ref() != Some(&reason) {
             self.told = Some(reason.clone());
-            self.events.push_back(Event::Down(reason));
+            self.events.push_back(SourceEvent::Down(reason));
         }
     }
 }

@@ -10,10 +10,12 @@ use trifacet::config::{
     Config, FacetConfig, FramesConfig, LogFormat, SourceKind, SteeringKind, TransformConfig,
 };
 use trifacet::publishing::columns::rfc3339;
-use trifacet::replay::Beginning;
+use trifacet::replay::RecordingHeader;
 use trifacet_core::centering::LoopMode;
 use trifacet_optics::covariance::deviations;
-use trifacet_optics::{Estimator, FACETS, Innovation, Model, Noise, Optics, Pose, Sighting, Signals, Vec2};
+use trifacet_optics::{
+    BeamPosition, Estimator, FACETS, Innovation, Model, Noise, Optics, Pose, Signals, Vec2,
+};
 
 use super::{ConfigArg, written};
 
@@ -27,7 +29,7 @@ pub(crate) struct CheckArgs {
 /// Says what a configuration means, or fails with what is wrong with it.
 pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
-    let beginning = Beginning::of_source(&config)?;
+    let beginning = RecordingHeader::of_source(&config)?;
     let (config, id) = match &beginning {
         None => {
             config.read_channels()?; // the correction tables are part of it
@@ -35,8 +37,8 @@ pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
             (config, id)
         }
         Some(then) => {
-            then.meaning.config.channels(&then.meaning.tables)?;
-            (then.holding(&config), then.meaning.id())
+            then.context.config.channels(&then.context.tables)?;
+            (then.holding(&config), then.context.id())
         }
     };
     let mut lines = Lines::default();
@@ -152,7 +154,7 @@ fn estimation(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
         powers: rest.powers.map(|power| power * estimation.power_noise / quieter),
     };
     let spread = estimator.sensitivity(&solution)?.spread(&noise);
-    let sighting = Sighting { at: Vec2::zeros(), deviation: config.steering.deviation_um * 1e-6 };
+    let sighting = BeamPosition { at: Vec2::zeros(), deviation: config.steering.deviation_um * 1e-6 };
     let covariance = Innovation::new(estimator.optics(), &solution, &spread, &sighting)
         .filter(|_| estimation.fuse_steering)
         .map_or(spread.pose_covariance(), |innovation| innovation.fuse(&solution).spread.pose_covariance());

@@ -4,7 +4,7 @@ use trifacet::client::Endpoint;
 use trifacet::config::Axis;
 use trifacet::exit::{self, Failure};
 use trifacet::experiment::protocol::{Course, Protocol, printed};
-use trifacet::experiment::{amount, reference};
+use trifacet::experiment::{quantity, reference};
 
 use super::ExperimentArgs;
 
@@ -57,9 +57,9 @@ pub(super) fn axis(text: &str) -> Result<Axis, String> {
 
 /// `AXIS=X`, X in um or urad, or with a unit.
 pub(super) fn interval(text: &str) -> Result<(Axis, f64), String> {
-    let (name, amount) = text.split_once('=').ok_or("must be AXIS=X, such as tx=1.44")?;
+    let (name, quantity) = text.split_once('=').ok_or("must be AXIS=X, such as tx=1.44")?;
     let axis = axis(name)?;
-    let interval = amount::parse(axis, amount)?;
+    let interval = quantity::parse(axis, quantity)?;
     if interval > 0.0 && interval <= MOST {
         return Ok((axis, interval));
     }

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use trifacet::exit::{self, Failure};
 use trifacet::publishing::columns::{Value, rfc3339};
 use trifacet::recording::reader::Tally;
-use trifacet::replay::verdict::Difference;
-use trifacet::replay::{Engine, Verdict};
+use trifacet::replay::comparison::Difference;
+use trifacet::replay::{Comparison, Engine};
 
 /// A file with what was in it.
 type Read = (PathBuf, Box<Tally>);
@@ -60,8 +60,8 @@ pub(super) fn nothing(files: &[Read]) -> Failure {
 }
 
 /// The verdict, for a person.
-pub(super) fn text(verdict: &Verdict, engine: &Engine) -> String {
-    let Verdict { same, other, unrecorded, unrepeated, .. } = verdict;
+pub(super) fn text(verdict: &Comparison, engine: &Engine) -> String {
+    let Comparison { same, other, unrecorded, unrepeated, .. } = verdict;
     let mut text = format!("{same} of {} frames are identical, bit by bit\n", same + other);
     let mut say = |line: String| {
         let _ = writeln!(text, "{line}"); // a String takes everything

@@ -11,7 +11,7 @@ use trifacet::recording::codec::Encoder;
 use trifacet::recording::reader::Gap;
 use trifacet::recording::writer::{RecordError, Writer};
 use trifacet::replay::Engine;
-use trifacet::replay::verdict::Pair;
+use trifacet::replay::comparison::Pair;
 use trifacet_core::time::Mono;
 
 use crate::commands::new_file::{NewFile, cannot_write};

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use trifacet::replay::verdict::Pair;
+use trifacet::replay::comparison::Pair;
 use trifacet_wire::Status;
 
 const AXES: [(&str, &str); 6] =

@@ -3,9 +3,9 @@
 
 use std::fmt::{Display, Write};
 
-use trifacet::tuning::findings::{AXES, Findings};
-use trifacet::tuning::plan::Plan;
-use trifacet::tuning::response::Response;
+use trifacet::identification::findings::{AXES, Findings};
+use trifacet::identification::plan::Plan;
+use trifacet::identification::response::Response;
 
 const WIDTH: f64 = 760.0;
 const HEIGHT: f64 = 300.0;

@@ -4,8 +4,8 @@ use std::fmt;
 
 use trifacet::config::edit::{Edit, Value};
 use trifacet::config::{CenteringConfig, Config, Gains};
-use trifacet::tuning::findings::{AXES, Findings, Measured};
-use trifacet::tuning::plan::Plan;
+use trifacet::identification::findings::{AXES, Findings, Measured};
+use trifacet::identification::plan::Plan;
 
 /// Findings beside the configuration that they were made with.
 pub(super) struct Report<'a> {

@@ -1,8 +1,8 @@
 //! What a person sees while the loop is measured.
 
 use indicatif::{ProgressBar, ProgressStyle};
-use trifacet::tuning::plan::{Plan, um};
-use trifacet::tuning::task::Audience;
+use trifacet::identification::plan::{Plan, um};
+use trifacet::identification::task::Audience;
 use trifacet_core::signals::Identity;
 use trifacet_core::steering::Xy;
 

@@ -7,7 +7,7 @@ use trifacet_wire::Status;
 use super::Report;
 use super::cells::{escaped, micro, paper, percent, seconds, table, with_sigma};
 use crate::config::Axis;
-use crate::experiment::rest::Rest;
+use crate::experiment::static_record::StaticRecord;
 use crate::experiment::statistics::Measured;
 
 /// 95 % of what is normally distributed lies within so many deviations.
@@ -156,8 +156,8 @@ fn crosstalk(all: &[Measured]) -> String {
     table(&head, all.iter().map(row))
 }
 
-fn at_rest(rest: &Rest) -> String {
-    let row = |(axis, still): (Axis, &crate::experiment::rest::Still)| {
+fn at_rest(rest: &StaticRecord) -> String {
+    let row = |(axis, still): (Axis, &crate::experiment::static_record::Still)| {
         let least = still.allan.iter().min_by(|a, b| a.deviation.total_cmp(&b.deviation));
         let (first, last) = (still.allan.first(), still.allan.last());
         let deviation =

@@ -15,9 +15,9 @@ use trifacet_core::centering::LoopMode;
 
 use super::own_page;
 use crate::config::{MonitorConfig, Token};
-use crate::control::{self, Command, Live};
+use crate::control::{self, Command, RunningConfig};
 use crate::monitor::view::View;
-use crate::recording::Wish;
+use crate::recording::RecorderCommand;
 
 /// What a person with the token may do. There is none unless `monitor.control` is on.
 #[derive(Clone, Debug)]
@@ -25,12 +25,12 @@ pub struct Controls {
     /// Who has it, may.
     pub token: Token,
     /// The daemon.
-    pub live: Arc<Mutex<Live>>,
+    pub live: Arc<Mutex<RunningConfig>>,
 }
 
 impl Controls {
     /// If the configuration allows it.
-    pub fn of(config: &MonitorConfig, live: &Arc<Mutex<Live>>) -> Option<Self> {
+    pub fn of(config: &MonitorConfig, live: &Arc<Mutex<RunningConfig>>) -> Option<Self> {
         let token = config.token.clone().filter(|_| config.control)?;
         Some(Self { token, live: Arc::clone(live) })
     }
@@ -39,7 +39,7 @@ impl Controls {
 /// `{"command": "loop on"}`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Order {
+pub struct PageCommand {
     command: String,
 }
 
@@ -48,19 +48,19 @@ pub async fn obey(
     State(view): State<Arc<View>>,
     ConnectInfo(peer): ConnectInfo<SocketAddr>,
     headers: HeaderMap,
-    order: Result<Json<Order>, JsonRejection>,
+    order: Result<Json<PageCommand>, JsonRejection>,
 ) -> Response {
     let counters = &view.sources.counters;
     let Some(controls) = &view.sources.control else {
-        counters.monitor_denied.one();
+        counters.monitor_denied.inc();
         return refusal(StatusCode::FORBIDDEN, "the page may only look: monitor.control is off");
     };
     if !own_page(&headers) {
-        counters.monitor_forbidden.one();
+        counters.monitor_forbidden.inc();
         return refusal(StatusCode::FORBIDDEN, "the page of another server may not steer");
     }
     if !bearer(&headers).is_some_and(|given| controls.token.is(given)) {
-        counters.monitor_denied.one();
+        counters.monitor_denied.inc();
         // Who it was, and never what was given: that may be nearly right.
         tracing::warn!(%peer, "monitor: an order with a wrong token");
         return refusal(StatusCode::UNAUTHORIZED, "wrong token: it is monitor.token of the configuration");
@@ -103,6 +103,6 @@ fn allowed(command: &Command) -> bool {
             | Command::ClearTare { save: false }
             | Command::Loop(LoopMode::On | LoopMode::Off | LoopMode::Shadow)
             | Command::Park
-            | Command::Record(Wish::Start | Wish::Stop)
+            | Command::Record(RecorderCommand::Start | RecorderCommand::Stop)
     )
 }

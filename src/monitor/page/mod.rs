@@ -1,16 +1,16 @@
 //! The live page: what it is made of, and who gets it.
 //!
-//! - [`bins`], [`spells`], [`spectrum`]: what becomes of every frame. Pure.
-//! - [`gathered`]: all that as one update, made once for all viewers, ten times a second.
+//! - [`bins`], [`status_history`], [`spectrum`]: what becomes of every frame. Pure.
+//! - [`state`]: all that as one update, made once for all viewers, ten times a second.
 //! - [`viewer`]: a WebSocket for each of them. [`control`]: the few commands that the page may give.
 //!
 //! The page itself stands in `assets`, and goes into the binary with the chart library (`build.rs`).
 
 pub mod bins;
 pub mod control;
-pub mod gathered;
 pub mod spectrum;
-pub mod spells;
+pub mod state;
+pub mod status_history;
 pub mod viewer;
 
 use std::sync::Arc;

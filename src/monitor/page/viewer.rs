@@ -31,7 +31,7 @@ const LONGEST: usize = 256;
 /// What a viewer may say.
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
-enum Wish {
+enum ViewerRequest {
     /// Updates, and so many seconds of the past.
     Watch(u32),
     /// Nothing for now.
@@ -42,11 +42,11 @@ enum Wish {
 pub async fn open(State(view): State<Arc<View>>, headers: HeaderMap, upgrade: WebSocketUpgrade) -> Response {
     let counters = &view.sources.counters;
     if !own_page(&headers) {
-        counters.monitor_forbidden.one();
+        counters.monitor_forbidden.inc();
         return (StatusCode::FORBIDDEN, "the page of another server may not look\n").into_response();
     }
     let Ok(seat) = Arc::clone(&view.seats).try_acquire_owned() else {
-        counters.monitor_refused.one();
+        counters.monitor_refused.inc();
         return (StatusCode::SERVICE_UNAVAILABLE, "all seats are taken\n").into_response();
     };
     upgrade.max_message_size(LONGEST).on_upgrade(async move |socket| {
@@ -102,11 +102,11 @@ impl Viewer {
     async fn hello(&mut self) -> Result<(), Gone> {
         let bits = Status::NAMES.iter().zip(Status::MEANINGS);
         let bits: Vec<_> =
-            bits.map(|((_, name), meaning)| json!({ "name": name, "meaning": meaning })).collect();
+            bits.map(|((_, name), context)| json!({ "name": name, "meaning": context })).collect();
         let sources = &self.view.sources;
         let counters: serde_json::Map<_, _> = (sources.counters.list().iter().map(|(name, _)| *name))
             .zip(trifacet_core::telemetry::Counters::MEANINGS)
-            .map(|(name, meaning)| (name.to_owned(), (*meaning).into()))
+            .map(|(name, context)| (name.to_owned(), (*context).into()))
             .collect();
         let hello = json!({ "hello": {
             "descriptor": *sources.descriptor.borrow(),
@@ -125,17 +125,17 @@ impl Viewer {
             Message::Binary(_) | Message::Close(_) => return Err(Gone),
         };
         match serde_json::from_str(&text) {
-            Ok(Wish::Watch(span_s)) => {
+            Ok(ViewerRequest::Watch(span_s)) => {
                 // First the seat, then the past: nothing falls between them.
                 self.updates.get_or_insert_with(|| self.view.updates());
                 let past = json!({ "history": self.view.history(span_s), "span_s": span_s });
                 self.say(&past).await
             }
-            Ok(Wish::Pause(true)) => {
+            Ok(ViewerRequest::Pause(true)) => {
                 self.updates = None;
                 Ok(())
             }
-            Ok(Wish::Pause(false)) | Err(_) => {
+            Ok(ViewerRequest::Pause(false)) | Err(_) => {
                 self.bye(close_code::POLICY, "allowed are {\"watch\": seconds} and {\"pause\": true}")
                     .await?;
                 Err(Gone)

@@ -20,7 +20,7 @@
 
 mod endpoint;
 mod link;
-mod order;
+mod losses;
 
 use std::io;
 use std::net::SocketAddr;
@@ -34,8 +34,8 @@ pub use trifacet_wire::{FrameError, PoseFrame};
 
 pub use self::endpoint::{ClientError, Endpoint};
 use self::link::Link;
-pub use self::order::Losses;
-use self::order::Order;
+use self::losses::LossCounter;
+pub use self::losses::Losses;
 
 /// A daemon is heard each second. If it is not for so long, the link is dead: a client that connects
 /// again by itself does so.
@@ -84,7 +84,7 @@ pub struct Client {
     endpoint: Endpoint,
     options: Options,
     state: State,
-    order: Order,
+    losses: LossCounter,
     /// Bytes skipped in links that are no more.
     skipped: u64,
     reconnects: u64,
@@ -118,7 +118,7 @@ impl Client {
             wait: options.reconnect.unwrap_or_default().first,
             options,
             state: State::Up { link, heard: Instant::now() },
-            order: Order::new(step),
+            losses: LossCounter::new(step),
             skipped: 0,
             reconnects: 0,
         })
@@ -168,11 +168,11 @@ impl Client {
     fn note(&mut self, message: Message) -> Result<Message, ClientError> {
         match &message {
             Message::Pose(frame) => {
-                self.order.note(frame);
+                self.losses.note(frame);
                 self.wait = self.options.reconnect.unwrap_or_default().first;
             }
             Message::Descriptor(descriptor) => {
-                self.order.step = descriptor.stream.as_ref().map(|stream| stream.divider.into());
+                self.losses.step = descriptor.stream.as_ref().map(|stream| stream.divider.into());
             }
             Message::Refusal(Refusal { error }) => return Err(ClientError::Refused(error.clone())),
             Message::Heartbeat(_) | Message::Answer(_) => {}
@@ -200,7 +200,7 @@ impl Client {
             State::Up { link, .. } => link.skipped(),
             State::Down { .. } => 0,
         };
-        Losses { skipped_bytes: self.skipped + now, ..self.order.losses }
+        Losses { skipped_bytes: self.skipped + now, ..self.losses.losses }
     }
 
     /// How often it has connected again.

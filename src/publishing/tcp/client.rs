@@ -13,9 +13,9 @@ use tokio::time::{Instant, Interval, MissedTickBehavior, interval, sleep_until, 
 use trifacet_wire::stream::request::{Lines, MAX_LINE};
 use trifacet_wire::stream::{ClientCommand, StreamRequest};
 
-use super::{House, part};
+use super::{ServerContext, part};
 use crate::publishing::descriptor::heartbeat;
-use crate::publishing::form::{Form, Issue, answer, farewell};
+use crate::publishing::encoding::{ClientEncoder, EncodedFrame, answer, farewell};
 use crate::publishing::query;
 
 /// Bytes that the kernel may hold for a client. The default grows to megabytes: seconds of old frames.
@@ -28,9 +28,9 @@ const BAD_LINES: u32 = 100;
 
 pub(super) struct Client {
     stream: TcpStream,
-    ring: broadcast::Receiver<Arc<Issue>>,
-    house: Arc<House>,
-    form: Option<Form>,
+    ring: broadcast::Receiver<Arc<EncodedFrame>>,
+    context: Arc<ServerContext>,
+    form: Option<ClientEncoder>,
     heartbeat: Interval,
     lines: Lines,
     bad_lines: u32,
@@ -58,17 +58,21 @@ enum End {
 enum Event {
     Beat,
     Bytes(io::Result<usize>),
-    Frame(Result<Arc<Issue>, RecvError>),
+    Frame(Result<Arc<EncodedFrame>, RecvError>),
     Idle,
     Ending,
 }
 
 impl Client {
-    pub(super) fn new(stream: TcpStream, ring: broadcast::Receiver<Arc<Issue>>, house: Arc<House>) -> Self {
+    pub(super) fn new(
+        stream: TcpStream,
+        ring: broadcast::Receiver<Arc<EncodedFrame>>,
+        context: Arc<ServerContext>,
+    ) -> Self {
         Self {
             stream,
             ring,
-            house,
+            context,
             form: None,
             heartbeat: beats(),
             lines: Lines::default(),
@@ -82,7 +86,7 @@ impl Client {
     }
 
     pub(super) async fn run(mut self, address: SocketAddr) {
-        let stall = self.house.limits.stall;
+        let stall = self.context.limits.stall;
         let result = self.talk().await;
         self.settle();
         let end = match &result {
@@ -109,7 +113,7 @@ impl Client {
 
     async fn talk(&mut self) -> io::Result<End> {
         self.stream.set_nodelay(true)?;
-        let stall = u32::try_from(self.house.limits.stall.as_millis()).unwrap_or(u32::MAX);
+        let stall = u32::try_from(self.context.limits.stall.as_millis()).unwrap_or(u32::MAX);
         rustix::net::sockopt::set_tcp_user_timeout(&self.stream, stall)?;
         rustix::net::sockopt::set_socket_send_buffer_size(&self.stream, SEND_BUFFER)?;
         let mut buffer = [0; 1024];
@@ -120,8 +124,8 @@ impl Client {
                     None
                 }
                 Event::Bytes(n) => self.said(&buffer[..n?]).await?,
-                Event::Frame(Ok(issue)) => {
-                    self.send_batch(&issue).await?;
+                Event::Frame(Ok(frame_once)) => {
+                    self.send_batch(&frame_once).await?;
                     None
                 }
                 Event::Frame(Err(RecvError::Lagged(n))) => {
@@ -134,7 +138,7 @@ impl Client {
                 }
                 Event::Ending => Some(End::Daemon),
                 Event::Idle => {
-                    let patience = self.house.limits.idle.as_secs_f64();
+                    let patience = self.context.limits.idle.as_secs_f64();
                     Some(End::Refused(format!("no whole line for {patience} s; {}", allowed())))
                 }
             };
@@ -151,9 +155,9 @@ impl Client {
             biased;
             _ = self.heartbeat.tick(), if streaming => Event::Beat,
             n = read(&self.stream, buffer), if self.open => Event::Bytes(n),
-            issue = self.ring.recv(), if streaming => Event::Frame(issue),
-            () = sleep_until(self.heard + self.house.limits.idle), if !streaming => Event::Idle,
-            () = self.house.ending.cancelled(), if !streaming => Event::Ending,
+            frame_once = self.ring.recv(), if streaming => Event::Frame(frame_once),
+            () = sleep_until(self.heard + self.context.limits.idle), if !streaming => Event::Idle,
+            () = self.context.ending.cancelled(), if !streaming => Event::Ending,
         }
     }
 
@@ -187,8 +191,8 @@ impl Client {
             Ok(ClientCommand::Help) => ClientCommand::help().to_owned(),
             Ok(ClientCommand::Descriptor) => {
                 let bytes = match &self.form {
-                    Some(form) => form.descriptor(&self.house.descriptor.borrow())?,
-                    None => query::descriptor(&self.house.descriptor.borrow())?,
+                    Some(form) => form.descriptor(&self.context.descriptor.borrow())?,
+                    None => query::descriptor(&self.context.descriptor.borrow())?,
                 };
                 self.write(&bytes).await?;
                 return Ok(None);
@@ -211,17 +215,17 @@ impl Client {
         Ok(None)
     }
 
-    fn ask(&self, say: impl Fn(&Issue, f64) -> String) -> String {
-        match &*self.house.newest.borrow() {
-            Some(issue) => say(issue, self.house.descriptor.borrow().rate_hz),
+    fn ask(&self, say: impl Fn(&EncodedFrame, f64) -> String) -> String {
+        match &*self.context.newest.borrow() {
+            Some(frame_once) => say(frame_once, self.context.descriptor.borrow().rate_hz),
             None => "error: no frame was made yet; allowed: ask again".into(),
         }
     }
 
     /// Starts a stream, or changes the one that runs.
     async fn start(&mut self, request: StreamRequest) -> io::Result<()> {
-        let descriptor = self.house.descriptor.borrow().clone();
-        let form = Form::new(request, descriptor.rate_hz);
+        let descriptor = self.context.descriptor.borrow().clone();
+        let form = ClientEncoder::new(request, descriptor.rate_hz);
         let greeting = form.greeting(&descriptor)?;
         if self.form.is_none() {
             self.ring = self.ring.resubscribe();
@@ -232,12 +236,12 @@ impl Client {
     }
 
     /// Sends a frame with those that are already waiting behind it.
-    async fn send_batch(&mut self, first: &Arc<Issue>) -> io::Result<()> {
+    async fn send_batch(&mut self, first: &Arc<EncodedFrame>) -> io::Result<()> {
         let mut batch = Vec::with_capacity(256);
         let mut count = self.append(first, &mut batch)?;
         for _ in 1..BATCH {
             match self.ring.try_recv() {
-                Ok(issue) => count += self.append(&issue, &mut batch)?,
+                Ok(frame_once) => count += self.append(&frame_once, &mut batch)?,
                 Err(TryRecvError::Lagged(n)) => self.lagged += n,
                 Err(TryRecvError::Empty | TryRecvError::Closed) => break,
             }
@@ -248,15 +252,15 @@ impl Client {
     }
 
     /// Appends a frame to what is sent, if it is wanted; settles what was lost before it.
-    fn append(&mut self, issue: &Arc<Issue>, to: &mut Vec<u8>) -> io::Result<u64> {
+    fn append(&mut self, frame_once: &Arc<EncodedFrame>, to: &mut Vec<u8>) -> io::Result<u64> {
         let Some(form) = &self.form else { return Ok(0) };
-        let lost = form.wanted_before(issue, std::mem::take(&mut self.lagged));
+        let lost = form.wanted_before(frame_once, std::mem::take(&mut self.lagged));
         self.dropped += lost;
-        self.house.counters.tcp_dropped.add(lost);
-        if !form.wants(issue) {
+        self.context.counters.tcp_dropped.add(lost);
+        if !form.wants(frame_once) {
             return Ok(0);
         }
-        form.frame(issue, to)?;
+        form.frame(frame_once, to)?;
         Ok(1)
     }
 
@@ -265,9 +269,9 @@ impl Client {
         loop {
             match self.ring.try_recv() {
                 Err(TryRecvError::Lagged(n)) => self.lagged += n,
-                Ok(issue) => {
+                Ok(frame_once) => {
                     // A mistake would be one in writing it, which nobody reads any more.
-                    let _ = self.append(&issue, &mut Vec::new());
+                    let _ = self.append(&frame_once, &mut Vec::new());
                     return;
                 }
                 Err(TryRecvError::Empty | TryRecvError::Closed) => return,
@@ -277,14 +281,14 @@ impl Client {
 
     async fn beat(&mut self) -> io::Result<()> {
         let Some(form) = &self.form else { return Ok(()) };
-        let bytes = form.heartbeat(&heartbeat(self.sent, self.dropped, &self.house.counters))?;
+        let bytes = form.heartbeat(&heartbeat(self.sent, self.dropped, &self.context.counters))?;
         self.write(&bytes).await
     }
 
     /// Writes all of it, as long as the client takes some of it every now and then.
     async fn write(&mut self, mut bytes: &[u8]) -> io::Result<()> {
         while !bytes.is_empty() {
-            let n = timeout(self.house.limits.stall, self.stream.write(bytes)).await??;
+            let n = timeout(self.context.limits.stall, self.stream.write(bytes)).await??;
             bytes = &bytes[n..];
         }
         Ok(())

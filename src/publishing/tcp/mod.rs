@@ -3,7 +3,7 @@
 //! All clients read from one ring of frames at their own pace. One that falls behind by more than the
 //! ring loses the oldest frames, which is counted for it, and no other client notices.
 //!
-//! This file is the house: who comes in, and how it closes. `client` is the talk with one of them.
+//! This file is the server: who comes in, and how it closes. `client` is the talk with one of them.
 
 mod client;
 
@@ -24,7 +24,7 @@ use trifacet_wire::held::Hold;
 use trifacet_wire::stream::Descriptor;
 
 use self::client::Client;
-use super::form::{Issue, farewell};
+use super::encoding::{EncodedFrame, farewell};
 use crate::config::Network;
 use crate::exit::Failure;
 
@@ -84,60 +84,60 @@ pub async fn serve(
 ) {
     let (ring, idle_ring) = broadcast::channel(limits.queue.clamp(1, 1 << 20));
     let (newest_in, newest) = watch::channel(None);
-    let mut press = Press { ring, newest: newest_in, hold: Hold::default() };
+    let mut broadcaster = Broadcaster { ring, newest: newest_in, hold: Hold::default() };
     let ending = CancellationToken::new();
-    let house = House { descriptor, limits, counters, newest, ending: ending.clone() };
-    let mut server = Server { house: house.into(), clients: JoinSet::new(), partings: JoinSet::new() };
+    let context = ServerContext { descriptor, limits, counters, newest, ending: ending.clone() };
+    let mut server = Server { context: context.into(), clients: JoinSet::new(), partings: JoinSet::new() };
     tokio::select! {
-        () = press.run(&mut frames) => {}
+        () = broadcaster.run(&mut frames) => {}
         () = server.accept_all(&listener, &idle_ring) => {}
         () = shutdown.cancelled() => {}
     }
     drop(listener);
-    let _ = timeout(DRAIN, press.run(&mut frames)).await;
+    let _ = timeout(DRAIN, broadcaster.run(&mut frames)).await;
     // The ring closes: streams end after their last frame. Clients without one end at once.
-    drop(press);
+    drop(broadcaster);
     ending.cancel();
     server.finish().await;
 }
 
 /// Puts frames on the ring.
-struct Press {
-    ring: broadcast::Sender<Arc<Issue>>,
-    newest: watch::Sender<Option<Arc<Issue>>>,
+struct Broadcaster {
+    ring: broadcast::Sender<Arc<EncodedFrame>>,
+    newest: watch::Sender<Option<Arc<EncodedFrame>>>,
     hold: Hold,
 }
 
-impl Press {
+impl Broadcaster {
     /// Until none can come any more.
     async fn run(&mut self, frames: &mut mpsc::Receiver<PoseFrame>) {
         while let Some(frame) = frames.recv().await {
-            let issue = Arc::new(Issue::new(frame, &mut self.hold));
-            self.newest.send_replace(Some(Arc::clone(&issue)));
+            let frame_once = Arc::new(EncodedFrame::new(frame, &mut self.hold));
+            self.newest.send_replace(Some(Arc::clone(&frame_once)));
             // Fails if there is no client, which is no loss.
-            let _ = self.ring.send(issue);
+            let _ = self.ring.send(frame_once);
         }
     }
 }
 
 /// What all clients share.
-struct House {
+struct ServerContext {
     /// As it is at present.
     descriptor: watch::Receiver<Descriptor>,
     limits: Limits,
     counters: Arc<Counters>,
-    newest: watch::Receiver<Option<Arc<Issue>>>,
+    newest: watch::Receiver<Option<Arc<EncodedFrame>>>,
     ending: CancellationToken,
 }
 
 struct Server {
-    house: Arc<House>,
+    context: Arc<ServerContext>,
     clients: JoinSet<()>,
     partings: JoinSet<()>,
 }
 
 impl Server {
-    async fn accept_all(&mut self, listener: &TcpListener, ring: &broadcast::Receiver<Arc<Issue>>) {
+    async fn accept_all(&mut self, listener: &TcpListener, ring: &broadcast::Receiver<Arc<EncodedFrame>>) {
         loop {
             match listener.accept().await {
                 Ok((stream, address)) => self.admit(stream, address, ring),
@@ -150,9 +150,14 @@ impl Server {
         }
     }
 
-    fn admit(&mut self, stream: TcpStream, address: SocketAddr, ring: &broadcast::Receiver<Arc<Issue>>) {
+    fn admit(
+        &mut self,
+        stream: TcpStream,
+        address: SocketAddr,
+        ring: &broadcast::Receiver<Arc<EncodedFrame>>,
+    ) {
         while self.clients.try_join_next().is_some() {}
-        let limits = &self.house.limits;
+        let limits = &self.context.limits;
         if !limits.allow.iter().any(|network| network.contains(address.ip())) {
             let why = format!("{} is in none of the networks of [publishing] allow", address.ip());
             self.refuse(stream, address, &why);
@@ -161,20 +166,20 @@ impl Server {
             let why = format!("the daemon serves {most} TCP clients already, the most it is configured for");
             self.refuse(stream, address, &why);
         } else {
-            let client = Client::new(stream, ring.resubscribe(), Arc::clone(&self.house));
-            let house = Arc::clone(&self.house);
-            house.counters.tcp_connected.one();
+            let client = Client::new(stream, ring.resubscribe(), Arc::clone(&self.context));
+            let context = Arc::clone(&self.context);
+            context.counters.tcp_connected.inc();
             self.clients.spawn(async move {
                 tracing::info!(client = %address, "connected");
                 client.run(address).await;
-                house.counters.tcp_disconnected.one();
+                context.counters.tcp_disconnected.inc();
             });
         }
     }
 
     fn refuse(&mut self, stream: TcpStream, address: SocketAddr, why: &str) {
         tracing::warn!(client = %address, "refused: {why}");
-        self.house.counters.tcp_refused.one();
+        self.context.counters.tcp_refused.inc();
         while self.partings.try_join_next().is_some() {}
         if self.partings.len() < PARTINGS
             && let Ok(line) = farewell(None, why)

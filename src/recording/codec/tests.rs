@@ -160,7 +160,7 @@ fn keyframe() -> Keyframe {
     }
     let memory = estimation.memory().clone();
     Keyframe {
-        meaning: Arc::new(Meaning { config, tables }),
+        context: Arc::new(CalibrationContext { config, tables }),
         source: Some(Arc::new(identity())),
         last,
         memory,
@@ -179,11 +179,11 @@ fn a_keyframe_survives_without_the_secret() {
     let Entry::Keyframe(back) = decode(&mut Decoder::default(), &messages) else { panic!("no keyframe") };
     assert_eq!(format!("{:?}", back.memory), format!("{:?}", keyframe.memory));
     assert_eq!((back.last, &back.source), (keyframe.last, &keyframe.source));
-    assert_eq!(back.meaning.tables, keyframe.meaning.tables);
-    let mut public = keyframe.meaning.config.clone();
+    assert_eq!(back.context.tables, keyframe.context.tables);
+    let mut public = keyframe.context.config.clone();
     (public.monitor.token, public.monitor.control) = (None, false);
-    assert_eq!(back.meaning.config, public);
-    assert_eq!(back.meaning.id(), keyframe.meaning.id());
+    assert_eq!(back.context.config, public);
+    assert_eq!(back.context.id(), keyframe.context.id());
 }
 
 #[test]
@@ -231,7 +231,7 @@ fn the_state_of_another_version_is_refused_and_what_it_rests_on_is_known() {
     }
     let error = decode_error(&mut decoder, &messages);
     assert!(error.contains(&format!("version 9{}", &VERSION[1..])) && error.contains(VERSION), "{error}");
-    assert!(decoder.meaning().is_some() && decoder.source().is_some());
+    assert!(decoder.context().is_some() && decoder.source().is_some());
 }
 
 #[test]

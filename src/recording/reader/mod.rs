@@ -2,12 +2,12 @@
 //! the reader panic, or take more memory than a chunk may have.
 //!
 //! - [`parts`]: a file to chunks, past every damage. [`chunk`]: unpacked, and held against their checksum.
-//! - [`order`]: whether one sample follows the other. [`tally`]: what was in it.
+//! - [`continuity`]: whether one sample follows the other. [`tally`]: what was in it.
 
 mod bytes;
 pub mod chunk;
+mod continuity;
 pub mod damage;
-mod order;
 pub mod parts;
 pub mod tally;
 
@@ -17,15 +17,15 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use chunk::Chunk;
+use continuity::Continuity;
 pub use damage::{Damage, ReadError};
-use order::Order;
 use parts::{Part, Parts};
 pub use tally::{Gap, Tally};
 use trifacet_core::signals::Identity;
 
 use super::codec::{self, DecodeError, Decoder};
 use super::{Entry, Topic, message};
-use crate::config::Meaning;
+use crate::config::CalibrationContext;
 
 /// What comes out of a file.
 #[derive(Debug)]
@@ -36,7 +36,7 @@ pub enum Read {
     /// A keyframe whose state another version wrote: what comes after it can be computed, but not as it was.
     Foreign {
         /// What samples mean from here on.
-        meaning: Arc<Meaning>,
+        context: Arc<CalibrationContext>,
         /// The source, if one was up.
         source: Option<Arc<Identity>>,
         /// Why the state cannot be read.
@@ -60,7 +60,7 @@ pub struct Reader {
     /// The chunk at present, and how far it was read.
     chunk: Option<(Chunk, usize)>,
     channels: Channels,
-    desk: Desk,
+    sink: MessageSink,
 }
 
 /// The topics of the channels of a file.
@@ -69,11 +69,11 @@ struct Channels(BTreeMap<u16, Option<Topic>>);
 
 /// What becomes of messages.
 #[derive(Debug)]
-struct Desk {
+struct MessageSink {
     decoder: Decoder,
     wanted: Vec<Topic>,
     ready: VecDeque<Read>,
-    order: Order,
+    continuity: Continuity,
     tally: Tally,
 }
 
@@ -97,14 +97,14 @@ impl Reader {
     pub fn open(path: &Path, wanted: &[Topic]) -> Result<Self, ReadError> {
         let parts = Parts::open(path)?;
         let tally = Tally { size: parts.size(), ..Tally::default() };
-        let (decoder, ready, order) = <(Decoder, VecDeque<Read>, Order)>::default();
-        let desk = Desk { decoder, wanted: wanted.to_vec(), ready, order, tally };
-        Ok(Self { parts, chunk: None, channels: Channels::default(), desk })
+        let (decoder, ready, continuity) = <(Decoder, VecDeque<Read>, Continuity)>::default();
+        let sink = MessageSink { decoder, wanted: wanted.to_vec(), ready, continuity, tally };
+        Ok(Self { parts, chunk: None, channels: Channels::default(), sink })
     }
 
     /// What was in it so far.
     pub fn tally(&self) -> &Tally {
-        &self.desk.tally
+        &self.sink.tally
     }
 
     /// How far the file was read, bytes.
@@ -118,14 +118,14 @@ impl Reader {
     /// The system says no.
     pub fn read(&mut self) -> Result<Option<Read>, ReadError> {
         loop {
-            if let Some(read) = self.desk.ready.pop_front() {
+            if let Some(read) = self.sink.ready.pop_front() {
                 return Ok(Some(read));
             }
             if let Some((chunk, from)) = self.chunk.take() {
-                let (at, desk) = (self.parts.at(), &mut self.desk);
+                let (at, sink) = (self.parts.at(), &mut self.sink);
                 let mut records = chunk.records(from);
                 let whole = self.channels.message(&mut records, |topic, time_ns, data| {
-                    desk.message(topic, time_ns, data, at);
+                    sink.message(topic, time_ns, data, at);
                 });
                 if whole.is_some() && !records.0.is_empty() {
                     let from = chunk.size() - records.0.len();
@@ -138,7 +138,7 @@ impl Reader {
             match part {
                 Part::Chunk(chunk) if chunk.size() == 0 => {}
                 Part::Chunk(chunk) => self.chunk = Some((chunk, 0)),
-                Part::Damage(damage) => self.desk.damaged(damage),
+                Part::Damage(damage) => self.sink.damaged(damage),
             }
         }
     }
@@ -151,7 +151,7 @@ impl Reader {
         let Some(part) = self.part()? else { return Ok(false) };
         match part {
             Part::Chunk(chunk) => {
-                let tally = &mut self.desk.tally;
+                let tally = &mut self.sink.tally;
                 let mut records = chunk.records(0);
                 let mut whole = Some(());
                 while whole.is_some() && !records.0.is_empty() {
@@ -164,7 +164,7 @@ impl Reader {
                 }
                 self.badly_written(whole);
             }
-            Part::Damage(damage) => self.desk.damaged(damage),
+            Part::Damage(damage) => self.sink.damaged(damage),
         }
         Ok(true)
     }
@@ -173,7 +173,7 @@ impl Reader {
         let part = self.parts.take()?;
         if part.is_none() {
             let Parts { finished, indexed, torn, .. } = self.parts;
-            let tally = &mut self.desk.tally;
+            let tally = &mut self.sink.tally;
             (tally.finished, tally.indexed, tally.torn) = (finished, indexed, torn);
         }
         Ok(part)
@@ -182,7 +182,7 @@ impl Reader {
     fn badly_written(&mut self, whole: Option<()>) {
         if whole.is_none() {
             let what = "the chunk before was written wrongly".into();
-            self.desk.damaged(Damage { at: self.parts.at(), bytes: 0, what });
+            self.sink.damaged(Damage { at: self.parts.at(), bytes: 0, what });
         }
     }
 }
@@ -220,9 +220,9 @@ impl Channels {
     }
 }
 
-impl Desk {
+impl MessageSink {
     fn damaged(&mut self, damage: Damage) {
-        self.order.hole();
+        self.continuity.hole();
         self.tally.damages.push(damage.clone());
         self.ready.push_back(Read::Damage(damage));
     }
@@ -239,7 +239,7 @@ impl Desk {
     fn decode(&mut self, topic: Topic, data: &[u8], at: u64) -> Result<(), DecodeError> {
         if topic == Topic::Gap {
             let message::Gap { entries, reason, .. } = codec::read(topic, data)?;
-            self.order.gap(entries);
+            self.continuity.gap(entries);
             self.tally.gaps.push(Gap { entries, reason: reason.clone() });
             self.ready.push_back(Read::Gap { entries, reason });
             return Ok(());
@@ -247,21 +247,21 @@ impl Desk {
         match self.decoder.decode(topic, data) {
             Ok(Some(entry)) => {
                 self.tally.entry(&entry);
-                if let Some(what) = self.order.wrong(&entry) {
+                if let Some(what) = self.continuity.wrong(&entry) {
                     if matches!(entry, Entry::Frame { .. }) {
                         self.decoder.forget();
                     }
                     self.damaged(Damage { at, bytes: 0, what });
                 }
-                self.order.take(&entry);
+                self.continuity.take(&entry);
                 self.ready.push_back(Read::Entry(entry));
             }
             Ok(None) => {}
             Err(error @ DecodeError::Version(_)) => {
-                let meaning = self.decoder.meaning().cloned().ok_or(DecodeError::Order)?;
+                let context = self.decoder.context().cloned().ok_or(DecodeError::Order)?;
                 let source = self.decoder.source().cloned();
-                self.tally.config(&meaning);
-                self.ready.push_back(Read::Foreign { meaning, source, why: error.to_string() });
+                self.tally.config(&context);
+                self.ready.push_back(Read::Foreign { context, source, why: error.to_string() });
             }
             // The configuration was in a place of which that is told: the places behind it are not damaged.
             Err(DecodeError::Order) if self.tally.incomplete() => self.tally.unfounded += 1,

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use super::Damage;
-use crate::config::Meaning;
+use crate::config::CalibrationContext;
 use crate::recording::{Entry, Topic};
 
 /// Something that was left out, as the file itself tells.
@@ -131,13 +131,13 @@ impl Tally {
             Entry::Lock { before, after, cause, .. } => {
                 self.locks.push(format!("{} -> {}: {cause}", before.name(), after.name()));
             }
-            Entry::Keyframe(keyframe) => self.config(&keyframe.meaning),
+            Entry::Keyframe(keyframe) => self.config(&keyframe.context),
             Entry::Silence { .. } => {}
         }
     }
 
-    pub(super) fn config(&mut self, meaning: &Meaning) {
-        let id = meaning.id();
+    pub(super) fn config(&mut self, context: &CalibrationContext) {
+        let id = context.id();
         if self.configs.last() != Some(&id) {
             self.configs.push(id);
         }

@@ -77,7 +77,7 @@ impl Recorder {
             fault.retry = retry;
             return;
         }
-        self.counters.recording_faults.one();
+        self.counters.recording_faults.inc();
         tracing::error!("nothing is recorded, the stream goes on; tried again each second: {reason}");
         self.fault = Some(Fault { reason, lost: 0, retry });
         self.show();
@@ -85,7 +85,7 @@ impl Recorder {
 
     /// Something went wrong with a file that has ended.
     fn mishap(&mut self, reason: String) {
-        self.counters.recording_faults.one();
+        self.counters.recording_faults.inc();
         tracing::error!("a recording has not been finished: {reason}");
         if let Some(stopping) = &mut self.stopping {
             stopping.failed = Some(reason.clone());

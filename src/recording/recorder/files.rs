@@ -94,7 +94,7 @@ impl Recorder {
             [self.config.budget_gb * 1e9, self.config.rotate_mb * 1e6].map(|bytes| bytes as u64);
         let deleted = self.folder.make_room(budget, next).map_err(|e| within("cannot look", &e))?;
         for old in deleted {
-            self.counters.recording_deletions.one();
+            self.counters.recording_deletions.inc();
             tracing::info!(file = %old.path.display(), bytes = old.bytes, "deleted, to keep recording.budget_gb");
         }
         let free = self.folder.free().map_err(|e| within("cannot record", &e))?;
@@ -108,7 +108,7 @@ impl Recorder {
         let output = Output::begin(&self.folder, begin_ns, SystemClock.now(), self.compression)
             .map_err(|e| within("cannot make a file", &e))?;
         tracing::info!(file = %output.path.display(), "recording");
-        self.counters.recording_files.one();
+        self.counters.recording_files.inc();
         self.state.file(Some(output.path.clone()));
         self.encoder.restart();
         self.output = Some(output);

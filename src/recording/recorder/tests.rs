@@ -6,44 +6,45 @@ use std::sync::atomic::Ordering;
 
 use tokio::sync::{mpsc, oneshot};
 use trifacet_core::centering::LoopState;
-use trifacet_core::estimation::{Estimation, Memory};
+use trifacet_core::estimation::{Estimation, EstimatorState};
 use trifacet_core::telemetry::Counters;
 use trifacet_core::time::{Clock, Mono};
 
 use super::Recorder;
 use crate::clock::SystemClock;
-use crate::config::{Config, Meaning, RecordingConfig, RecordingMode, Tables};
+use crate::config::{CalibrationContext, Config, RecordingConfig, RecordingMode, Tables};
 use crate::exit;
 use crate::recording::disk::Disk;
-use crate::recording::handle::{Asked, State, Wish};
+use crate::recording::handle::{Asked, RecorderCommand, State};
 use crate::recording::reader::Read;
-use crate::recording::{Entry, Reader, Tap, Witness};
+use crate::recording::{Entry, EstimationRecorder, Reader, RecordSender};
 
 /// The fast side: it says nothing but that nothing comes.
 struct Silent {
-    witness: Witness,
-    memory: Memory,
+    recorder: EstimationRecorder,
+    memory: EstimatorState,
     time: Mono,
 }
 
 impl Silent {
     fn says(&mut self) {
         self.time = self.time + 1_000_000;
-        self.witness.silence(self.time, &LoopState::default(), None, &self.memory);
+        self.recorder.silence(self.time, &LoopState::default(), None, &self.memory);
     }
 }
 
 fn recorder(folder: &Path, mode: RecordingMode) -> (Recorder, Silent, mpsc::Sender<Asked>) {
     let counters = Arc::new(Counters::default());
-    let (tap, outflow) = Tap::new(Arc::clone(&counters));
+    let (records, receiver) = RecordSender::new(Arc::clone(&counters));
     let config = Config::default();
     let memory = Estimation::new(config.estimation_settings(true, 3).unwrap()).memory().clone();
-    let meaning = Arc::new(Meaning { config, tables: Tables::default() });
+    let context = Arc::new(CalibrationContext { config, tables: Tables::default() });
     let config = RecordingConfig { folder: folder.to_owned(), mode, ..Default::default() };
     let state = Arc::new(State::new(config.mode));
     let (wishes, asked) = mpsc::channel(1);
-    let recorder = Recorder::new(config, outflow, asked, Disk::start().unwrap(), state, counters);
-    let fast = Silent { witness: Witness::new(tap, meaning), memory, time: SystemClock.now() };
+    let recorder = Recorder::new(config, receiver, asked, Disk::start().unwrap(), state, counters);
+    let fast =
+        Silent { recorder: EstimationRecorder::new(records, context), memory, time: SystemClock.now() };
     (recorder, fast, wishes)
 }
 
@@ -75,7 +76,7 @@ fn what_does_not_fit_into_the_queue_is_counted_and_told_where_it_is_missing() {
                 break lost;
             }
         };
-        while !recorder.outflow.entries.is_empty() {
+        while !recorder.receiver.entries.is_empty() {
             recorder.drain();
         }
         recorder.mind(SystemClock.now());
@@ -120,7 +121,7 @@ fn a_stop_waits_for_the_disk_and_a_fault_that_overtakes_it_is_recorded() {
     let (mut recorder, mut fast, wishes) = recorder(folder.path(), RecordingMode::OnFault);
     let stop = |recorder: &mut Recorder| {
         let (reply, answer) = oneshot::channel();
-        wishes.try_send((Wish::Stop, reply)).unwrap();
+        wishes.try_send((RecorderCommand::Stop, reply)).unwrap();
         recorder.obey();
         answer
     };

@@ -11,12 +11,12 @@ use trifacet_core::telemetry::Counters;
 
 use super::Recorder;
 use crate::config::{RecordingConfig, RecordingMode};
-use crate::recording::Tap;
+use crate::recording::RecordSender;
 use crate::recording::disk::Disk;
 use crate::recording::handle::{Handle, State};
 
 /// How long the recorder may take to end: then it is left behind.
-const PATIENCE: Duration = Duration::from_secs(4);
+const END_TIMEOUT: Duration = Duration::from_secs(4);
 
 /// The thread of the recorder.
 #[derive(Debug)]
@@ -30,15 +30,18 @@ pub struct Thread {
 ///
 /// # Errors
 /// No thread can be had.
-pub fn start(config: &RecordingConfig, counters: &Arc<Counters>) -> std::io::Result<(Tap, Handle, Thread)> {
-    let (tap, outflow) = Tap::new(Arc::clone(counters));
+pub fn start(
+    config: &RecordingConfig,
+    counters: &Arc<Counters>,
+) -> std::io::Result<(RecordSender, Handle, Thread)> {
+    let (records, receiver) = RecordSender::new(Arc::clone(counters));
     // Open before the first sample.
-    outflow.open.store(config.mode != RecordingMode::Off, Ordering::Relaxed);
+    receiver.open.store(config.mode != RecordingMode::Off, Ordering::Relaxed);
     let (wishes, asked) = mpsc::channel(4);
     let state = Arc::new(State::new(config.mode));
     let disk = Disk::start()?;
     let recorder =
-        Recorder::new(config.clone(), outflow, asked, disk, Arc::clone(&state), Arc::clone(counters));
+        Recorder::new(config.clone(), receiver, asked, disk, Arc::clone(&state), Arc::clone(counters));
     let stop = Arc::clone(&recorder.stop);
     let (end, ended) = channel();
     let alarm = Alarm(Arc::clone(&state));
@@ -48,7 +51,7 @@ pub fn start(config: &RecordingConfig, counters: &Arc<Counters>) -> std::io::Res
         // Who does not wait any more does not need it.
         let _ = end.send(());
     })?;
-    Ok((tap, Handle { state, wishes }, Thread { handle: thread, ended, stop }))
+    Ok((records, Handle { state, wishes }, Thread { handle: thread, ended, stop }))
 }
 
 impl Thread {
@@ -56,7 +59,7 @@ impl Thread {
     /// when the fast side has said its last.
     pub fn join(self) {
         self.stop.store(true, Ordering::Relaxed);
-        if self.ended.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
+        if self.ended.recv_timeout(END_TIMEOUT) == Err(RecvTimeoutError::Timeout) {
             tracing::error!("the disk does not take the end of the recording: it stays unfinished");
         } else if self.handle.join().is_err() {
             tracing::error!("the recorder panicked");

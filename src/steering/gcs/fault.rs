@@ -47,7 +47,7 @@ pub enum Fault {
         error: AnswerError,
     },
     /// It has refused a command, or cannot answer a question.
-    #[error("it answered {asked} with error {code}: {}", meaning(*.code))]
+    #[error("it answered {asked} with error {code}: {}", context(*.code))]
     Refused {
         /// The command, or question.
         asked: String,
@@ -69,7 +69,7 @@ pub const OUT_OF_LIMITS: i32 = 7;
 pub const NOT_FOR_THIS_STAGE: i32 = 34;
 
 /// The error codes of the command set that may come here, in words.
-pub fn meaning(code: i32) -> &'static str {
+pub fn context(code: i32) -> &'static str {
     match code {
         FINE => "no error",
         1 | 24 | 25 | 26 => "it does not understand the numbers in it",

@@ -21,7 +21,7 @@ use tokio::sync::watch;
 use trifacet_core::steering::{Command, Xy};
 use trifacet_wire::actuator::Ack;
 
-use super::{Driver, Event};
+use super::{Driver, StageEvent};
 use crate::config::{Config, SteeringConfig};
 
 /// A command, and the connection of which its sender knew.
@@ -75,24 +75,24 @@ pub fn pair(config: &Config, steering: watch::Receiver<SteeringConfig>) -> Optio
 
 impl Gcs {
     /// What is new: a connection first, then what came over it, then its end.
-    fn news(&mut self) -> Option<Event> {
+    fn news(&mut self) -> Option<StageEvent> {
         let report = self.reports.borrow_and_update();
         let told = &mut self.told;
         if report.connection != told.connection {
             (told.connection, told.down) = (report.connection, None);
-            return Some(Event::Up);
+            return Some(StageEvent::Up);
         }
         if report.at != told.at {
             told.at = report.at;
-            return report.at.map(|(_, at)| Event::At(at));
+            return report.at.map(|(_, at)| StageEvent::At(at));
         }
         if report.ack != told.ack {
             told.ack = report.ack;
-            return report.ack.map(Event::Ack);
+            return report.ack.map(StageEvent::Ack);
         }
         if report.down != told.down {
             told.down.clone_from(&report.down);
-            return report.down.clone().map(Event::Down);
+            return report.down.clone().map(StageEvent::Down);
         }
         None
     }
@@ -106,7 +106,7 @@ impl Driver for Gcs {
         }
     }
 
-    async fn next(&mut self) -> Event {
+    async fn next(&mut self) -> StageEvent {
         loop {
             if let Some(event) = self.news() {
                 return event;
@@ -137,13 +137,13 @@ mod tests {
         let (mut driver, task) = pair(&config, steering).unwrap();
         driver.steer(command(1));
         assert_eq!(*task.commands.borrow(), None, "there is nothing to steer yet");
-        assert_eq!(driver.next().await, Event::Down("no controller has answered yet".into()));
+        assert_eq!(driver.next().await, StageEvent::Down("no controller has answered yet".into()));
 
         task.reports.send_modify(|report| report.down = Some("unplugged".into()));
-        assert_eq!(driver.next().await, Event::Down("unplugged".into()));
+        assert_eq!(driver.next().await, StageEvent::Down("unplugged".into()));
         task.reports.send_modify(|report| report.up([3e-6, 4e-6]));
-        assert_eq!(driver.next().await, Event::Up);
-        assert_eq!(driver.next().await, Event::At([3e-6, 4e-6]));
+        assert_eq!(driver.next().await, StageEvent::Up);
+        assert_eq!(driver.next().await, StageEvent::At([3e-6, 4e-6]));
         driver.steer(command(2));
         driver.steer(command(3));
         assert_eq!(*task.commands.borrow(), Some((1, command(3))), "the newest only");
@@ -153,16 +153,16 @@ mod tests {
         // The same place again is news, too: it still stands there.
         task.reports.send_modify(|report| report.stands([3e-6, 4e-6]));
         task.reports.send_modify(|report| report.down = Some("no answer".into()));
-        assert_eq!(driver.next().await, Event::At([3e-6, 4e-6]));
-        assert_eq!(driver.next().await, Event::Ack(ack));
-        assert_eq!(driver.next().await, Event::Down("no answer".into()));
+        assert_eq!(driver.next().await, StageEvent::At([3e-6, 4e-6]));
+        assert_eq!(driver.next().await, StageEvent::Ack(ack));
+        assert_eq!(driver.next().await, StageEvent::Down("no answer".into()));
         assert_eq!(driver.news(), None);
         driver.steer(command(4));
         assert_eq!(*task.commands.borrow(), Some((1, command(3))));
         // Down and up again between two looks: it may be another stage.
         task.reports.send_modify(|report| report.up([0.0; 2]));
-        assert_eq!(driver.next().await, Event::Up);
-        assert_eq!(driver.next().await, Event::At([0.0; 2]));
+        assert_eq!(driver.next().await, StageEvent::Up);
+        assert_eq!(driver.next().await, StageEvent::At([0.0; 2]));
         assert_eq!(driver.news(), None);
     }
 }

@@ -14,7 +14,7 @@ const LINES: usize = 8;
 
 /// What a controller is asked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Question {
+pub enum GcsQuery {
     /// Who it is.
     Identity,
     /// The code of the last error, which is forgotten thereby.
@@ -35,7 +35,7 @@ pub enum Question {
     Position,
 }
 
-impl Question {
+impl GcsQuery {
     /// The line that asks it.
     pub fn line(self, axes: &Axes) -> String {
         let name = match self {

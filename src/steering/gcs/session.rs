@@ -4,7 +4,7 @@ use trifacet_core::steering::Xy;
 
 use super::fault::{FINE, Fault, NOT_FOR_THIS_STAGE, UNKNOWN_COMMAND};
 use super::link::{Link, label};
-use super::protocol::{Answer, AnswerError, Question, move_to, servo_on};
+use super::protocol::{Answer, AnswerError, GcsQuery, move_to, servo_on};
 use super::settings::Settings;
 use super::unit;
 use crate::config::SteeringConfig;
@@ -29,8 +29,8 @@ impl<'a> Session<'a> {
         let left_over = session.error().await?;
         session.check_references().await?;
         session.check_unit().await?;
-        let lowest = session.numbers(Question::Lowest).await?;
-        let highest = session.numbers(Question::Highest).await?;
+        let lowest = session.numbers(GcsQuery::Lowest).await?;
+        let highest = session.numbers(GcsQuery::Highest).await?;
         let (low, high) = (settings.position(lowest), settings.position(highest));
         session.travel = [0, 1].map(|axis| [low[axis], high[axis]]);
         session.check_travel(steering)?;
@@ -48,7 +48,7 @@ impl<'a> Session<'a> {
     /// conversation has left on the line looks otherwise.
     async fn identify(&mut self) -> Result<String, Fault> {
         const EXPECTED: &str = "maker, model, serial number and version";
-        let (asked, answer) = self.ask(Question::Identity).await?;
+        let (asked, answer) = self.ask(GcsQuery::Identity).await?;
         let wrong = |error| Fault::Answer { asked: asked.clone(), error };
         let line = answer.line(EXPECTED).map_err(wrong)?.to_owned();
         if line.matches(',').count() < 2 {
@@ -59,7 +59,7 @@ impl<'a> Session<'a> {
 
     /// Positions mean something only in closed loop.
     async fn close_loops(&mut self) -> Result<(), Fault> {
-        let (asked, answer) = self.ask(Question::Servo).await?;
+        let (asked, answer) = self.ask(GcsQuery::Servo).await?;
         let servo = answer.flags(&self.settings.axes).map_err(|error| Fault::Answer { asked, error })?;
         let Some(axis) = self.first_without(servo) else { return Ok(()) };
         if !self.settings.servo_on {
@@ -79,7 +79,7 @@ impl<'a> Session<'a> {
     /// Referencing moves the stage to wherever its switch is: that is for a person to start. Stages that
     /// need none do not know the question.
     async fn check_references(&mut self) -> Result<(), Fault> {
-        let Some((asked, answer)) = self.ask_if_known(Question::Referenced).await? else { return Ok(()) };
+        let Some((asked, answer)) = self.ask_if_known(GcsQuery::Referenced).await? else { return Ok(()) };
         let done = answer.flags(&self.settings.axes).map_err(|error| Fault::Answer { asked, error })?;
         match self.first_without(done) {
             None => Ok(()),
@@ -91,7 +91,7 @@ impl<'a> Session<'a> {
     }
 
     async fn check_unit(&mut self) -> Result<(), Fault> {
-        let Some((asked, answer)) = self.ask_if_known(Question::Unit).await? else { return Ok(()) };
+        let Some((asked, answer)) = self.ask_if_known(GcsQuery::Unit).await? else { return Ok(()) };
         let units = answer.words(&self.settings.axes).map_err(|error| Fault::Answer { asked, error })?;
         for (axis, name) in self.settings.axes.iter().zip(&units) {
             unit::check(axis, name, self.settings.unit * 1e6).map_err(Fault::Unfit)?;
@@ -116,7 +116,7 @@ impl<'a> Session<'a> {
 
     /// A stage that is slower than the commands lags behind them. That is no harm, but good to know.
     async fn check_velocity(&mut self, steering: &SteeringConfig) -> Result<(), Fault> {
-        let Some((asked, answer)) = self.ask_if_known(Question::Velocity).await? else { return Ok(()) };
+        let Some((asked, answer)) = self.ask_if_known(GcsQuery::Velocity).await? else { return Ok(()) };
         let axes = &self.settings.axes;
         let velocity = answer.numbers(axes).map_err(|error| Fault::Answer { asked, error })?;
         for (axis, velocity) in axes.iter().zip(velocity) {
@@ -136,7 +136,7 @@ impl<'a> Session<'a> {
     /// # Errors
     /// Also a place where it cannot be: then the units are others, or another stage answers.
     pub async fn position(&mut self) -> Result<Xy, Fault> {
-        let position = self.settings.position(self.numbers(Question::Position).await?);
+        let position = self.settings.position(self.numbers(GcsQuery::Position).await?);
         for ((axis, at), [low, high]) in self.settings.axes.iter().zip(position).zip(self.travel) {
             let slack = BEYOND * (high - low);
             if !(low - slack..=high + slack).contains(&at) {
@@ -166,18 +166,18 @@ impl<'a> Session<'a> {
         self.settings.axes.iter().zip(flags).find(|(_, flag)| !flag).map(|(axis, _)| axis)
     }
 
-    async fn numbers(&mut self, question: Question) -> Result<[f64; 2], Fault> {
+    async fn numbers(&mut self, question: GcsQuery) -> Result<[f64; 2], Fault> {
         let (asked, answer) = self.ask(question).await?;
         answer.numbers(&self.settings.axes).map_err(|error| Fault::Answer { asked, error })
     }
 
-    async fn ask(&mut self, question: Question) -> Result<(String, Answer), Fault> {
+    async fn ask(&mut self, question: GcsQuery) -> Result<(String, Answer), Fault> {
         let line = question.line(&self.settings.axes);
         Ok((label(&line), self.link.ask(&line).await?))
     }
 
     /// Asks what not every controller knows; those that do not are silent, and have an error afterwards.
-    async fn ask_if_known(&mut self, question: Question) -> Result<Option<(String, Answer)>, Fault> {
+    async fn ask_if_known(&mut self, question: GcsQuery) -> Result<Option<(String, Answer)>, Fault> {
         match self.ask(question).await {
             Err(silent @ Fault::Silent { so_far: None, .. }) => match self.error().await? {
                 UNKNOWN_COMMAND | NOT_FOR_THIS_STAGE => Ok(None),
@@ -190,7 +190,7 @@ impl<'a> Session<'a> {
 
     /// The code of the last error; it is forgotten by that.
     async fn error(&mut self) -> Result<i32, Fault> {
-        self.command(&Question::Error.line(&self.settings.axes)).await
+        self.command(&GcsQuery::Error.line(&self.settings.axes)).await
     }
 
     /// Sends lines that end with the question for the error code.

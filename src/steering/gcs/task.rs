@@ -9,7 +9,7 @@ use trifacet_core::steering::{Command, Xy};
 use trifacet_core::telemetry::Counters;
 use trifacet_wire::actuator::Ack;
 
-use super::fault::{FINE, Fault, OUT_OF_LIMITS, meaning};
+use super::fault::{FINE, Fault, OUT_OF_LIMITS, context};
 use super::session::{Session, rounded_um};
 use super::settings::Settings;
 use super::{Addressed, Report};
@@ -83,12 +83,12 @@ impl Task {
                     if connection != self.reports.borrow().connection {
                         continue;
                     }
-                    counters.commands_sent.one();
+                    counters.commands_sent.inc();
                     let accepted = self.obey(&mut session, command, at).await?;
                     if accepted {
                         (at, *pause) = (command.position, PAUSE[0]);
                     } else {
-                        counters.commands_refused.one();
+                        counters.commands_refused.inc();
                     }
                     let ack = Ack { id: command.id, accepted };
                     self.reports.send_modify(|report| report.ack = Some(ack));
@@ -109,7 +109,7 @@ impl Task {
             Some((_, FINE)) => Ok(true),
             Some((asked, code @ OUT_OF_LIMITS)) => {
                 if self.reports.borrow().ack.is_none_or(|last| last.accepted) {
-                    tracing::error!(asked, code, "the steering stage refuses: {}", meaning(code));
+                    tracing::error!(asked, code, "the steering stage refuses: {}", context(code));
                 }
                 Ok(false)
             }

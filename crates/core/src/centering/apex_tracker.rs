@@ -4,14 +4,14 @@ use trifacet_optics::{Optics, Pose};
 
 use super::stage::read_back;
 use super::tracking::Tracking;
-use crate::centering::observation::Sight;
+use crate::centering::observation::BeamObservation;
 use crate::centering::{LoopParams, Target, TimedPose};
 use crate::signals::{PsdState, Sample};
 use crate::steering::Xy;
 
 /// Looks for the apex, sample by sample.
 #[derive(Clone, Debug)]
-pub struct Lookout {
+pub struct ApexTracker {
     optics: Optics,
     /// The last pose that was told.
     pose: Pose,
@@ -24,7 +24,7 @@ pub struct Lookout {
     patience_s: f64,
 }
 
-impl Lookout {
+impl ApexTracker {
     /// Knows nothing yet.
     pub fn new(optics: Optics, patience_s: f64) -> Self {
         let tracking = Tracking::default();
@@ -64,7 +64,7 @@ impl Lookout {
         stage: Xy,
         pose: Option<&TimedPose>,
         params: &LoopParams,
-    ) -> Sight {
+    ) -> BeamObservation {
         if let Some(told) = pose {
             self.pose = told.pose;
         }
@@ -77,17 +77,17 @@ impl Lookout {
         };
         let beam = params.map.beam(stage);
         let apex = self.apex.unwrap_or(self.optics.across(self.pose.t).into());
-        let sight = Sight::of(sample, beam, &mirror, apex, &self.optics);
-        match sight {
-            Sight::Offset(offset) => {
+        let observation = BeamObservation::of(sample, beam, &mirror, apex, &self.optics);
+        match observation {
+            BeamObservation::Offset(offset) => {
                 let apex = [0, 1].map(|i| beam[i] - offset[i]);
                 (self.apex, self.known) = (Some(apex), true);
                 self.track(sample, apex, pose, params.tracking_hz);
             }
-            Sight::Some { apex, .. } => self.apex = Some(apex),
-            Sight::Dark | Sight::Unclear(_) => {}
+            BeamObservation::Partial { apex, .. } => self.apex = Some(apex),
+            BeamObservation::Dark | BeamObservation::Unclear(_) => {}
         }
-        sight
+        observation
     }
 
     /// Position of the apex for the tracking filter, by the quieter of two sources: readback less offset (0.1 um

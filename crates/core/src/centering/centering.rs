@@ -4,11 +4,11 @@ use trifacet_optics::Optics;
 use trifacet_wire::LockState;
 use trifacet_wire::actuator::{Ack, LeaseAction};
 
-use super::lock::{Doing, Lock, Seen, Transition};
-use super::stage::{Obedience, Stage};
-use crate::centering::apex_tracker::Lookout;
-use crate::centering::observation::Sight;
-use crate::centering::open_loop::Guide;
+use super::lock::{Action, Lock, LockInput, Transition};
+use super::stage::{CommandStatus, StageModel};
+use crate::centering::apex_tracker::ApexTracker;
+use crate::centering::observation::BeamObservation;
+use crate::centering::open_loop::OpenLoopMove;
 use crate::centering::{LoopMode, LoopParams, LoopState, LoopView, OnExit, Outcome, TimedPose};
 use crate::signals::Sample;
 use crate::steering::{Command, Xy};
@@ -28,10 +28,10 @@ pub(super) const NO_STAGE: &str = "the stage takes no commands";
 #[derive(Clone, Debug)]
 pub struct Centering {
     params: LoopParams,
-    stage: Stage,
-    lookout: Lookout,
+    stage: StageModel,
+    tracker: ApexTracker,
     lock: Lock,
-    guide: Guide,
+    open_loop: OpenLoopMove,
     /// Where the stage was when the loop was last locked, or when it was first taken over.
     good_place: Option<Xy>,
     /// Where the stage would have to be by what was seen when the loop gave up looking for the apex.
@@ -49,10 +49,10 @@ impl Centering {
     pub fn new(params: LoopParams, optics: Optics) -> Self {
         Self {
             params,
-            stage: Stage::default(),
-            lookout: Lookout::new(optics, MOST_PERIODS * params.period_s),
+            stage: StageModel::default(),
+            tracker: ApexTracker::new(optics, MOST_PERIODS * params.period_s),
             lock: Lock::new(params.limits, params.mode),
-            guide: Guide::Still,
+            open_loop: OpenLoopMove::Still,
             good_place: None,
             gave_up: None,
             late_s: 0.0,
@@ -63,7 +63,7 @@ impl Centering {
         }
     }
 
-    /// What the loop is doing.
+    /// What the loop does now.
     pub fn state(&self) -> LoopState {
         LoopState { lock: self.lock.state(), position: self.stage.commanded() }
     }
@@ -74,7 +74,7 @@ impl Centering {
             mode: self.params.mode,
             lock: self.lock.state(),
             offset: self.offset,
-            velocity: self.offset.map(|_| self.lookout.velocity()),
+            velocity: self.offset.map(|_| self.tracker.velocity()),
             commanded: self.stage.commanded(),
             shadow: self.shadow,
             attempts: self.lock.attempts(),
@@ -88,22 +88,22 @@ impl Centering {
         let step = [0, 1].map(|axis| params.setpoint[axis] - old.setpoint[axis]);
         self.stage.shift_setpoint(params.map.stage_step(step));
         if params.map != old.map {
-            self.lookout.forget();
+            self.tracker.forget();
         }
         if params.map != old.map || params.controller != old.controller {
-            self.guide = self.guide.anew(&params, 2.0 * self.lookout.beam_sigma());
+            self.open_loop = self.open_loop.anew(&params, 2.0 * self.tracker.beam_sigma());
         }
         self.lock.retune(params.limits);
         let mut outcome = Outcome::default();
         if let (Some(offset), true) = (self.offset, params.setpoint != old.setpoint) {
             // Locked there, and not yet here.
             let error = self.error(offset);
-            let seen = Seen::Error { size: error[0].hypot(error[1]), railed: false };
+            let seen = LockInput::Error { size: error[0].hypot(error[1]), railed: false };
             outcome.transition = self.lock.update(seen, false, 0.0).transition;
         }
         if params.mode != old.mode {
             outcome.transition = self.lock.switch(params.mode).or(outcome.transition);
-            (self.offset, self.shadow, self.guide) = (None, None, Guide::Still);
+            (self.offset, self.shadow, self.open_loop) = (None, None, OpenLoopMove::Still);
             if matches!(params.mode, LoopMode::Off | LoopMode::Shadow) {
                 let stay = self.stage.commanded().map(|position| self.command(position));
                 outcome.command = stay.map(|command| Command { on_expiry: LeaseAction::Hold, ..command });
@@ -121,7 +121,7 @@ impl Centering {
         if self.params.mode != LoopMode::Manual {
             return Err("the stage is moved by hand only while the loop is \"manual\"");
         }
-        self.guide = Guide::jump(self.params.controller.within(position), 0.0);
+        self.open_loop = OpenLoopMove::jump(self.params.controller.within(position), 0.0);
         Ok(())
     }
 
@@ -172,7 +172,7 @@ impl Centering {
     fn released(&mut self) {
         let parks = self.params.on_lease == LeaseAction::Park;
         self.stage.released(parks.then_some(self.params.park));
-        self.guide = Guide::Still;
+        self.open_loop = OpenLoopMove::Still;
     }
 
     /// Takes a sample, which must be newer than all before, at the moment `now`. `pose` is the last valid
@@ -193,7 +193,7 @@ impl Centering {
                 self.take_over(sample, dt);
                 self.look(sample, pose);
                 Outcome {
-                    command: self.steer(Doing::Jumping, [0.0; 2], None, sample, dt),
+                    command: self.steer(Action::Jumping, [0.0; 2], None, sample, dt),
                     ..Outcome::default()
                 }
             }
@@ -208,107 +208,109 @@ impl Centering {
         self.take_over(sample, dt);
         let behind = self.stage.behind(sample, &self.params, dt);
         let stuck = self.stage.stuck_s() > self.params.limits.lost_s;
-        let sight = match self.trouble() {
-            Some(cause) => self.sees(Sight::Unclear(cause)),
+        let observation = match self.trouble() {
+            Some(cause) => self.sees(BeamObservation::Unclear(cause)),
             None => self.look(sample, pose),
         };
         let error = self.offset.map_or([0.0; 2], |offset| self.error(offset));
-        let seen = if stuck { Seen::Unclear(STUCK) } else { self.seen(&sight, error, sample) };
-        let verdict = self.lock.update(seen, self.guide.arrived(), dt);
-        if verdict.begins {
-            self.guide = self.begin(verdict.doing, &sight);
+        let seen = if stuck { LockInput::Unclear(STUCK) } else { self.seen(&observation, error, sample) };
+        let decision = self.lock.update(seen, self.open_loop.arrived(), dt);
+        if decision.begins {
+            self.open_loop = self.begin(decision.action, &observation);
         }
-        if verdict.doing == Doing::Waiting {
-            self.note_giving_up(&sight);
+        if decision.action == Action::Waiting {
+            self.note_giving_up(&observation);
         }
         if self.lock.state() == LockState::Locked {
             self.good_place = self.stage.commanded();
         }
-        let doing = match sight {
+        let action = match observation {
             // What is late is looked at, and not acted upon. The stage still gets its command: that renews the
             // lease, which is for a daemon that is dead.
-            _ if late => Doing::Holding,
+            _ if late => Action::Holding,
             // It may be stuck because the command is where it cannot go.
-            Sight::Offset(_) if stuck => Doing::Regulating,
-            _ => verdict.doing,
+            BeamObservation::Offset(_) if stuck => Action::Regulating,
+            _ => decision.action,
         };
-        let command = self.steer(doing, error, behind, sample, dt);
-        Outcome { command, late, transition: verdict.transition }
+        let command = self.steer(action, error, behind, sample, dt);
+        Outcome { command, late, transition: decision.transition }
     }
 
     /// Why nothing can be done with what is seen.
     fn trouble(&self) -> Option<&'static str> {
-        match self.stage.obedience() {
-            Obedience::Gone => Some(NO_STAGE),
-            Obedience::Refuses => Some(REFUSED),
-            Obedience::Obeys if self.late_s > self.params.limits.lost_s => Some(TOO_LATE),
-            Obedience::Obeys => None,
+        match self.stage.command_status() {
+            CommandStatus::Gone => Some(NO_STAGE),
+            CommandStatus::Refuses => Some(REFUSED),
+            CommandStatus::Obeys if self.late_s > self.params.limits.lost_s => Some(TOO_LATE),
+            CommandStatus::Obeys => None,
         }
     }
 
-    fn look(&mut self, sample: &Sample, pose: Option<&TimedPose>) -> Sight {
+    fn look(&mut self, sample: &Sample, pose: Option<&TimedPose>) -> BeamObservation {
         let stage = self.stage.stands_at(sample, &self.params);
-        let sight = self.lookout.look(sample, stage, pose, &self.params);
-        self.sees(sight)
+        let observation = self.tracker.look(sample, stage, pose, &self.params);
+        self.sees(observation)
     }
 
-    fn sees(&mut self, sight: Sight) -> Sight {
-        self.offset = if let Sight::Offset(offset) = sight { Some(offset) } else { None };
-        sight
+    fn sees(&mut self, observation: BeamObservation) -> BeamObservation {
+        self.offset = if let BeamObservation::Offset(offset) = observation { Some(offset) } else { None };
+        observation
     }
 
     /// What the state machine is to know of it.
-    fn seen(&self, sight: &Sight, error: Xy, sample: &Sample) -> Seen {
-        match *sight {
-            Sight::Offset(_) => {
+    fn seen(&self, observation: &BeamObservation, error: Xy, sample: &Sample) -> LockInput {
+        match *observation {
+            BeamObservation::Offset(_) => {
                 let at_limit = |position| self.params.controller.railed(position);
                 let railed = sample.output_railed || self.stage.commanded().is_some_and(at_limit);
-                Seen::Error { size: error[0].hypot(error[1]), railed }
+                LockInput::Error { size: error[0].hypot(error[1]), railed }
             }
-            Sight::Some { apex, covered, cause } => {
+            BeamObservation::Partial { apex, covered, cause } => {
                 let (to, radius) = (self.place_for(apex), self.beam_radius());
                 let far = |from: Xy| (to[0] - from[0]).hypot(to[1] - from[1]);
                 let elsewhere = self.stage.commanded().is_some_and(|at| far(at) > WORTH_A_JUMP * radius);
                 let news = self.gave_up.is_none_or(|at| far(at) > radius);
-                Seen::Some {
+                LockInput::Partial {
                     elsewhere,
-                    covered: covered && !elsewhere && self.lookout.knows_apex(),
+                    covered: covered && !elsewhere && self.tracker.knows_apex(),
                     news,
                     cause,
                 }
             }
-            Sight::Dark => Seen::Dark,
-            Sight::Unclear(cause) => Seen::Unclear(cause),
+            BeamObservation::Dark => LockInput::Dark,
+            BeamObservation::Unclear(cause) => LockInput::Unclear(cause),
         }
     }
 
     /// What is seen until the stage has come to rest at the last good place is no news.
-    fn note_giving_up(&mut self, sight: &Sight) {
-        if !matches!(self.guide, Guide::Jump { .. }) {
+    fn note_giving_up(&mut self, observation: &BeamObservation) {
+        if !matches!(self.open_loop, OpenLoopMove::Jump { .. }) {
             let back = self.good_place.unwrap_or_default();
-            self.guide = Guide::jump(back, self.params.settling_s());
+            self.open_loop = OpenLoopMove::jump(back, self.params.settling_s());
         }
-        match *sight {
-            Sight::Some { apex, .. } if !self.guide.arrived() => self.gave_up = Some(self.place_for(apex)),
-            Sight::Some { .. } => {}
+        match *observation {
+            BeamObservation::Partial { apex, .. } if !self.open_loop.arrived() => {
+                self.gave_up = Some(self.place_for(apex))
+            }
+            BeamObservation::Partial { .. } => {}
             _ => self.gave_up = None, // any light would be news
         }
     }
 
     /// The jump or the search that begins now.
-    fn begin(&self, doing: Doing, sight: &Sight) -> Guide {
-        let Some(here) = self.stage.commanded() else { return Guide::Still };
-        match (doing, sight) {
-            (Doing::Jumping, Sight::Some { apex, .. }) => {
-                Guide::jump(self.place_for(*apex), self.params.settling_s())
+    fn begin(&self, action: Action, observation: &BeamObservation) -> OpenLoopMove {
+        let Some(here) = self.stage.commanded() else { return OpenLoopMove::Still };
+        match (action, observation) {
+            (Action::Jumping, BeamObservation::Partial { apex, .. }) => {
+                OpenLoopMove::jump(self.place_for(*apex), self.params.settling_s())
             }
             // From the last good place, or around where there is some light.
-            (Doing::Searching, sight) => {
-                let dark = *sight == Sight::Dark;
+            (Action::Searching, observation) => {
+                let dark = *observation == BeamObservation::Dark;
                 let centre = if dark { self.good_place.unwrap_or(here) } else { here };
-                Guide::search(centre, 2.0 * self.lookout.beam_sigma(), &self.params)
+                OpenLoopMove::search(centre, 2.0 * self.tracker.beam_sigma(), &self.params)
             }
-            _ => Guide::Still,
+            _ => OpenLoopMove::Still,
         }
     }
 
@@ -320,13 +322,13 @@ impl Centering {
 
     /// 1/e^2 radius of the beam, in lengths of the stage.
     fn beam_radius(&self) -> f64 {
-        2.0 * self.lookout.beam_sigma() / self.params.map.largest_gain()
+        2.0 * self.tracker.beam_sigma() / self.params.map.largest_gain()
     }
 
     /// The next command, unless there is no stage to take it. `behind` is where it stands if it does not follow.
     fn steer(
         &mut self,
-        doing: Doing,
+        action: Action,
         error: Xy,
         behind: Option<Xy>,
         sample: &Sample,
@@ -334,20 +336,20 @@ impl Centering {
     ) -> Option<Command> {
         let memory = self.stage.memory()?;
         let LoopParams { controller, map, feed_forward, .. } = self.params;
-        let next = match doing {
-            Doing::Regulating => {
-                let velocity = if feed_forward { self.lookout.velocity() } else { [0.0; 2] };
+        let next = match action {
+            Action::Regulating => {
+                let velocity = if feed_forward { self.tracker.velocity() } else { [0.0; 2] };
                 controller.update(&memory, map.stage_step(error), map.stage_step(velocity), dt)
             }
-            Doing::Holding => controller.hold(&memory, dt),
-            Doing::Jumping | Doing::Searching | Doing::Waiting => {
-                match self.guide.next(memory.position, dt) {
+            Action::Holding => controller.hold(&memory, dt),
+            Action::Jumping | Action::Searching | Action::Waiting => {
+                match self.open_loop.next(memory.position, dt) {
                     Some(target) => controller.go(&memory, target, dt),
                     None => controller.hold(&memory, dt),
                 }
             }
         };
-        let next = behind.map_or(next, |at| next.no_farther(&memory, at));
+        let next = behind.map_or(next, |at| next.hold_if_stalled(&memory, at));
         self.stage.sent(next, sample, &self.params);
         Some(self.command(next.position))
     }
@@ -370,8 +372,8 @@ impl Centering {
     /// `dt` seconds have passed without a sample. No command: the lease decides what the stage does.
     pub fn silence(&mut self, dt: f64) -> Option<Transition> {
         (self.offset, self.shadow) = (None, None);
-        self.lookout.interrupt();
-        self.lock.update(Seen::Unclear("no samples come"), false, dt).transition
+        self.tracker.interrupt();
+        self.lock.update(LockInput::Unclear("no samples come"), false, dt).transition
     }
 
     /// The last command: hold or park. `None` if the stage is not the loop's, or takes no commands.
@@ -386,7 +388,7 @@ impl Centering {
 
     fn take_over(&mut self, sample: &Sample, dt: f64) {
         if self.stage.take_over(sample, &self.params, dt) {
-            self.lookout.interrupt();
+            self.tracker.interrupt();
             self.good_place = self.good_place.or(self.stage.commanded());
         }
     }

@@ -10,7 +10,7 @@ const PARTS: f64 = 64.0;
 
 /// The commands of the last moments.
 #[derive(Clone, Debug, Default)]
-pub struct Trail {
+pub struct CommandHistory {
     parts: VecDeque<Part>,
 }
 
@@ -23,7 +23,7 @@ struct Part {
     most: Xy,
 }
 
-impl Trail {
+impl CommandHistory {
     /// Forgets everything.
     pub fn clear(&mut self) {
         self.parts.clear();
@@ -73,12 +73,12 @@ mod tests {
     const MS: i64 = 1_000_000;
 
     /// One micrometre per millisecond along x, for 100 ms; 20 ms matter.
-    fn ramp() -> Trail {
-        let mut trail = Trail::default();
+    fn ramp() -> CommandHistory {
+        let mut history = CommandHistory::default();
         for k in 0..=100 {
-            trail.push([f64::from(k) * 1e-6, 0.0], Mono(i64::from(k) * MS), 0.02);
+            history.push([f64::from(k) * 1e-6, 0.0], Mono(i64::from(k) * MS), 0.02);
         }
-        trail
+        history
     }
 
     #[test]
@@ -87,26 +87,26 @@ mod tests {
         assert!((at(0.0) - 100e-6).abs() < 1e-12);
         assert!((at(0.01) - 90e-6).abs() < 1.5e-6, "{}", at(0.01));
         assert!((at(1.0) - 79e-6).abs() < 1.5e-6, "the oldest");
-        assert_eq!(Trail::default().before(Mono(0), 0.0), None);
+        assert_eq!(CommandHistory::default().before(Mono(0), 0.0), None);
     }
 
     #[test]
     fn a_stage_on_its_way_follows_and_one_that_stays_behind_does_not() {
-        let trail = ramp();
+        let history = ramp();
         for (x, follows) in [(100e-6, true), (90e-6, true), (80e-6, true), (70e-6, false), (110e-6, false)] {
-            assert_eq!(trail.leads_to([x, 0.0], 3e-6), follows, "{x}");
+            assert_eq!(history.leads_to([x, 0.0], 3e-6), follows, "{x}");
         }
-        assert!(!trail.leads_to([90e-6, 4e-6], 3e-6));
-        assert!(!trail.leads_to([f64::NAN, 0.0], 3e-6));
-        assert!(Trail::default().leads_to([1.0, 1.0], 0.0));
+        assert!(!history.leads_to([90e-6, 4e-6], 3e-6));
+        assert!(!history.leads_to([f64::NAN, 0.0], 3e-6));
+        assert!(CommandHistory::default().leads_to([1.0, 1.0], 0.0));
     }
 
     #[test]
     fn its_memory_is_bounded() {
-        let mut trail = Trail::default();
+        let mut history = CommandHistory::default();
         for k in 0..1_000_000 {
-            trail.push([0.0; 2], Mono(k * MS / 10), 10.0);
+            history.push([0.0; 2], Mono(k * MS / 10), 10.0);
         }
-        assert!(trail.parts.len() < 70);
+        assert!(history.parts.len() < 70);
     }
 }

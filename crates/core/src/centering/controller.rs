@@ -19,14 +19,14 @@ pub struct Controller {
 /// What the controller remembers. There is no integral in it, only where the stage is and what was seen
 /// there: so neither gains nor setpoint can change without the next command following from the last one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Memory {
+pub struct ControllerState {
     /// The last command, metres.
     pub position: Xy,
     /// The error at that command; none after taking over.
     error: Option<Xy>,
 }
 
-impl Memory {
+impl ControllerState {
     /// The state of a stage at rest at `position`: taking over there makes no jump.
     pub fn at(position: Xy) -> Self {
         Self { position, error: None }
@@ -35,7 +35,7 @@ impl Memory {
     /// The same state, but no axis farther from `at`, where the stage stands, than it is in `before`: a stage
     /// that stays behind is waited for, and nothing winds up that would send it far away once it comes free.
     #[must_use]
-    pub fn no_farther(self, before: &Memory, at: Xy) -> Self {
+    pub fn hold_if_stalled(self, before: &ControllerState, at: Xy) -> Self {
         let nearer = |i: usize| (self.position[i] - at[i]).abs() <= (before.position[i] - at[i]).abs();
         let position = [0, 1].map(|i| if nearer(i) { self.position[i] } else { before.position[i] });
         Self { position, ..self }
@@ -62,30 +62,30 @@ impl Controller {
     ///
     /// The limits act on the sum of all parts, from which the next step goes on: nothing winds up.
     #[must_use]
-    pub fn update(&self, memory: &Memory, error: Xy, velocity: Xy, dt: f64) -> Memory {
+    pub fn update(&self, memory: &ControllerState, error: Xy, velocity: Xy, dt: f64) -> ControllerState {
         if !error.iter().chain(&velocity).all(|x| x.is_finite()) {
             return self.hold(memory, dt); // no reason to move
         }
         let before = memory.error.unwrap_or(error);
-        let mut next = Memory { position: memory.position, error: Some(error) };
+        let mut next = ControllerState { position: memory.position, error: Some(error) };
         for (axis, error) in error.into_iter().enumerate() {
             let step = self.kp * (error - before[axis]) + (self.ki_per_s * error + velocity[axis]) * dt;
-            next.position[axis] = self.permitted(memory.position[axis], memory.position[axis] + step, dt);
+            next.position[axis] = self.rate_limit(memory.position[axis], memory.position[axis] + step, dt);
         }
         next
     }
 
     /// The next command when nothing is seen: the last one, or towards it if the limits have come closer.
     #[must_use]
-    pub fn hold(&self, memory: &Memory, dt: f64) -> Memory {
+    pub fn hold(&self, memory: &ControllerState, dt: f64) -> ControllerState {
         self.go(memory, memory.position, dt)
     }
 
     /// The next command on the way to `target`, whatever is seen.
     #[must_use]
-    pub fn go(&self, memory: &Memory, target: Xy, dt: f64) -> Memory {
-        let position = [0, 1].map(|axis| self.permitted(memory.position[axis], target[axis], dt));
-        Memory { position, error: None }
+    pub fn go(&self, memory: &ControllerState, target: Xy, dt: f64) -> ControllerState {
+        let position = [0, 1].map(|axis| self.rate_limit(memory.position[axis], target[axis], dt));
+        ControllerState { position, error: None }
     }
 
     /// As near to a position as the limits allow.
@@ -94,7 +94,7 @@ impl Controller {
     }
 
     /// As near to `wanted` as the limits allow. A stage outside of its limits goes back at its speed.
-    fn permitted(&self, from: f64, wanted: f64, dt: f64) -> f64 {
+    fn rate_limit(&self, from: f64, wanted: f64, dt: f64) -> f64 {
         let reach = self.slew * dt;
         let wanted = if wanted.is_finite() { wanted } else { from };
         wanted.clamp(-self.limit, self.limit).clamp(from - reach, from + reach)
@@ -115,8 +115,8 @@ mod tests {
     const STILL: Xy = [0.0; 2];
 
     /// Steers a stage that follows after two samples; the mirror stands at `apex`.
-    fn settle(controller: &Controller, apex: f64, steps: usize) -> Vec<Memory> {
-        let mut run = vec![Memory::default(); 3];
+    fn settle(controller: &Controller, apex: f64, steps: usize) -> Vec<ControllerState> {
+        let mut run = vec![ControllerState::default(); 3];
         for k in 2..steps {
             let beam = run[k - 2].position[0];
             let memory = run[k];
@@ -154,7 +154,7 @@ mod tests {
 
     #[test]
     fn nonsense_does_not_move_it() {
-        let memory = Memory::at([1e-5, -2e-5]);
+        let memory = ControllerState::at([1e-5, -2e-5]);
         for nonsense in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             for error in [[nonsense, nonsense], [nonsense, 1e-6], [1e-6, nonsense]] {
                 let next = CONTROLLER.update(&memory, error, STILL, DT);
@@ -168,7 +168,7 @@ mod tests {
 
     #[test]
     fn no_change_of_gains_setpoint_or_limits_makes_it_jump() {
-        let memory = CONTROLLER.update(&Memory::at([100e-6, 0.0]), [5e-6, 0.0], STILL, DT);
+        let memory = CONTROLLER.update(&ControllerState::at([100e-6, 0.0]), [5e-6, 0.0], STILL, DT);
         let next = CONTROLLER.update(&memory, [5e-6, 0.0], STILL, DT).position[0];
         // Three times the proportional gain: the same next step, since the error has not moved.
         let retuned = Controller { kp: 0.3, ..CONTROLLER };
@@ -190,7 +190,7 @@ mod tests {
 
     #[test]
     fn feed_forward_goes_with_the_apex_within_the_limits() {
-        let memory = CONTROLLER.update(&Memory::at([10e-6, 0.0]), STILL, [2e-3, -5e-3], DT);
+        let memory = CONTROLLER.update(&ControllerState::at([10e-6, 0.0]), STILL, [2e-3, -5e-3], DT);
         assert!((memory.position[0] - 12e-6).abs() < 1e-12 && (memory.position[1] + 5e-6).abs() < 1e-12);
         let wild = CONTROLLER.update(&memory, STILL, [1e9, f64::NAN], DT);
         assert_eq!(wild.position, memory.position);
@@ -200,8 +200,9 @@ mod tests {
 
     #[test]
     fn a_stage_that_stays_behind_is_waited_for_and_come_back_to() {
-        let before = Memory::at([50e-6, 0.0]);
-        let next = |error| CONTROLLER.update(&before, error, STILL, DT).no_farther(&before, [10e-6, 0.0]);
+        let before = ControllerState::at([50e-6, 0.0]);
+        let next =
+            |error| CONTROLLER.update(&before, error, STILL, DT).hold_if_stalled(&before, [10e-6, 0.0]);
         assert_eq!(next([100e-6, 0.0]).position, before.position);
         assert!(next([-100e-6, 0.0]).position[0] < 31e-6);
         assert_eq!(next([0.0, 100e-6]).position, before.position);
@@ -209,7 +210,7 @@ mod tests {
 
     #[test]
     fn a_target_is_gone_to_at_the_slew_limit_and_no_farther_than_the_range() {
-        let mut memory = Memory::at([0.0; 2]);
+        let mut memory = ControllerState::at([0.0; 2]);
         let mut steps = 0;
         while memory.position != [400e-6, -120e-6] {
             let next = CONTROLLER.go(&memory, [1e-3, -120e-6], DT);
@@ -221,7 +222,7 @@ mod tests {
 
     #[test]
     fn taking_over_makes_no_proportional_kick() {
-        let next = CONTROLLER.update(&Memory::at([0.0; 2]), [100e-6, 0.0], STILL, DT);
+        let next = CONTROLLER.update(&ControllerState::at([0.0; 2]), [100e-6, 0.0], STILL, DT);
         assert!((next.position[0] - 0.2 * 100e-6).abs() < 1e-12, "{next:?}");
     }
 }

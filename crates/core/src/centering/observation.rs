@@ -10,11 +10,11 @@ const COVERED: f64 = 0.05;
 
 /// What a sample says. Lengths in metres, across the beam.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Sight {
+pub enum BeamObservation {
     /// All PSDs see light: the offset of the beam from the apex, by the powers.
     Offset(Xy),
     /// Some do.
-    Some {
+    Partial {
         /// Where the apex should be, as far as their spots show.
         apex: Xy,
         /// The beam may well be on the apex: a PSD is covered, or a channel is clipped.
@@ -28,28 +28,28 @@ pub enum Sight {
     Unclear(&'static str),
 }
 
-impl Sight {
+impl BeamObservation {
     /// Looks at a sample, with the beam at `beam`. `pose` is that of the mirror, as far as it is known, and
     /// `apex` where its apex was when it was last seen.
     pub fn of(sample: &Sample, beam: Xy, pose: &Pose, apex: Xy, optics: &Optics) -> Self {
         let count = |state| sample.psds.iter().filter(|psd| **psd == state).count();
         match (count(PsdState::Low), count(PsdState::Clipped)) {
             (0, 0) => match optics.offset_of_powers(&sample.powers, pose) {
-                Ok(offset) => Sight::Offset(offset.into()),
-                Err(_) => Sight::Unclear("the powers give no offset"),
+                Ok(offset) => BeamObservation::Offset(offset.into()),
+                Err(_) => BeamObservation::Unclear("the powers give no offset"),
             },
             // Too much light, and no movement would help.
-            (0, 3) => Sight::Unclear("every PSD is clipped"),
+            (0, 3) => BeamObservation::Unclear("every PSD is clipped"),
             // One channel may be broken, or nearly all light fall on one PSD: that is three times what it gets at
             // the apex.
-            (0, _) => Sight::Some { apex, covered: true, cause: "a channel is clipped" },
-            (3, _) => Sight::Dark,
+            (0, _) => BeamObservation::Partial { apex, covered: true, cause: "a channel is clipped" },
+            (3, _) => BeamObservation::Dark,
             _ => {
                 let cause = "a PSD sees too little light";
                 if Self::covered(sample, beam, pose, apex, optics) {
-                    return Sight::Some { apex, covered: true, cause };
+                    return BeamObservation::Partial { apex, covered: true, cause };
                 }
-                Sight::Some {
+                BeamObservation::Partial {
                     apex: Self::apex_by_spots(sample, beam, pose, apex, optics),
                     covered: false,
                     cause,

@@ -6,7 +6,7 @@ use crate::steering::Xy;
 
 /// A movement that does not depend on what is seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Guide {
+pub enum OpenLoopMove {
     /// None.
     Still,
     /// Straight to a place.
@@ -27,35 +27,37 @@ pub enum Guide {
     },
 }
 
-impl Guide {
+impl OpenLoopMove {
     /// To a place, and waits there.
     pub fn jump(to: Xy, wait_s: f64) -> Self {
-        Guide::Jump { to, left_s: wait_s }
+        OpenLoopMove::Jump { to, left_s: wait_s }
     }
 
     /// From a place over all of the range, for a beam of this radius, metres.
     pub fn search(centre: Xy, radius: f64, params: &LoopParams) -> Self {
         let centre = params.controller.within(centre);
         let spiral = Spiral::of(params, centre, radius);
-        Guide::Search { spiral, at: centre, over: false }
+        OpenLoopMove::Search { spiral, at: centre, over: false }
     }
 
     /// The same movement under another params: a spiral starts over, where it is, within the new limits.
     #[must_use]
     pub fn anew(self, params: &LoopParams, radius: f64) -> Self {
         match self {
-            Guide::Still => Guide::Still,
-            Guide::Jump { to, left_s } => Guide::Jump { to: params.controller.within(to), left_s },
-            Guide::Search { at, .. } => Guide::search(at, radius, params),
+            OpenLoopMove::Still => OpenLoopMove::Still,
+            OpenLoopMove::Jump { to, left_s } => {
+                OpenLoopMove::Jump { to: params.controller.within(to), left_s }
+            }
+            OpenLoopMove::Search { at, .. } => OpenLoopMove::search(at, radius, params),
         }
     }
 
     /// Whether it has come to its end.
     pub fn arrived(&self) -> bool {
         match *self {
-            Guide::Still => true,
-            Guide::Jump { left_s, .. } => left_s <= 0.0,
-            Guide::Search { over, .. } => over,
+            OpenLoopMove::Still => true,
+            OpenLoopMove::Jump { left_s, .. } => left_s <= 0.0,
+            OpenLoopMove::Search { over, .. } => over,
         }
     }
 
@@ -63,14 +65,14 @@ impl Guide {
     /// stage is there: the slew limit may be slower than the way.
     pub fn next(&mut self, from: Xy, dt: f64) -> Option<Xy> {
         match self {
-            Guide::Still => None,
-            Guide::Jump { to, left_s } => {
+            OpenLoopMove::Still => None,
+            OpenLoopMove::Jump { to, left_s } => {
                 if from == *to {
                     *left_s -= dt;
                 }
                 Some(*to)
             }
-            Guide::Search { spiral, at, over } => {
+            OpenLoopMove::Search { spiral, at, over } => {
                 if from == *at {
                     match spiral.next(dt) {
                         Some(next) => *at = next,

@@ -2,9 +2,9 @@
 
 use std::collections::VecDeque;
 
-use super::controller::Memory;
+use super::controller::ControllerState;
 use crate::centering::LoopParams;
-use crate::centering::command_history::Trail;
+use crate::centering::command_history::CommandHistory;
 use crate::signals::Sample;
 use crate::steering::Xy;
 
@@ -13,7 +13,7 @@ const MOST_UNANSWERED: usize = 1024;
 
 /// What becomes of commands.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Obedience {
+pub enum CommandStatus {
     /// They are taken, as far as is known.
     #[default]
     Obeys,
@@ -25,44 +25,44 @@ pub enum Obedience {
 
 /// The stage.
 #[derive(Clone, Debug)]
-pub struct Stage {
+pub struct StageModel {
     /// Where it was sent last.
-    memory: Option<Memory>,
+    memory: Option<ControllerState>,
     /// It is to be taken over, where it stands, before it is moved.
     apart: bool,
     /// Nothing but the loop has moved it since it was taken over.
     ours: bool,
-    obedience: Obedience,
+    command_status: CommandStatus,
     /// Ids and positions of the commands that it has not answered, and the last position that it has taken.
     unanswered: VecDeque<(u32, Xy)>,
     accepted: Option<Xy>,
     /// Where it says itself that it stands, if not in the samples.
     reported: Option<Xy>,
-    trail: Trail,
+    history: CommandHistory,
     /// For how long it has not followed.
     stuck_s: f64,
 }
 
-impl Default for Stage {
+impl Default for StageModel {
     fn default() -> Self {
         Self {
             memory: None,
             apart: true,
             ours: false,
-            obedience: Obedience::default(),
+            command_status: CommandStatus::default(),
             unanswered: VecDeque::new(),
             accepted: None,
             reported: None,
-            trail: Trail::default(),
+            history: CommandHistory::default(),
             stuck_s: 0.0,
         }
     }
 }
 
-impl Stage {
+impl StageModel {
     /// What the controller goes on from; none unless the stage is the loop's, and takes commands.
-    pub fn memory(&self) -> Option<Memory> {
-        self.memory.filter(|_| !self.apart && self.obedience != Obedience::Gone)
+    pub fn memory(&self) -> Option<ControllerState> {
+        self.memory.filter(|_| !self.apart && self.command_status != CommandStatus::Gone)
     }
 
     /// Where it was last commanded to, metres; none unless it is the loop's.
@@ -72,17 +72,17 @@ impl Stage {
 
     /// It takes no commands until it comes back.
     pub fn gone(&mut self) {
-        self.obedience = Obedience::Gone;
+        self.command_status = CommandStatus::Gone;
     }
 
     /// It is there again, or another one is.
     pub fn back(&mut self) {
-        self.obedience = Obedience::Obeys;
+        self.command_status = CommandStatus::Obeys;
     }
 
     /// What becomes of its commands.
-    pub fn obedience(&self) -> Obedience {
-        self.obedience
+    pub fn command_status(&self) -> CommandStatus {
+        self.command_status
     }
 
     /// A command with this id goes out.
@@ -98,13 +98,13 @@ impl Stage {
         let Some(place) = self.unanswered.iter().position(|(sent, _)| *sent == id) else { return };
         let position = self.unanswered[place].1;
         self.unanswered.drain(..=place);
-        if self.obedience != Obedience::Gone {
-            self.obedience = if accepted { Obedience::Obeys } else { Obedience::Refuses };
+        if self.command_status != CommandStatus::Gone {
+            self.command_status = if accepted { CommandStatus::Obeys } else { CommandStatus::Refuses };
         }
         if accepted {
             self.accepted = Some(position);
         } else if let (Some(accepted), false) = (self.accepted, self.apart) {
-            self.memory = Some(Memory::at(accepted));
+            self.memory = Some(ControllerState::at(accepted));
         }
     }
 
@@ -132,21 +132,21 @@ impl Stage {
     /// stands there.
     pub fn released(&mut self, park: Option<Xy>) {
         let park = park.filter(|_| !self.apart);
-        self.memory = self.memory.map(|m| Memory::at(park.unwrap_or(m.position)));
+        self.memory = self.memory.map(|m| ControllerState::at(park.unwrap_or(m.position)));
         (self.apart, self.ours, self.accepted) = (true, false, None);
-        if self.obedience == Obedience::Refuses {
-            self.obedience = Obedience::Obeys;
+        if self.command_status == CommandStatus::Refuses {
+            self.command_status = CommandStatus::Obeys;
         }
         self.unanswered.clear();
     }
 
     /// Takes it over where it stands, if it is not the loop's yet; says whether it was not.
     pub fn take_over(&mut self, sample: &Sample, params: &LoopParams, dt: f64) -> bool {
-        if !self.apart || self.obedience == Obedience::Gone {
+        if !self.apart || self.command_status == CommandStatus::Gone {
             return false;
         }
         let memory = self.found(sample, params, dt);
-        self.trail.clear();
+        self.history.clear();
         self.sent(memory, sample, params);
         (self.apart, self.ours, self.stuck_s) = (false, true, 0.0);
         true
@@ -154,38 +154,38 @@ impl Stage {
 
     /// The stage as it stands: as it says itself, or where it was sent last. If nothing but this loop has
     /// moved it (`ours`), and it stands there to within a step, the last command is the better number.
-    pub fn found(&self, sample: &Sample, params: &LoopParams, dt: f64) -> Memory {
+    pub fn found(&self, sample: &Sample, params: &LoopParams, dt: f64) -> ControllerState {
         let reach = params.controller.slew * dt;
         let sent = self.memory.map(|memory| memory.position);
         let read = read_back(sample).or(self.reported);
         if let (Some(read), Some(sent), true) = (read, sent, self.ours)
             && (0..2).all(|axis| (read[axis] - sent[axis]).abs() <= reach)
         {
-            return Memory::at(sent);
+            return ControllerState::at(sent);
         }
         // A readback beyond the limits is not believed, unless the stage was sent there before they came closer:
         // then it goes back at its speed.
         let farthest = |axis: usize| sent.map_or(0.0, |sent| sent[axis].abs()).max(params.controller.limit);
         let at = read.or(sent).unwrap_or_default();
-        Memory::at([0, 1].map(|axis| at[axis].clamp(-farthest(axis), farthest(axis))))
+        ControllerState::at([0, 1].map(|axis| at[axis].clamp(-farthest(axis), farthest(axis))))
     }
 
     /// It was sent there after this sample.
-    pub fn sent(&mut self, memory: Memory, sample: &Sample, params: &LoopParams) {
+    pub fn sent(&mut self, memory: ControllerState, sample: &Sample, params: &LoopParams) {
         self.memory = Some(memory);
-        self.trail.push(memory.position, sample.time, params.span_s());
+        self.history.push(memory.position, sample.time, params.span_s());
     }
 
     /// Where it stood when the sample was taken, as well as it is known.
     pub fn stands_at(&self, sample: &Sample, params: &LoopParams) -> Xy {
-        let sent = || self.trail.before(sample.time, params.loop_delay_s).or(self.commanded());
+        let sent = || self.history.before(sample.time, params.loop_delay_s).or(self.commanded());
         read_back(sample).or_else(sent).or(self.reported).unwrap_or_default()
     }
 
     /// Where it stands if it does not follow its commands, as far as its readback in the sample, `dt` seconds
     /// after the last one, shows.
     pub fn behind(&mut self, sample: &Sample, params: &LoopParams, dt: f64) -> Option<Xy> {
-        let behind = read_back(sample).filter(|at| !self.trail.leads_to(*at, params.following()));
+        let behind = read_back(sample).filter(|at| !self.history.leads_to(*at, params.following()));
         // At its own limit it cannot follow, and says so.
         self.stuck_s = if behind.is_none() || sample.output_railed { 0.0 } else { self.stuck_s + dt };
         behind

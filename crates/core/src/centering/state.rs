@@ -20,9 +20,9 @@ pub struct LoopState {
 impl LoopState {
     /// What may be claimed of it while the loop gets no samples, or makes no turns.
     #[must_use]
-    pub fn unseen(self) -> Self {
+    pub fn without_observation(self) -> Self {
         // A command is no news of the stage any more: its lease runs out, and the board acts by itself.
-        Self { lock: self.lock.unseen(), position: None }
+        Self { lock: self.lock.without_observation(), position: None }
     }
 }
 

@@ -13,7 +13,7 @@ const PARTS: [&str; 3] = ["u", "v", "sum"];
 
 /// Means of the nine channels over many scans.
 #[derive(Clone, Debug)]
-pub struct Darkness {
+pub struct DarkOffsetEstimator {
     places: [usize; 9],
     step_v: f64,
     full_scale: i32,
@@ -60,7 +60,7 @@ pub enum DarkError {
     },
 }
 
-impl Darkness {
+impl DarkOffsetEstimator {
     /// Nothing measured yet.
     pub fn new(identity: &Identity) -> Result<Self, DarkError> {
         let mut places = [0; 9];

@@ -1,7 +1,7 @@
 //! Samples to reports. Pure: told the time and the state of the loop.
 
 use serde::{Deserialize, Serialize};
-use trifacet_optics::{Innovation, Model, Noise, Signals, Solution, SolveError, Spread};
+use trifacet_optics::{ErrorPropagation, Innovation, Model, Noise, Signals, Solution, SolveError};
 use trifacet_wire::{LockState, Status};
 
 use super::block::{Block, Mean};
@@ -21,13 +21,13 @@ const DILUTED: u16 = 4;
 #[derive(Clone, Debug)]
 pub struct Estimation {
     settings: Settings,
-    memory: Memory,
+    memory: EstimatorState,
 }
 
 /// What estimation has kept of the samples so far. With the same memory and the same settings, the same
 /// samples give the same reports, bit by bit: so it is recorded now and then.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub struct Memory {
+pub struct EstimatorState {
     noise: LiveNoise,
     power_steps: PowerSteps,
     integrity: Integrity,
@@ -41,16 +41,16 @@ pub struct Memory {
 impl Estimation {
     /// An estimation that has seen nothing yet.
     pub fn new(settings: Settings) -> Self {
-        Self { settings, memory: Memory::default() }
+        Self { settings, memory: EstimatorState::default() }
     }
 
     /// What it has kept of the samples so far.
-    pub fn memory(&self) -> &Memory {
+    pub fn memory(&self) -> &EstimatorState {
         &self.memory
     }
 
     /// Goes on from there.
-    pub fn remember(&mut self, memory: Memory) {
+    pub fn remember(&mut self, memory: EstimatorState) {
         self.memory = memory;
     }
 
@@ -143,7 +143,7 @@ impl Estimation {
             output_railed: false,
         };
         let mean = Mean { sample: nothing, count: 0, gap: false, power: Power::Steady };
-        let mut report = self.blank(&mean, &steering.unseen());
+        let mut report = self.blank(&mean, &steering.without_observation());
         report.status |= Status::SOURCE_DOWN;
         report
     }
@@ -152,7 +152,7 @@ impl Estimation {
         let mut report = self.blank(mean, steering);
         let noise = self.stated_noise(mean);
         if light::judge(&self.settings, mean, &noise, &mut report.status) {
-            report.lock = report.lock.unseen();
+            report.lock = report.lock.without_observation();
             report.status.set(Status::NOT_LOCKED, true);
             return report;
         }
@@ -234,7 +234,13 @@ impl Estimation {
 
     /// Holds the beam's place by the stage's readback against the solution. What does not fit is not fused,
     /// nor what rests on powers that change: the fused pose hangs on them more than it states.
-    fn sighted(&mut self, mean: &Mean, solution: &Solution, spread: &Spread<9>, report: &mut PoseReport) {
+    fn sighted(
+        &mut self,
+        mean: &Mean,
+        solution: &Solution,
+        spread: &ErrorPropagation<9>,
+        report: &mut PoseReport,
+    ) {
         let Settings { estimator, readback, fuse, .. } = &self.settings;
         let Some(sighting) = mean.sample.steering.map(|stage| readback.sighting(stage)) else { return };
         let Some(innovation) = Innovation::new(estimator.optics(), solution, spread, &sighting) else {

@@ -1,7 +1,7 @@
 //! Whether the steering position that is read back fits the pose.
 
 use serde::{Deserialize, Serialize};
-use trifacet_optics::{Innovation, Sighting, Vec2};
+use trifacet_optics::{BeamPosition, Innovation, Vec2};
 
 use crate::steering::BeamMap;
 
@@ -37,8 +37,8 @@ impl Readback {
 
     /// Where the beam stands by a position of the stage, metres. Its deviation is the same in a mean of
     /// many: what drifts (the direction of the laser) does not average.
-    pub fn sighting(&self, stage: [f64; 2]) -> Sighting {
-        Sighting { at: self.map.beam(stage).into(), deviation: self.deviation }
+    pub fn sighting(&self, stage: [f64; 2]) -> BeamPosition {
+        BeamPosition { at: self.map.beam(stage).into(), deviation: self.deviation }
     }
 }
 

@@ -19,7 +19,7 @@ mod signal_checks;
 #[cfg(test)]
 mod tests;
 
-pub use estimator::{Estimation, Memory};
+pub use estimator::{Estimation, EstimatorState};
 pub use frames::Frames;
 pub use report::PoseReport;
 pub use settings::Settings;

@@ -137,7 +137,7 @@ pub struct Counter(AtomicU64);
 
 impl Counter {
     /// Counts one more.
-    pub fn one(&self) {
+    pub fn inc(&self) {
         self.add(1);
     }
 

@@ -1,4 +1,4 @@
-//! Turns of the tasks of the fast side: the sign that each of them lives, whether samples come or not.
+//! Heartbeats of the tasks of the fast side: the sign that each of them lives, whether samples come or not.
 //!
 //! A turn is one poll of the task's future. Every task has a timer, so it makes turns in silence too; one
 //! that waits for something that never comes makes none, and one that never comes back from a turn stops
@@ -74,11 +74,11 @@ impl Drill {
 
 /// The turns of every task. Shared, lock-free.
 #[derive(Debug, Default)]
-pub struct Turns([Turn; 3]);
+pub struct Heartbeats([Heartbeat; 3]);
 
-impl Turns {
+impl Heartbeats {
     /// The turns of a task.
-    pub fn of(&self, task: Task) -> &Turn {
+    pub fn of(&self, task: Task) -> &Heartbeat {
         &self.0[task as usize]
     }
 
@@ -90,8 +90,8 @@ impl Turns {
 
 /// The turns of one task.
 #[derive(Debug, Default)]
-pub struct Turn {
-    /// Of the begins and ends of turns: odd within one.
+pub struct Heartbeat {
+    /// Counts the starts and ends of heartbeats: odd within one.
     edges: AtomicU64,
     ended: AtomicBool,
     /// Set by whoever watches.
@@ -99,8 +99,8 @@ pub struct Turn {
     drill: AtomicU8,
 }
 
-impl Turn {
-    /// Turns begun so far.
+impl Heartbeat {
+    /// Heartbeats begun so far.
     pub fn count(&self) -> u64 {
         self.edges.load(Relaxed).div_ceil(2)
     }
@@ -136,8 +136,8 @@ impl Turn {
     }
 }
 
-/// Runs a task to its end, and counts its turns.
-pub async fn counted(task: impl Future<Output = ()>, turn: &Turn) {
+/// Runs a task to its end, and counts its heartbeats.
+pub async fn counted(task: impl Future<Output = ()>, turn: &Heartbeat) {
     let mut task = pin!(task);
     poll_fn(|context| {
         let drill = turn.drill.load(Relaxed);
@@ -164,8 +164,8 @@ mod tests {
 
     #[tokio::test]
     async fn every_poll_is_a_turn_until_the_end() {
-        let turns = Turns::default();
-        let turn = turns.of(Task::Centering);
+        let heartbeats = Heartbeats::default();
+        let turn = heartbeats.of(Task::Centering);
         let task = async {
             for n in 1..=5 {
                 assert!(turn.inside() && turn.count() == n, "{turn:?}");
@@ -174,17 +174,17 @@ mod tests {
         };
         counted(task, turn).await;
         assert!(!turn.inside() && turn.ended());
-        assert_eq!((turn.count(), turns.of(Task::Estimation).count()), (6, 0));
+        assert_eq!((turn.count(), heartbeats.of(Task::Estimation).count()), (6, 0));
     }
 
     #[tokio::test]
     async fn a_drill_ends_a_task_or_its_turns() {
-        let turn = Turn::default();
+        let turn = Heartbeat::default();
         turn.drill(Drill::End);
         counted(std::future::pending(), &turn).await;
         assert!(turn.ended());
 
-        let turn = Turn::default();
+        let turn = Heartbeat::default();
         turn.drill(Drill::Stall);
         let beating = async {
             loop {

@@ -38,7 +38,7 @@ impl Bench {
         let mut bench = Self::new();
         bench.session.connected(bench.now);
         bench.start(&board());
-        assert!(matches!(bench.session.event(), Some(Event::Up(_))));
+        assert!(matches!(bench.session.event(), Some(SourceEvent::Up(_))));
         bench
     }
 
@@ -72,7 +72,7 @@ impl Bench {
     }
 
     /// The board's scan number `sequence` arrives, one period after the last thing.
-    fn scan(&mut self, sequence: u32) -> Option<Event> {
+    fn scan(&mut self, sequence: u32) -> Option<SourceEvent> {
         self.now = self.now + MS;
         let tick = ((self.now - START) / 1000) as u32;
         self.answer(&Answer::Scan(BoardScan { sequence, tick, channels: 9, ..BoardScan::default() }));
@@ -81,7 +81,7 @@ impl Bench {
 
     fn index(&mut self, sequence: u32) -> (u64, u32) {
         match self.scan(sequence) {
-            Some(Event::Scan(scan)) => (scan.index, scan.lost),
+            Some(SourceEvent::Scan(scan)) => (scan.index, scan.lost),
             other => panic!("no scan but {other:?}"),
         }
     }
@@ -102,7 +102,7 @@ fn a_board_is_identified_started_and_heard() {
     let park = [6554, -6554];
     assert_eq!(bench.requests(), [Request::Start { rate_mhz: 1_000_000, park }]);
     bench.answer(&Answer::Reply(Reply { start: true, result: StartResult::Done, rate_mhz: 999_000 }));
-    let Some(Event::Up(identity)) = bench.session.event() else { panic!("not up") };
+    let Some(SourceEvent::Up(identity)) = bench.session.event() else { panic!("not up") };
     assert_eq!((identity.rate_hz, identity.roles.len(), identity.simulated), (999.0, 9, false));
     assert_eq!(bench.index(0), (0, 0));
     assert_eq!(bench.index(1), (1, 0));
@@ -138,16 +138,16 @@ fn a_stall_is_told_and_scans_may_come_back_by_themselves() {
     bench.wait(19 * MS);
     assert_eq!(bench.session.event(), None);
     bench.wait(MS);
-    assert_eq!(bench.session.event(), Some(Event::Down(Down::Stalled { silence_ms: 20 })));
+    assert_eq!(bench.session.event(), Some(SourceEvent::Down(SourceError::Stalled { silence_ms: 20 })));
     let command = OutputCommand { id: 1, codes: [1, 1], lease_ms: 200, on_expiry: LeaseAction::Hold };
     bench.session.steer(command);
     assert_eq!(bench.requests(), [Request::Steer(command)], "it may hear, and its lease counts from then");
     bench.answer(&Answer::Ack { id: 1, result: SteerResult::Accepted });
-    assert_eq!(bench.session.event(), Some(Event::Ack(Ack { id: 1, accepted: true })));
+    assert_eq!(bench.session.event(), Some(SourceEvent::Ack(Ack { id: 1, accepted: true })));
     assert_eq!(bench.index(22), (22, 21));
     assert_eq!(bench.index(23), (23, 0));
     bench.wait(20 * MS);
-    assert!(matches!(bench.session.event(), Some(Event::Down(Down::Stalled { .. }))));
+    assert!(matches!(bench.session.event(), Some(SourceEvent::Down(SourceError::Stalled { .. }))));
 }
 
 #[test]
@@ -155,13 +155,13 @@ fn a_board_that_lost_its_power_is_started_again_and_the_index_goes_on() {
     let mut bench = Bench::running();
     (0..100).for_each(|k| drop(bench.scan(k)));
     bench.wait(20 * MS);
-    assert!(matches!(bench.session.event(), Some(Event::Down(Down::Stalled { .. }))));
+    assert!(matches!(bench.session.event(), Some(SourceEvent::Down(SourceError::Stalled { .. }))));
     bench.session.steer(OutputCommand { id: 1, codes: [1, 1], lease_ms: 200, on_expiry: LeaseAction::Hold });
     bench.wait(NS_PER_S);
     assert_eq!(bench.requests(), [Request::Identify], "an old command is dropped");
     bench.wait(500 * MS);
-    let timeout = Down::Timeout { step: "identify", timeout_ms: 500 };
-    assert_eq!(bench.session.event(), Some(Event::Down(timeout)));
+    let timeout = SourceError::Timeout { step: "identify", timeout_ms: 500 };
+    assert_eq!(bench.session.event(), Some(SourceEvent::Down(timeout)));
     bench.wait(NS_PER_S);
     bench.wait(500 * MS);
     assert_eq!(bench.session.event(), None, "the same reason is told once");
@@ -169,7 +169,7 @@ fn a_board_that_lost_its_power_is_started_again_and_the_index_goes_on() {
     bench.requests();
     bench.session.connected(bench.now);
     bench.start(&board());
-    assert!(matches!(bench.session.event(), Some(Event::Up(_))));
+    assert!(matches!(bench.session.event(), Some(SourceEvent::Up(_))));
     assert_eq!(bench.index(0), (99 + 4020 + 1, 4020));
     assert_eq!(bench.counters.scans_lost.get(), 4020);
 }
@@ -177,15 +177,15 @@ fn a_board_that_lost_its_power_is_started_again_and_the_index_goes_on() {
 #[test]
 fn a_scan_after_a_reconnect_is_younger_than_those_before() {
     let mut bench = Bench::running();
-    let Some(Event::Scan(before)) = bench.scan(0) else { panic!("no scan") };
-    let gone = Down::Unplugged { port: "/dev/null".into(), reason: "pulled".into() };
+    let Some(SourceEvent::Scan(before)) = bench.scan(0) else { panic!("no scan") };
+    let gone = SourceError::Unplugged { port: "/dev/null".into(), reason: "pulled".into() };
     bench.session.disconnected(gone.clone());
-    assert_eq!(bench.session.event(), Some(Event::Down(gone)));
+    assert_eq!(bench.session.event(), Some(SourceEvent::Down(gone)));
     assert_eq!(bench.session.deadline(), None);
     bench.session.connected(bench.now);
     bench.start(&board());
     bench.session.event();
-    let Some(Event::Scan(after)) = bench.scan(0) else { panic!("no scan") };
+    let Some(SourceEvent::Scan(after)) = bench.scan(0) else { panic!("no scan") };
     assert!(after.index > before.index && after.time > before.time);
 }
 
@@ -196,7 +196,7 @@ fn only_the_newest_command_is_sent_and_its_answer_is_told() {
     (1..=3).for_each(|id| bench.session.steer(command(id)));
     assert_eq!(bench.requests(), [Request::Steer(command(3))]);
     bench.answer(&Answer::Ack { id: 3, result: SteerResult::OutOfRange });
-    assert_eq!(bench.session.event(), Some(Event::Ack(Ack { id: 3, accepted: false })));
+    assert_eq!(bench.session.event(), Some(SourceEvent::Ack(Ack { id: 3, accepted: false })));
     bench.session.steer(command(4));
     bench.session.stop();
     assert_eq!(bench.requests(), [Request::Steer(command(4)), Request::Stop]);
@@ -221,7 +221,7 @@ fn a_board_that_cannot_be_used_is_told_why() {
         bench.session.connected(bench.now);
         bench.start(board);
         match bench.session.event() {
-            Some(Event::Down(Down::Unfit(told))) => assert!(told.contains(reason), "{told}"),
+            Some(SourceEvent::Down(SourceError::Unfit(told))) => assert!(told.contains(reason), "{told}"),
             other => panic!("{reason}: {other:?}"),
         }
         bench.wait(NS_PER_S);
@@ -236,11 +236,15 @@ fn a_board_of_another_version_is_told_as_such() {
     let mut frame = Vec::new();
     trifacet_wire::board::framing::encode(&[0x81, 2, 9, 9, 9], &mut frame);
     bench.session.received(&frame, bench.now);
-    let Some(Event::Down(Down::Unfit(reason))) = bench.session.event() else { panic!("no reason") };
+    let Some(SourceEvent::Down(SourceError::Unfit(reason))) = bench.session.event() else {
+        panic!("no reason")
+    };
     assert!(reason.contains("version 2"), "{reason}");
     bench.session.connected(bench.now);
     bench.answer(&Answer::Error { reason: ErrorReason::Version, kind: 1 });
-    let Some(Event::Down(Down::Unfit(reason))) = bench.session.event() else { panic!("no reason") };
+    let Some(SourceEvent::Down(SourceError::Unfit(reason))) = bench.session.event() else {
+        panic!("no reason")
+    };
     assert!(reason.contains("version 1"), "{reason}");
 }
 
@@ -250,6 +254,8 @@ fn a_wire_too_slow_for_the_rate_is_refused() {
     bench.session.settings.baud = 115_200;
     bench.session.connected(bench.now);
     bench.start(&board());
-    let Some(Event::Down(Down::Unfit(reason))) = bench.session.event() else { panic!("no reason") };
+    let Some(SourceEvent::Down(SourceError::Unfit(reason))) = bench.session.event() else {
+        panic!("no reason")
+    };
     assert!(reason.contains("115200") && reason.contains("600000"), "{reason}");
 }

@@ -14,9 +14,9 @@ fn answer(bytes: &[u8]) -> Answer {
 
 #[test]
 fn lines_are_those_of_the_manual() {
-    assert_eq!(Question::Identity.line(&axes()), "*IDN?\n");
-    assert_eq!(Question::Error.line(&axes()), "ERR?\n");
-    assert_eq!(Question::Position.line(&axes()), "POS? 1 Y_2\n");
+    assert_eq!(GcsQuery::Identity.line(&axes()), "*IDN?\n");
+    assert_eq!(GcsQuery::Error.line(&axes()), "ERR?\n");
+    assert_eq!(GcsQuery::Position.line(&axes()), "POS? 1 Y_2\n");
     let line = move_to(&axes(), [10.0, -0.000_12]).unwrap();
     assert_eq!(line, "MOV 1 10.0000000 Y_2 -0.0001200\nERR?\n");
     assert_eq!(servo_on(&axes()), "SVO 1 1 Y_2 1\nERR?\n");

@@ -59,7 +59,7 @@ impl Default for LockLimits {
 
 /// What a sample, or the lack of one, says of the beam.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Seen {
+pub enum LockInput {
     /// All PSDs see light, and the error is known: its size in metres.
     Error {
         /// Metres.
@@ -68,7 +68,7 @@ pub enum Seen {
         railed: bool,
     },
     /// Some see light.
-    Some {
+    Partial {
         /// It says that the apex is elsewhere, and the stage can go there.
         elsewhere: bool,
         /// The beam may well be on the apex: a PSD is covered, or a channel is clipped.
@@ -86,7 +86,7 @@ pub enum Seen {
 
 /// What the loop does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Doing {
+pub enum Action {
     /// It brings the error to zero.
     Regulating,
     /// The stage stays where it is.
@@ -112,9 +112,9 @@ pub struct Transition {
 
 /// What follows from what was seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Verdict {
+pub struct LockDecision {
     /// What is to be done now.
-    pub doing: Doing,
+    pub action: Action,
     /// A jump or a search begins, perhaps anew.
     pub begins: bool,
     /// The lock state has changed.
@@ -126,7 +126,7 @@ pub struct Verdict {
 pub struct Lock {
     limits: LockLimits,
     state: LockState,
-    doing: Doing,
+    action: Action,
     /// How long everything has been within limits, seconds.
     good_s: f64,
     /// How long the error has been unknown, seconds.
@@ -147,30 +147,30 @@ pub struct Lock {
 
 /// The next state.
 struct Next {
-    doing: Doing,
+    action: Action,
     begins: bool,
     state: LockState,
     cause: &'static str,
 }
 
 impl Next {
-    fn go_on(doing: Doing, state: LockState, cause: &'static str) -> Self {
-        Self { doing, begins: false, state, cause }
+    fn go_on(action: Action, state: LockState, cause: &'static str) -> Self {
+        Self { action, begins: false, state, cause }
     }
 }
 
 impl Lock {
     /// The state machine of a loop in this mode.
     pub fn new(limits: LockLimits, mode: LoopMode) -> Self {
-        let (state, doing) = match mode {
-            LoopMode::On => (LockState::Acquiring, Doing::Regulating),
-            LoopMode::Manual => (LockState::Manual, Doing::Holding),
-            LoopMode::Off | LoopMode::Shadow => (LockState::Off, Doing::Holding),
+        let (state, action) = match mode {
+            LoopMode::On => (LockState::Acquiring, Action::Regulating),
+            LoopMode::Manual => (LockState::Manual, Action::Holding),
+            LoopMode::Off | LoopMode::Shadow => (LockState::Off, Action::Holding),
         };
         Self {
             limits,
             state,
-            doing,
+            action,
             good_s: 0.0,
             blind_s: 0.0,
             mean_square: f64::INFINITY,
@@ -186,8 +186,8 @@ impl Lock {
     /// Goes on with other limits. What must not be any more ends at once.
     pub fn retune(&mut self, limits: LockLimits) {
         self.limits = limits;
-        if !limits.search && matches!(self.doing, Doing::Jumping | Doing::Searching) {
-            self.doing = Doing::Holding;
+        if !limits.search && matches!(self.action, Action::Jumping | Action::Searching) {
+            self.action = Action::Holding;
         }
     }
 
@@ -205,8 +205,8 @@ impl Lock {
 
     /// A person wants it to look for the light: without waiting, and as if it had not yet looked.
     pub fn search(&mut self) {
-        if self.doing != Doing::Regulating {
-            (self.doing, self.blind_s) = (Doing::Holding, f64::INFINITY);
+        if self.action != Action::Regulating {
+            (self.action, self.blind_s) = (Action::Holding, f64::INFINITY);
         }
         (self.jumps, self.attempts, self.slips) = (0, 0, 0);
     }
@@ -223,35 +223,35 @@ impl Lock {
 
     /// Takes what was seen `dt` seconds after the last time; `arrived` if the jump or the search that was
     /// begun has come to its end.
-    pub fn update(&mut self, seen: Seen, arrived: bool, dt: f64) -> Verdict {
+    pub fn update(&mut self, seen: LockInput, arrived: bool, dt: f64) -> LockDecision {
         if matches!(self.state, LockState::Off | LockState::Manual) {
-            return Verdict { doing: Doing::Holding, begins: false, transition: None };
+            return LockDecision { action: Action::Holding, begins: false, transition: None };
         }
-        if self.doing == Doing::Regulating && !matches!(seen, Seen::Error { .. }) {
+        if self.action == Action::Regulating && !matches!(seen, LockInput::Error { .. }) {
             self.slips += u32::from(std::mem::take(&mut self.found));
         }
         let next = match seen {
             _ if self.slips >= MOST_SLIPS => Self::give_up(),
-            Seen::Error { size, railed } => self.regulate(size, railed, dt),
-            Seen::Some { elsewhere, covered, news, cause } => {
-                if news && self.doing == Doing::Waiting {
-                    (self.doing, self.attempts, self.jumps) = (Doing::Holding, 0, 0);
+            LockInput::Error { size, railed } => self.regulate(size, railed, dt),
+            LockInput::Partial { elsewhere, covered, news, cause } => {
+                if news && self.action == Action::Waiting {
+                    (self.action, self.attempts, self.jumps) = (Action::Holding, 0, 0);
                 }
                 self.some_light(elsewhere, covered, cause, arrived, dt)
             }
-            Seen::Dark => self.no_light(arrived, dt),
-            Seen::Unclear(cause) => self.hold(cause, dt),
+            LockInput::Dark => self.no_light(arrived, dt),
+            LockInput::Unclear(cause) => self.hold(cause, dt),
         };
-        self.dark = seen == Seen::Dark;
-        self.doing = next.doing;
+        self.dark = seen == LockInput::Dark;
+        self.action = next.action;
         let from = std::mem::replace(&mut self.state, next.state);
         let transition =
             (from != next.state).then_some(Transition { from, to: next.state, cause: next.cause });
-        Verdict { doing: next.doing, begins: next.begins, transition }
+        LockDecision { action: next.action, begins: next.begins, transition }
     }
 
     fn regulate(&mut self, size: f64, railed: bool, dt: f64) -> Next {
-        let found = matches!(self.doing, Doing::Jumping | Doing::Searching);
+        let found = matches!(self.action, Action::Jumping | Action::Searching);
         self.found |= found;
         (self.blind_s, self.jumps) = (0.0, 0);
         // A limit that is left and come to again and again is one event.
@@ -279,7 +279,7 @@ impl Lock {
             (LockState::Acquiring, "the offset is within the limit, not yet for long enough")
         };
         self.good_s = if within && !railed { self.good_s + dt } else { 0.0 };
-        Next::go_on(Doing::Regulating, state, cause)
+        Next::go_on(Action::Regulating, state, cause)
     }
 
     /// The stage stays, for the time being.
@@ -287,27 +287,27 @@ impl Lock {
         self.good_s = 0.0;
         self.mean_square = f64::INFINITY;
         self.blind_s += dt;
-        if self.doing == Doing::Waiting {
+        if self.action == Action::Waiting {
             return Self::wait();
         }
         let lost = self.blind_s >= self.limits.lost_s;
-        Next::go_on(Doing::Holding, if lost { LockState::Lost } else { LockState::Held }, cause)
+        Next::go_on(Action::Holding, if lost { LockState::Lost } else { LockState::Held }, cause)
     }
 
     fn no_light(&mut self, arrived: bool, dt: f64) -> Next {
         const CAUSE: &str = "no PSD sees light";
-        match self.doing {
-            Doing::Regulating | Doing::Holding => {
+        match self.action {
+            Action::Regulating | Action::Holding => {
                 let held = self.hold(CAUSE, dt);
                 if self.limits.search && self.blind_s >= 2.0 * self.limits.lost_s {
                     return Self::look(CAUSE);
                 }
                 held
             }
-            Doing::Jumping if arrived => Self::look("no PSD sees light where the apex should be"),
-            Doing::Jumping => Self::capture(false),
-            Doing::Searching => self.look_on(arrived, CAUSE),
-            Doing::Waiting => Self::wait(),
+            Action::Jumping if arrived => Self::look("no PSD sees light where the apex should be"),
+            Action::Jumping => Self::capture(false),
+            Action::Searching => self.look_on(arrived, CAUSE),
+            Action::Waiting => Self::wait(),
         }
     }
 
@@ -320,8 +320,8 @@ impl Lock {
         dt: f64,
     ) -> Next {
         let leap = elsewhere && self.jumps < MOST_JUMPS;
-        match self.doing {
-            Doing::Regulating | Doing::Holding => {
+        match self.action {
+            Action::Regulating | Action::Holding => {
                 let held = self.hold(cause, dt);
                 let LockLimits { lost_s, search, .. } = self.limits;
                 let patience = if covered { COVERED } else { 2.0 };
@@ -331,12 +331,12 @@ impl Lock {
                     _ => held,
                 }
             }
-            Doing::Jumping if !arrived => Self::capture(false),
-            Doing::Jumping if leap => self.leap(),
-            Doing::Jumping => Self::look("a PSD sees too little light where the apex should be"),
-            Doing::Searching if self.dark && leap => self.leap(),
-            Doing::Searching => self.look_on(arrived, cause),
-            Doing::Waiting => Self::wait(),
+            Action::Jumping if !arrived => Self::capture(false),
+            Action::Jumping if leap => self.leap(),
+            Action::Jumping => Self::look("a PSD sees too little light where the apex should be"),
+            Action::Searching if self.dark && leap => self.leap(),
+            Action::Searching => self.look_on(arrived, cause),
+            Action::Waiting => Self::wait(),
         }
     }
 
@@ -347,16 +347,16 @@ impl Lock {
 
     fn capture(begins: bool) -> Next {
         let cause = "a spot shows where the apex should be";
-        Next { begins, ..Next::go_on(Doing::Jumping, LockState::Acquiring, cause) }
+        Next { begins, ..Next::go_on(Action::Jumping, LockState::Acquiring, cause) }
     }
 
     fn look(cause: &'static str) -> Next {
-        Next { begins: true, ..Next::go_on(Doing::Searching, LockState::Searching, cause) }
+        Next { begins: true, ..Next::go_on(Action::Searching, LockState::Searching, cause) }
     }
 
     fn look_on(&mut self, arrived: bool, cause: &'static str) -> Next {
         if !arrived {
-            return Next::go_on(Doing::Searching, LockState::Searching, cause);
+            return Next::go_on(Action::Searching, LockState::Searching, cause);
         }
         (self.attempts, self.jumps) = (self.attempts + 1, 0);
         if self.attempts >= self.limits.attempts { Self::wait() } else { Self::look(cause) }
@@ -364,11 +364,11 @@ impl Lock {
 
     fn give_up() -> Next {
         let cause = "found and lost again too often (is steering.matrix right?): waits for a person who says `search`";
-        Next::go_on(Doing::Waiting, LockState::Held, cause)
+        Next::go_on(Action::Waiting, LockState::Held, cause)
     }
 
     fn wait() -> Next {
         let cause = "searched in vain: waits for light, or for a person who says `search`";
-        Next::go_on(Doing::Waiting, LockState::Held, cause)
+        Next::go_on(Action::Waiting, LockState::Held, cause)
     }
 }

@@ -4,28 +4,31 @@ use super::*;
 
 const LIMITS: LockLimits = LockLimits { offset: 3e-6, lock_s: 0.05, lost_s: 0.05, search: true, attempts: 2 };
 const DT: f64 = 1e-3;
-const COVERED_ONE: Seen = Seen::Some { elsewhere: false, covered: true, news: false, cause: "some light" };
-const ELSEWHERE: Seen = Seen::Some { elsewhere: true, covered: false, news: false, cause: "some light" };
-const HERE: Seen = Seen::Some { elsewhere: false, covered: false, news: false, cause: "some light" };
+const COVERED_ONE: LockInput =
+    LockInput::Partial { elsewhere: false, covered: true, news: false, cause: "some light" };
+const ELSEWHERE: LockInput =
+    LockInput::Partial { elsewhere: true, covered: false, news: false, cause: "some light" };
+const HERE: LockInput =
+    LockInput::Partial { elsewhere: false, covered: false, news: false, cause: "some light" };
 
 fn new() -> Lock {
     Lock::new(LIMITS, LoopMode::On)
 }
 
-fn feed(lock: &mut Lock, seen: Seen, n: usize) -> LockState {
+fn feed(lock: &mut Lock, seen: LockInput, n: usize) -> LockState {
     for _ in 0..n {
         let _ = lock.update(seen, false, DT);
     }
     lock.state()
 }
 
-fn off_by(size: f64) -> Seen {
-    Seen::Error { size, railed: false }
+fn off_by(size: f64) -> LockInput {
+    LockInput::Error { size, railed: false }
 }
 
 /// What it does, one after the other, while it sees the same for so many samples.
-fn course(lock: &mut Lock, seen: Seen, n: usize) -> Vec<(Doing, LockState)> {
-    let mut course: Vec<_> = (0..n).map(|_| (lock.update(seen, false, DT).doing, lock.state())).collect();
+fn course(lock: &mut Lock, seen: LockInput, n: usize) -> Vec<(Action, LockState)> {
+    let mut course: Vec<_> = (0..n).map(|_| (lock.update(seen, false, DT).action, lock.state())).collect();
     course.dedup();
     course
 }
@@ -51,7 +54,7 @@ fn a_large_rms_is_not_locked_even_if_samples_in_between_are_small() {
 fn railed_is_not_locked() {
     let mut lock = new();
     feed(&mut lock, off_by(0.0), 60);
-    let railed = Seen::Error { size: 0.0, railed: true };
+    let railed = LockInput::Error { size: 0.0, railed: true };
     assert_eq!(feed(&mut lock, railed, 1), LockState::Railed);
     assert_eq!(feed(&mut lock, off_by(0.0), 9), LockState::Railed, "not off and on and off");
     assert_eq!(feed(&mut lock, off_by(0.0), 2), LockState::Acquiring);
@@ -60,10 +63,10 @@ fn railed_is_not_locked() {
 #[test]
 fn what_must_not_search_any_more_stops() {
     let mut lock = new();
-    feed(&mut lock, Seen::Dark, 150);
+    feed(&mut lock, LockInput::Dark, 150);
     assert_eq!(lock.state(), LockState::Searching);
     lock.retune(LockLimits { search: false, ..LIMITS });
-    assert_eq!(course(&mut lock, Seen::Dark, 1000), [(Doing::Holding, LockState::Lost)]);
+    assert_eq!(course(&mut lock, LockInput::Dark, 1000), [(Action::Holding, LockState::Lost)]);
 }
 
 #[test]
@@ -71,12 +74,12 @@ fn what_is_found_and_lost_again_and_again_is_given_up() {
     let mut lock = new();
     let mut found = 0;
     while lock.state() != LockState::Held || found < 5 {
-        feed(&mut lock, Seen::Dark, 150);
-        found += u32::from(lock.update(off_by(100e-6), false, DT).doing == Doing::Regulating);
+        feed(&mut lock, LockInput::Dark, 150);
+        found += u32::from(lock.update(off_by(100e-6), false, DT).action == Action::Regulating);
         assert!(found < 100);
     }
-    for seen in [off_by(0.0), Seen::Dark, ELSEWHERE] {
-        assert_eq!(course(&mut lock, seen, 1000), [(Doing::Waiting, LockState::Held)]);
+    for seen in [off_by(0.0), LockInput::Dark, ELSEWHERE] {
+        assert_eq!(course(&mut lock, seen, 1000), [(Action::Waiting, LockState::Held)]);
     }
     assert!(found == MOST_SLIPS, "{found}");
     lock.search();
@@ -88,23 +91,23 @@ fn a_loss_is_confirmed_twice_before_the_search() {
     let mut lock = new();
     feed(&mut lock, off_by(0.0), 60);
     let expected = [
-        (Doing::Holding, LockState::Held),
-        (Doing::Holding, LockState::Lost),
-        (Doing::Searching, LockState::Searching),
+        (Action::Holding, LockState::Held),
+        (Action::Holding, LockState::Lost),
+        (Action::Searching, LockState::Searching),
     ];
-    assert_eq!(course(&mut lock, Seen::Dark, 49), expected[..1]);
-    assert_eq!(course(&mut lock, Seen::Dark, 50), expected[1..2]);
-    assert_eq!(course(&mut lock, Seen::Dark, 1), expected[2..]);
+    assert_eq!(course(&mut lock, LockInput::Dark, 49), expected[..1]);
+    assert_eq!(course(&mut lock, LockInput::Dark, 50), expected[1..2]);
+    assert_eq!(course(&mut lock, LockInput::Dark, 1), expected[2..]);
     assert_eq!(feed(&mut lock, off_by(0.0), 10), LockState::Acquiring, "light ends it");
 }
 
 #[test]
 fn what_is_unclear_is_held_and_never_searched() {
     let mut lock = new();
-    let held = [(Doing::Holding, LockState::Held), (Doing::Holding, LockState::Lost)];
-    assert_eq!(course(&mut lock, Seen::Unclear("clipped"), 10_000), held);
+    let held = [(Action::Holding, LockState::Held), (Action::Holding, LockState::Lost)];
+    assert_eq!(course(&mut lock, LockInput::Unclear("clipped"), 10_000), held);
     let mut forbidden = Lock::new(LockLimits { search: false, ..LIMITS }, LoopMode::On);
-    for seen in [Seen::Dark, ELSEWHERE, HERE] {
+    for seen in [LockInput::Dark, ELSEWHERE, HERE] {
         feed(&mut forbidden, off_by(0.0), 60);
         assert_eq!(course(&mut forbidden, seen, 10_000), held);
     }
@@ -117,15 +120,15 @@ fn with_some_light_it_jumps_after_one_confirmation_and_searches_when_that_does_n
     assert_eq!(feed(&mut lock, ELSEWHERE, 49), LockState::Held);
     let mut jumps = 0;
     while lock.state() != LockState::Searching {
-        let verdict = lock.update(ELSEWHERE, true, DT);
-        jumps += u32::from(verdict.doing == Doing::Jumping && verdict.begins);
+        let decision = lock.update(ELSEWHERE, true, DT);
+        jumps += u32::from(decision.action == Action::Jumping && decision.begins);
     }
     assert_eq!(jumps, MOST_JUMPS);
     // Where it arrives and the apex is not, at once.
     let mut lock = new();
     feed(&mut lock, ELSEWHERE, 60);
-    assert_eq!(lock.update(HERE, false, DT).doing, Doing::Jumping);
-    assert_eq!(lock.update(HERE, true, DT).doing, Doing::Searching);
+    assert_eq!(lock.update(HERE, false, DT).action, Action::Jumping);
+    assert_eq!(lock.update(HERE, true, DT).action, Action::Searching);
 }
 
 #[test]
@@ -141,20 +144,20 @@ fn a_covered_psd_has_more_patience() {
 fn after_so_many_searches_in_vain_it_waits_for_light_or_a_person() {
     let mut lock = new();
     let searched = |lock: &mut Lock| {
-        feed(lock, Seen::Dark, 110);
+        feed(lock, LockInput::Dark, 110);
         let mut starts = 1;
         while lock.state() == LockState::Searching {
-            starts += u32::from(lock.update(Seen::Dark, true, DT).begins);
+            starts += u32::from(lock.update(LockInput::Dark, true, DT).begins);
         }
         starts
     };
     assert_eq!(searched(&mut lock), 2);
-    assert_eq!(course(&mut lock, Seen::Dark, 10_000), [(Doing::Waiting, LockState::Held)]);
+    assert_eq!(course(&mut lock, LockInput::Dark, 10_000), [(Action::Waiting, LockState::Held)]);
     lock.search();
     assert_eq!(searched(&mut lock), 2, "a person");
-    assert_eq!(course(&mut lock, ELSEWHERE, 1000), [(Doing::Waiting, LockState::Held)], "no news");
-    let news = Seen::Some { elsewhere: true, covered: false, news: true, cause: "some light" };
-    assert_eq!(lock.update(news, false, DT).doing, Doing::Jumping);
+    assert_eq!(course(&mut lock, ELSEWHERE, 1000), [(Action::Waiting, LockState::Held)], "no news");
+    let news = LockInput::Partial { elsewhere: true, covered: false, news: true, cause: "some light" };
+    assert_eq!(lock.update(news, false, DT).action, Action::Jumping);
     feed(&mut lock, off_by(0.0), 60);
     assert_eq!((lock.state(), lock.attempts()), (LockState::Locked, 0));
 }
@@ -163,8 +166,8 @@ fn after_so_many_searches_in_vain_it_waits_for_light_or_a_person() {
 fn off_and_manual_stay_until_they_are_switched() {
     for (mode, state) in [(LoopMode::Off, LockState::Off), (LoopMode::Manual, LockState::Manual)] {
         let mut lock = Lock::new(LIMITS, mode);
-        for seen in [off_by(0.0), Seen::Dark, ELSEWHERE] {
-            assert_eq!(course(&mut lock, seen, 1000), [(Doing::Holding, state)]);
+        for seen in [off_by(0.0), LockInput::Dark, ELSEWHERE] {
+            assert_eq!(course(&mut lock, seen, 1000), [(Action::Holding, state)]);
         }
         assert_eq!(lock.switch(LoopMode::On).unwrap().to, LockState::Acquiring);
         assert_eq!(feed(&mut lock, off_by(0.0), 60), LockState::Locked);

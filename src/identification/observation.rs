@@ -9,7 +9,7 @@ use crate::config::Config;
 
 /// What a sample says.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Look {
+pub struct Observation {
     /// As in the sample.
     pub index: u64,
     /// As in the sample.
@@ -24,12 +24,12 @@ pub struct Look {
 
 /// Looks at samples with the Gaussian model, whatever the configuration has: the ray knows no offset.
 #[derive(Clone, Debug)]
-pub struct Looker {
+pub struct Observer {
     estimator: Estimator,
     warm: Option<Solution>,
 }
 
-impl Looker {
+impl Observer {
     /// For the head of a checked configuration.
     pub fn new(config: &Config) -> Result<Self, HeadError> {
         let optics = Optics::new(&config.head.build()?);
@@ -42,7 +42,7 @@ impl Looker {
     }
 
     /// Looks at a sample; the error says what is wrong with its light, or that the stage is at a limit.
-    pub fn look(&mut self, sample: &Sample) -> Result<Look, String> {
+    pub fn look(&mut self, sample: &Sample) -> Result<Observation, String> {
         if sample.psds.iter().all(|state| *state == PsdState::Low) {
             return Err("no PSD sees light".into());
         }
@@ -64,7 +64,7 @@ impl Looker {
         let offset = solution.offset;
         let beam = self.estimator.optics().across(solution.pose.t) + offset;
         self.warm = Some(solution);
-        Ok(Look {
+        Ok(Observation {
             index: sample.index,
             time: sample.time,
             offset: offset.into(),
@@ -85,7 +85,7 @@ pub fn mean(points: impl IntoIterator<Item = Xy>) -> Option<Xy> {
 }
 
 /// No sample is lost between these.
-pub fn whole(looks: &[Look]) -> bool {
+pub fn whole(looks: &[Observation]) -> bool {
     looks.first().zip(looks.last()).is_some_and(|(a, b)| b.index - a.index + 1 == looks.len() as u64)
 }
 

@@ -2,7 +2,7 @@
 
 use trifacet_core::steering::Xy;
 
-use super::look::{self, Look};
+use super::observation::{self, Observation};
 use super::plan::{Plan, USED, refused, um};
 use super::response::{self, Response, Windows};
 use super::task::{Recording, Step};
@@ -277,7 +277,7 @@ fn windows(recording: &Recording, axis: usize, period: f64) -> Windows {
     for step in recording.steps.iter().filter(|step| step.axis == axis && step.computed <= usual) {
         let range = (step.on + 1).saturating_sub(dwell / 2)..=step.on + dwell;
         let Some(looks) = recording.looks.get(range) else { continue };
-        if !look::whole(looks) {
+        if !observation::whole(looks) {
             continue;
         }
         let sign = if step.forth { 1.0 } else { -1.0 };
@@ -294,7 +294,7 @@ fn windows(recording: &Recording, axis: usize, period: f64) -> Windows {
 }
 
 /// What is seen after a step, once the stage has come to rest.
-fn settled<'a>(recording: &'a Recording, step: &Step) -> &'a [Look] {
+fn settled<'a>(recording: &'a Recording, step: &Step) -> &'a [Observation] {
     let dwell = recording.plan.dwell;
     recording.looks.get(step.on + 1 + dwell / 2..=step.on + dwell).unwrap_or_default()
 }
@@ -310,7 +310,7 @@ fn origin(recording: &Recording, matrix: &[[Measured; 2]; 2]) -> [Measured; 2] {
             stands = [stands[0].max(q[0].abs()), stands[1].max(q[1].abs())];
         }
     }
-    let Some(mean) = look::mean(at_zero.iter().copied()) else { return [Measured::default(); 2] };
+    let Some(mean) = observation::mean(at_zero.iter().copied()) else { return [Measured::default(); 2] };
     let count = at_zero.len() as f64;
     [0, 1].map(|k| {
         let scatter: f64 = at_zero.iter().map(|p| (p[k] - mean[k]).powi(2)).sum::<f64>() / (count * count);
@@ -323,11 +323,12 @@ fn origin(recording: &Recording, matrix: &[[Measured; 2]; 2]) -> [Measured; 2] {
 fn readback(recording: &Recording) -> Option<[Readback; 2]> {
     let rest: Vec<Xy> =
         recording.looks.get(..recording.rest)?.iter().filter_map(|look| look.readback).collect();
-    let noise = look::noise(&rest)?;
+    let noise = observation::noise(&rest)?;
     let of = |axis: usize| {
         let (mut forth, mut back, mut off) = (Vec::new(), Vec::new(), Vec::new());
         for step in recording.steps.iter().filter(|step| step.axis == axis) {
-            let read = look::mean(settled(recording, step).iter().filter_map(|look| look.readback))?[axis];
+            let read =
+                observation::mean(settled(recording, step).iter().filter_map(|look| look.readback))?[axis];
             off.push(read - step.to[axis]);
             if step.forth { forth.push(read) } else { back.push(read) }
         }

@@ -8,7 +8,7 @@ use trifacet_core::steering::Xy;
 use trifacet_core::time::Mono;
 
 use super::findings::AXES;
-use super::look::{self, Look};
+use super::observation::{self, Observation};
 use super::plan::{Plan, refused, um};
 use crate::exit::Failure;
 
@@ -31,11 +31,11 @@ pub(super) struct Probe<'a> {
     /// The sample on which it was sent.
     pub(super) zero: Mono,
     /// While nothing moves.
-    pub(super) rest: &'a [Look],
+    pub(super) rest: &'a [Observation],
     /// The last samples before the step.
-    pub(super) before: &'a [Look],
+    pub(super) before: &'a [Observation],
     /// All samples after it.
-    pub(super) after: &'a [Look],
+    pub(super) after: &'a [Observation],
 }
 
 impl Probe<'_> {
@@ -81,7 +81,7 @@ impl Probe<'_> {
     /// The beam has hardly moved.
     fn still(&self, size: f64, unrest: f64) -> Failure {
         let name = AXES[self.axis];
-        let read = |looks: &[Look]| look::mean(looks.iter().filter_map(|look| look.readback));
+        let read = |looks: &[Observation]| observation::mean(looks.iter().filter_map(|look| look.readback));
         let half = &self.after[self.after.len() / 2..];
         let read = read(self.before).zip(read(half)).map(|(a, b)| (b[self.axis] - a[self.axis]).abs());
         let seen = format!(
@@ -106,14 +106,14 @@ impl Probe<'_> {
     }
 }
 
-fn middle(looks: &[Look]) -> Option<Xy> {
-    look::mean(looks.iter().map(|look| look.beam))
+fn middle(looks: &[Observation]) -> Option<Xy> {
+    observation::mean(looks.iter().map(|look| look.beam))
 }
 
 /// What the mean of a block of samples differs by from that of all, rms, metres.
-fn unrest(rest: &[Look], block: usize) -> f64 {
+fn unrest(rest: &[Observation], block: usize) -> f64 {
     let Some(all) = middle(rest) else { return 0.0 };
-    let far = |w: &[Look]| middle(w).map(|m| (m[0] - all[0]).powi(2) + (m[1] - all[1]).powi(2));
+    let far = |w: &[Observation]| middle(w).map(|m| (m[0] - all[0]).powi(2) + (m[1] - all[1]).powi(2));
     let squares: Vec<f64> = rest.chunks_exact(block).filter_map(far).collect();
     (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
 }

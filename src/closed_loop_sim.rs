@@ -18,18 +18,18 @@ use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_optics::Pose;
 use trifacet_wire::actuator::{Ack, LeaseAction, OutputCommand};
 
-use crate::config::{Config, FaultKind, Meaning};
+use crate::config::{CalibrationContext, Config, FaultKind};
 use crate::exit::{self, Failure};
-use crate::recording::entry::Outflow;
-use crate::recording::{Entry, Tap, Witness};
+use crate::recording::entry::RecordReceiver;
+use crate::recording::{Entry, EstimationRecorder, RecordSender};
 use crate::twin::{OUTPUT_BITS, Outputs, Twin, TwinError, TwinScan};
 
 /// Silence is noticed after this time, and again after each half of it, as in the daemon.
-const PATIENCE_S: f64 = 0.02;
+const SILENCE_TIMEOUT_S: f64 = 0.02;
 
 /// The twin with the daemon's cores.
 #[derive(Clone, Debug)]
-pub struct Rig {
+pub struct ClosedLoopSim {
     twin: Twin,
     outputs: Outputs,
     channels: ChannelMap,
@@ -39,9 +39,9 @@ pub struct Rig {
     full_scale: f64,
     pose: Option<TimedPose>,
     lost: u32,
-    meaning: Arc<Meaning>,
-    witness: Witness,
-    tap: Tap,
+    context: Arc<CalibrationContext>,
+    recorder: EstimationRecorder,
+    records: RecordSender,
     /// Reports so far.
     reports: u64,
     /// When silence is noticed, seconds, and since when it counts.
@@ -50,7 +50,7 @@ pub struct Rig {
 
 /// One scan, and all that follows from it.
 #[derive(Clone, Copy, Debug)]
-pub struct Turn {
+pub struct SimStep {
     /// The scan with the truth behind it.
     pub scan: TwinScan,
     /// What arrived of it.
@@ -65,16 +65,16 @@ pub struct Turn {
     pub report: Option<PoseReport>,
 }
 
-impl Rig {
+impl ClosedLoopSim {
     /// All of it at rest.
     ///
     /// # Errors
     /// What would keep the daemon from starting.
     pub fn new(config: &Config) -> Result<Self, Failure> {
         let wrong = |message: String| Failure::new(exit::CONFIG, message);
-        let meaning = Arc::new(Meaning::read(config.clone()).map_err(|e| wrong(e.to_string()))?);
-        let channels = config.channels(&meaning.tables)?;
-        let (calibrated, id) = (channels.calibrated(), meaning.id());
+        let context = Arc::new(CalibrationContext::read(config.clone()).map_err(|e| wrong(e.to_string()))?);
+        let channels = config.channels(&context.tables)?;
+        let (calibrated, id) = (channels.calibrated(), context.id());
         let settings = config.estimation_settings(calibrated, id).map_err(|e| wrong(e.to_string()))?;
         let twin = Twin::new(config).map_err(|e| wrong(e.to_string()))?;
         let mut estimation = Estimation::new(settings);
@@ -88,11 +88,11 @@ impl Rig {
             full_scale: config.steering.full_scale_um * 1e-6,
             pose: None,
             lost: 0,
-            witness: Witness::new(Tap::default(), Arc::clone(&meaning)),
-            meaning,
-            tap: Tap::default(),
+            recorder: EstimationRecorder::new(RecordSender::default(), Arc::clone(&context)),
+            context,
+            records: RecordSender::default(),
             reports: 0,
-            silence_s: [PATIENCE_S, 0.0],
+            silence_s: [SILENCE_TIMEOUT_S, 0.0],
         })
     }
 
@@ -101,14 +101,14 @@ impl Rig {
     ///
     /// # Errors
     /// What would keep the daemon from starting.
-    pub fn recorded(config: &Config) -> Result<(Self, Outflow), Failure> {
+    pub fn recorded(config: &Config) -> Result<(Self, RecordReceiver), Failure> {
         let mut rig = Self::new(config)?;
-        let (tap, outflow) = Tap::new(Arc::default());
-        outflow.open.store(true, Ordering::Relaxed);
-        rig.witness = Witness::new(tap.clone(), Arc::clone(&rig.meaning));
-        rig.witness.source(Arc::new(rig.twin.identity().clone()));
-        rig.tap = tap;
-        Ok((rig, outflow))
+        let (records, receiver) = RecordSender::new(Arc::default());
+        receiver.open.store(true, Ordering::Relaxed);
+        rig.recorder = EstimationRecorder::new(records.clone(), Arc::clone(&rig.context));
+        rig.recorder.source(Arc::new(rig.twin.identity().clone()));
+        rig.records = records;
+        Ok((rig, receiver))
     }
 
     /// The loop, to give it orders.
@@ -130,7 +130,7 @@ impl Rig {
     }
 
     /// Takes the next scan, and does what the daemon would do.
-    pub fn turn(&mut self) -> Turn {
+    pub fn turn(&mut self) -> SimStep {
         let time = Mono((self.twin.next_s() * NS_PER_S as f64).round() as i64);
         if self.outputs.expire(time) == Some(LeaseAction::Park) {
             self.twin.steer(self.outputs.park(), self.twin.next_s());
@@ -138,7 +138,7 @@ impl Rig {
         let scan = self.twin.next_scan();
         if let Some(arrived) = scan.arrived(time, self.lost) {
             self.lost = 0;
-            self.silence_s = [scan.t_s + PATIENCE_S, scan.t_s];
+            self.silence_s = [scan.t_s + SILENCE_TIMEOUT_S, scan.t_s];
             let sample = self.channels.sample(&arrived);
             self.sample(&scan, arrived, &sample)
         } else {
@@ -147,7 +147,7 @@ impl Rig {
         }
     }
 
-    fn sample(&mut self, scan: &TwinScan, arrived: Scan, sample: &Sample) -> Turn {
+    fn sample(&mut self, scan: &TwinScan, arrived: Scan, sample: &Sample) -> SimStep {
         let Outcome { command, transition, .. } =
             self.centering.sample(sample, self.pose.as_ref(), sample.time);
         if let Some(command) = command {
@@ -155,12 +155,12 @@ impl Rig {
         }
         let state = self.centering.state();
         self.changed(sample.time, transition);
-        self.witness.sample(sample, arrived, &state, self.estimation.memory());
+        self.recorder.sample(sample, arrived, &state, self.estimation.memory());
         let report = self.estimation.sample(sample, &state);
         if let Some(PoseReport { pose, time, .. }) = report {
             self.pose = pose.map(|pose| TimedPose { pose, time });
         }
-        Turn {
+        SimStep {
             scan: *scan,
             sample: Some(*sample),
             command,
@@ -170,9 +170,9 @@ impl Rig {
         }
     }
 
-    fn silence(&mut self, scan: &TwinScan, time: Mono) -> Turn {
+    fn silence(&mut self, scan: &TwinScan, time: Mono) -> SimStep {
         let [due, since] = self.silence_s;
-        let mut turn = Turn {
+        let mut turn = SimStep {
             scan: *scan,
             sample: None,
             command: None,
@@ -181,12 +181,12 @@ impl Rig {
             report: None,
         };
         if scan.t_s >= due {
-            self.silence_s = [scan.t_s + PATIENCE_S / 2.0, scan.t_s];
+            self.silence_s = [scan.t_s + SILENCE_TIMEOUT_S / 2.0, scan.t_s];
             self.pose = None;
             turn.transition = self.centering.silence(scan.t_s - since);
             turn.state = self.centering.state();
             self.changed(time, turn.transition);
-            self.witness.silence(time, &turn.state, None, self.estimation.memory());
+            self.recorder.silence(time, &turn.state, None, self.estimation.memory());
             let report = self.estimation.silence(time, &turn.state);
             turn.report = Some(self.published(&report));
         }
@@ -198,7 +198,7 @@ impl Rig {
         let PoseReport { time, config, covariance, .. } = report;
         let sequence = self.reports;
         self.reports += 1;
-        self.tap.put(|| {
+        self.records.put(|| {
             let stamp = Stamp { session: 0, config, sequence, time_ns: time.0, synced: true, sent: time };
             Entry::Frame { frame: report.frame(stamp), time, covariance }
         });
@@ -207,7 +207,7 @@ impl Rig {
 
     fn changed(&self, time: Mono, transition: Option<Transition>) {
         if let Some(Transition { from, to, cause }) = transition {
-            self.tap.put(|| Entry::Lock { time, before: from, after: to, cause: cause.into() });
+            self.records.put(|| Entry::Lock { time, before: from, after: to, cause: cause.into() });
         }
     }
 

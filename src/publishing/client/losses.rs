@@ -15,7 +15,7 @@ pub struct Losses {
 
 /// Watches the sequence numbers.
 #[derive(Debug, Default)]
-pub(super) struct Order {
+pub(super) struct LossCounter {
     /// Session and sequence of the youngest frame.
     last: Option<(u32, u64)>,
     /// By how much the sequence steps, if that is known.
@@ -25,7 +25,7 @@ pub(super) struct Order {
     pub(super) losses: Losses,
 }
 
-impl Order {
+impl LossCounter {
     pub(super) fn new(step: Option<u64>) -> Self {
         Self { step, ..Self::default() }
     }
@@ -61,12 +61,12 @@ mod tests {
     use super::*;
 
     fn losses(step: Option<u64>, frames: &[(u32, u64)]) -> Losses {
-        let mut order = Order::new(step);
+        let mut losses = LossCounter::new(step);
         for &(session, sequence) in frames {
             let stamp = Stamp { session, config: 0, sequence, time_ns: 0, synced: true, sent: Mono(0) };
-            order.note(&PoseReport::example().frame(stamp));
+            losses.note(&PoseReport::example().frame(stamp));
         }
-        order.losses
+        losses.losses
     }
 
     #[test]

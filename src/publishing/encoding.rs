@@ -16,7 +16,7 @@ use super::columns::Columns;
 
 /// A frame as all TCP clients share it.
 #[derive(Clone, Debug)]
-pub struct Issue {
+pub struct EncodedFrame {
     frame: PoseFrame,
     bytes: FrameBytes,
     /// With the last valid pose, if that is another frame.
@@ -24,7 +24,7 @@ pub struct Issue {
     came: Instant,
 }
 
-impl Issue {
+impl EncodedFrame {
     /// The next frame of the stream.
     pub fn new(frame: PoseFrame, hold: &mut Hold) -> Self {
         let held = hold.next(&frame).map(|held| (held, held.encode()));
@@ -51,12 +51,12 @@ impl Issue {
 
 /// The form of a client's stream.
 #[derive(Clone, Debug)]
-pub struct Form {
+pub struct ClientEncoder {
     request: StreamRequest,
     divider: u64,
 }
 
-impl Form {
+impl ClientEncoder {
     /// The form of a request, in a stream of so many frames a second.
     pub fn new(request: StreamRequest, frames_hz: f64) -> Self {
         let divider = request.pace.divider(frames_hz).into();
@@ -69,13 +69,13 @@ impl Form {
     }
 
     /// Whether this frame is one of those that are sent.
-    pub fn wants(&self, issue: &Issue) -> bool {
-        issue.frame.sequence.is_multiple_of(self.divider)
+    pub fn wants(&self, frame_once: &EncodedFrame) -> bool {
+        frame_once.frame.sequence.is_multiple_of(self.divider)
     }
 
     /// How many of the `n` frames before this one would have been sent.
-    pub fn wanted_before(&self, issue: &Issue, n: u64) -> u64 {
-        let end = issue.frame.sequence;
+    pub fn wanted_before(&self, frame_once: &EncodedFrame, n: u64) -> u64 {
+        let end = frame_once.frame.sequence;
         end.div_ceil(self.divider) - end.saturating_sub(n).div_ceil(self.divider)
     }
 
@@ -112,8 +112,8 @@ impl Form {
     }
 
     /// Appends a frame.
-    pub fn frame(&self, issue: &Issue, to: &mut Vec<u8>) -> io::Result<()> {
-        let (frame, bytes) = issue.choose(self.request.held);
+    pub fn frame(&self, frame_once: &EncodedFrame, to: &mut Vec<u8>) -> io::Result<()> {
+        let (frame, bytes) = frame_once.choose(self.request.held);
         let columns = || Columns::of(frame).select(self.request.fields.as_deref());
         match self.request.format {
             Format::Binary => to.extend(bytes),
@@ -145,7 +145,7 @@ impl Form {
 }
 
 /// An answer to a query: a line of its own, or one that fits into the stream that runs.
-pub fn answer(form: Option<&Form>, line: &str) -> io::Result<Vec<u8>> {
+pub fn answer(form: Option<&ClientEncoder>, line: &str) -> io::Result<Vec<u8>> {
     match form {
         Some(form) => form.write(Kind::Answer, &Answer(line.to_owned())),
         None => Ok(format!("{line}\n").into_bytes()),
@@ -153,7 +153,7 @@ pub fn answer(form: Option<&Form>, line: &str) -> io::Result<Vec<u8>> {
 }
 
 /// Why the connection ends, likewise.
-pub fn farewell(form: Option<&Form>, error: &str) -> io::Result<Vec<u8>> {
+pub fn farewell(form: Option<&ClientEncoder>, error: &str) -> io::Result<Vec<u8>> {
     match form {
         Some(form) => form.write(Kind::Refusal, &Refusal { error: error.to_owned() }),
         None => Ok(format!("error: {error}\n").into_bytes()),

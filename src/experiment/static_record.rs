@@ -4,7 +4,7 @@ use trifacet_core::time::NS_PER_S;
 
 use super::allan::{Allan, allan, drift};
 use super::fit::{Slope, median};
-use super::look::Look;
+use super::observation::Observation;
 use super::reading::{Part, Reading};
 use crate::exit::{self, Failure};
 
@@ -19,7 +19,7 @@ const STRETCHES: usize = 60;
 
 /// A record of the mirror at rest.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Rest {
+pub struct StaticRecord {
     /// Readings.
     pub readings: usize,
     /// From one to the next, seconds: the median.
@@ -47,13 +47,13 @@ pub struct Still {
     pub course: Vec<f64>,
 }
 
-impl Rest {
+impl StaticRecord {
     /// The part at rest of all readings, if there is one.
     ///
     /// # Errors
     /// It is too short, or the sensor was tared or configured anew within it.
     pub fn of(readings: &[Reading]) -> Result<Option<Self>, Failure> {
-        let rest: Vec<&Reading> = readings.iter().filter(|r| r.part == Part::Rest).collect();
+        let rest: Vec<&Reading> = readings.iter().filter(|r| r.part == Part::StaticRecord).collect();
         let [first, .., last] = rest[..] else { return Ok(None) };
         if rest.len() < LEAST {
             let message =
@@ -82,12 +82,12 @@ impl Rest {
 
 const CHANGED: &str = "geometry, calibration or frames of the sensor have changed (a tare?)";
 
-fn seconds(from: &Look, to: &Look) -> f64 {
+fn seconds(from: &Observation, to: &Observation) -> f64 {
     (to.time_ns - from.time_ns) as f64 / NS_PER_S as f64
 }
 
 /// Why two looks, one after the other, do not belong to one record at rest with this period (seconds), if they do not.
-pub fn parted(last: &Look, next: &Look, period_s: f64) -> Option<String> {
+pub fn parted(last: &Observation, next: &Observation, period_s: f64) -> Option<String> {
     if last.config != next.config {
         return Some(CHANGED.into());
     }
@@ -135,7 +135,7 @@ mod tests {
 
     /// Readings at rest at these times (ms).
     fn at(times: &[i64]) -> Vec<Reading> {
-        let look = |ms: i64| Look {
+        let look = |ms: i64| Observation {
             time_ns: ms * 1_000_000,
             pose: [1e-6 * (ms % 7) as f64; 6],
             deviations: [1e-6; 6],
@@ -143,12 +143,18 @@ mod tests {
             config: 3,
             status: Status::POSE_VALID,
         };
-        let one = |ms: &i64| Reading { part: Part::Rest, moved: None, point: 0, number: 1, look: look(*ms) };
+        let one = |ms: &i64| Reading {
+            part: Part::StaticRecord,
+            moved: None,
+            point: 0,
+            number: 1,
+            look: look(*ms),
+        };
         times.iter().map(one).collect()
     }
 
-    fn rest(times: &[i64]) -> Rest {
-        Rest::of(&at(times)).unwrap().unwrap()
+    fn rest(times: &[i64]) -> StaticRecord {
+        StaticRecord::of(&at(times)).unwrap().unwrap()
     }
 
     #[test]
@@ -175,7 +181,7 @@ mod tests {
     fn a_tare_within_it_is_refused() {
         let mut readings = at(&(0..100).collect::<Vec<_>>());
         readings[40].look.config = 4;
-        let error = Rest::of(&readings).unwrap_err().message;
+        let error = StaticRecord::of(&readings).unwrap_err().message;
         assert!(error.contains("have changed (a tare?), 0.040 s after its begin"), "{error}");
         assert!(parted(&readings[39].look, &readings[40].look, 0.001).is_some());
     }

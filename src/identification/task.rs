@@ -11,15 +11,15 @@ use trifacet_core::steering::{Command, Xy};
 use trifacet_core::time::Clock;
 use trifacet_wire::actuator::Ack;
 
-use super::look::{self, Look, Looker};
+use super::observation::{self, Observation, Observer};
 use super::plan::{Plan, Settings, refused, um};
 use super::probe::Probe;
-use crate::acquisition::task::Acquired;
+use crate::acquisition::task::SampleEvent;
 use crate::exit::{self, Failure};
-use crate::steering::{Driver, Event};
+use crate::steering::{Driver, StageEvent};
 
 /// The longest wait for the first sample.
-const PATIENCE: Duration = Duration::from_secs(5);
+const FIRST_SAMPLE_TIMEOUT: Duration = Duration::from_secs(5);
 /// The longest wait for the next one, besides five periods.
 const SILENCE: Duration = Duration::from_millis(500);
 /// The longest wait for the stage, in times of the rest.
@@ -33,9 +33,9 @@ const BEHIND: usize = 20;
 
 /// The edges of the task.
 #[derive(Debug)]
-pub struct Edges {
+pub struct IdentificationLinks {
     /// Samples in order, from acquisition.
-    pub samples: mpsc::Receiver<Acquired>,
+    pub samples: mpsc::Receiver<SampleEvent>,
     /// Ends it; the stage is brought back all the same.
     pub stop: CancellationToken,
 }
@@ -73,7 +73,7 @@ pub struct Recording {
     /// What was to be done.
     pub plan: Plan,
     /// Each sample in order.
-    pub looks: Vec<Look>,
+    pub looks: Vec<Observation>,
     /// So many of them were taken before anything moved.
     pub rest: usize,
     /// The steps in order.
@@ -83,13 +83,13 @@ pub struct Recording {
 /// Measures. `None` if the audience does not want it.
 pub async fn run<D: Driver, C: Clock>(
     settings: Settings,
-    looker: Looker,
+    looker: Observer,
     driver: D,
     clock: C,
-    edges: Edges,
+    edges: IdentificationLinks,
     audience: &mut dyn Audience,
 ) -> Result<Option<Recording>, Failure> {
-    let Edges { samples, stop } = edges;
+    let IdentificationLinks { samples, stop } = edges;
     let mut tuner = Tuner {
         settings,
         looker,
@@ -123,10 +123,10 @@ pub async fn run<D: Driver, C: Clock>(
 /// The stage, and what is seen of it.
 struct Tuner<D, C> {
     settings: Settings,
-    looker: Looker,
+    looker: Observer,
     driver: D,
     clock: C,
-    samples: mpsc::Receiver<Acquired>,
+    samples: mpsc::Receiver<SampleEvent>,
     stop: CancellationToken,
     source: Option<Arc<Identity>>,
     /// The stage takes commands.
@@ -137,7 +137,7 @@ struct Tuner<D, C> {
     said: Option<Xy>,
     commanded: Option<Xy>,
     commands: u32,
-    looks: Vec<Look>,
+    looks: Vec<Observation>,
     /// So many of them were taken before anything moved.
     rested: usize,
     /// How old the samples were when they were looked at, while nothing moved; seconds.
@@ -193,7 +193,9 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
 
     /// The first command: stay. If the stage goes somewhere else, its readback is not to be trusted.
     async fn take_over(&mut self, plan: &Plan) -> Result<(), Failure> {
-        let beam = |looks: &[Look]| look::mean(looks.iter().rev().take(plan.dwell / 2).map(|l| l.beam));
+        let beam = |looks: &[Observation]| {
+            observation::mean(looks.iter().rev().take(plan.dwell / 2).map(|l| l.beam))
+        };
         let before = beam(&self.looks);
         self.go(plan.found, plan).await?;
         self.dwell(plan.dwell, plan).await?;
@@ -260,7 +262,7 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
     }
 
     /// The next look, with the beam where it may be.
-    async fn watch(&mut self, plan: &Plan) -> Result<Look, Failure> {
+    async fn watch(&mut self, plan: &Plan) -> Result<Observation, Failure> {
         let look = self.next().await?;
         let far = look.offset[0].hypot(look.offset[1]);
         if far > plan.reach {
@@ -283,11 +285,14 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
     }
 
     /// The next look at a sample, and what the stage says meanwhile.
-    async fn next(&mut self) -> Result<Look, Failure> {
+    async fn next(&mut self) -> Result<Observation, Failure> {
         let mut why = "nothing came from the source".to_owned();
         let first = self.looks.is_empty();
-        let patience =
-            if first { PATIENCE } else { SILENCE + Duration::from_secs_f64(5.0 * self.settings.period) };
+        let patience = if first {
+            FIRST_SAMPLE_TIMEOUT
+        } else {
+            SILENCE + Duration::from_secs_f64(5.0 * self.settings.period)
+        };
         let mut deadline = std::pin::pin!(tokio::time::sleep(patience));
         loop {
             tokio::select! {
@@ -295,15 +300,15 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
                 () = self.stop.cancelled() => return Err(Failure::new(exit::INTERRUPTED, "interrupted")),
                 event = self.driver.next() => self.hear(event)?,
                 acquired = self.samples.recv() => match acquired {
-                    Some(Acquired::Sample(sample, _)) => {
+                    Some(SampleEvent::Sample(sample, _)) => {
                         let look = self.looker.look(&sample).map_err(refused)?;
                         self.looks.push(look);
                         return Ok(look);
                     }
-                    Some(Acquired::Up(source)) => self.source = Some(source),
-                    Some(Acquired::Down(down)) if first => why = down.to_string(),
-                    Some(Acquired::Down(down)) => return Err(unavailable(format!("the source is down: {down}"))),
-                    Some(Acquired::Changed(_)) => {}
+                    Some(SampleEvent::Up(source)) => self.source = Some(source),
+                    Some(SampleEvent::Down(down)) if first => why = down.to_string(),
+                    Some(SampleEvent::Down(down)) => return Err(unavailable(format!("the source is down: {down}"))),
+                    Some(SampleEvent::Changed(_)) => {}
                     None => return Err(Failure::new(exit::SOFTWARE, "task acquisition ended by itself")),
                 },
                 () = &mut deadline => return Err(unavailable(why)),
@@ -312,27 +317,29 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
     }
 
     /// What the stage says.
-    fn hear(&mut self, event: Event) -> Result<(), Failure> {
+    fn hear(&mut self, event: StageEvent) -> Result<(), Failure> {
         match event {
-            Event::Up if self.commanded.is_some() => {
+            StageEvent::Up if self.commanded.is_some() => {
                 Err(unavailable("the stage came up anew: it may stand anywhere"))
             }
-            Event::Up => {
+            StageEvent::Up => {
                 self.ready = true;
                 Ok(())
             }
-            Event::At(position) => {
+            StageEvent::At(position) => {
                 self.said = Some(position);
                 Ok(())
             }
-            Event::Ack(Ack { accepted: false, .. }) => Err(refused("the stage refused a command")),
-            Event::Ack(_) => Ok(()),
+            StageEvent::Ack(Ack { accepted: false, .. }) => Err(refused("the stage refused a command")),
+            StageEvent::Ack(_) => Ok(()),
             // Before the first command it may still be on its way.
-            Event::Down(reason) if self.commanded.is_none() => {
+            StageEvent::Down(reason) if self.commanded.is_none() => {
                 (self.ready, self.unready) = (false, reason);
                 Ok(())
             }
-            Event::Down(reason) => Err(unavailable(format!("the stage does not take commands: {reason}"))),
+            StageEvent::Down(reason) => {
+                Err(unavailable(format!("the stage does not take commands: {reason}")))
+            }
         }
     }
 
@@ -344,7 +351,7 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         let answer = async {
             loop {
                 match self.driver.next().await {
-                    Event::Ack(Ack { id, accepted }) if id == last => return accepted,
+                    StageEvent::Ack(Ack { id, accepted }) if id == last => return accepted,
                     _ => {}
                 }
             }

@@ -15,7 +15,7 @@ const TELLING: [&str; 7] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "ya
 
 /// How many frames are the same, and how the first other one differs.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Verdict {
+pub struct Comparison {
     /// Frames that are the same, bit by bit.
     pub same: u64,
     /// Frames that differ.
@@ -62,7 +62,7 @@ impl Pair<'_> {
     }
 }
 
-impl Verdict {
+impl Comparison {
     /// Takes an entry and [what came out last](super::Engine::report); gives the pair when the entry is the frame of
     /// that.
     pub fn take<'a>(&mut self, entry: &'a Entry, report: Option<&PoseReport>) -> Option<Pair<'a>> {

@@ -21,14 +21,14 @@ const LONGEST: usize = 512;
 
 /// The open port, still without anyone.
 #[derive(Debug)]
-pub struct Desk {
+pub struct SubscriptionServer {
     socket: UdpSocket,
     list: watch::Sender<Arc<[Subscriber]>>,
 }
 
 /// Opens the port and logs the address; gives the fast side's end of it too. Fails with
 /// [`crate::exit::IN_USE`] if someone else has the port.
-pub fn open(address: SocketAddr) -> Result<(Desk, Subscribers), Failure> {
+pub fn open(address: SocketAddr) -> Result<(SubscriptionServer, Subscribers), Failure> {
     let open = || {
         let socket = UdpSocket::bind(address)?;
         socket.set_nonblocking(true)?;
@@ -40,10 +40,10 @@ pub fn open(address: SocketAddr) -> Result<(Desk, Subscribers), Failure> {
     let address = socket.local_addr().unwrap_or(address);
     tracing::info!(%address, "UDP subscriptions are taken");
     let (list, newest) = watch::channel([].into());
-    Ok((Desk { socket, list }, Subscribers::new(sending, newest)))
+    Ok((SubscriptionServer { socket, list }, Subscribers::new(sending, newest)))
 }
 
-impl Desk {
+impl SubscriptionServer {
     /// Those who subscribe at present.
     pub fn subscribers(&self) -> watch::Receiver<Arc<[Subscriber]>> {
         self.list.subscribe()
@@ -71,7 +71,7 @@ impl Desk {
                     Ok((n, from)) => {
                         let outcome = subscriptions.datagram(from, &bytes[..n], clock.now());
                         if outcome.refused {
-                            counters.udp_refused.one();
+                            counters.udp_refused.inc();
                         }
                         if let Some(answer) = outcome.answer {
                             // One that gets lost is asked for again.

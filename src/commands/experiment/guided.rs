@@ -7,13 +7,13 @@ use anyhow::Context;
 use tokio::sync::mpsc;
 use trifacet::client::Endpoint;
 use trifacet::exit::{self, Failure};
-use trifacet::experiment::live::{Feed, Trouble};
-use trifacet::experiment::look::Look;
+use trifacet::experiment::live::{DaemonStream, Trouble};
+use trifacet::experiment::observation::Observation;
 use trifacet::experiment::protocol::Protocol;
 use trifacet::experiment::reading::{self, Part, Reading, Record};
-use trifacet::experiment::{amount, place, three};
+use trifacet::experiment::{place, quantity, three};
 
-use super::doubt::{implausible, opposite};
+use super::plausibility::{implausible, opposite};
 use super::steps::{Step, steps};
 use super::{ExperimentArgs, READINGS, bar, fresh, keep, long_enough, options};
 use crate::commands::watch::{opening_failed, unavailable};
@@ -26,7 +26,7 @@ enum Said {
     /// Take the readings; this is the reference.
     Reference(f64),
     /// Begin the record at rest.
-    Rest,
+    StaticRecord,
     /// There is nobody left to leave the mirror alone.
     NoRest,
     /// Once more the point before.
@@ -37,7 +37,7 @@ enum Said {
 
 struct Guide<'a> {
     args: &'a ExperimentArgs,
-    feed: Feed,
+    feed: DaemonStream,
     lines: mpsc::UnboundedReceiver<String>,
     record: Record,
     /// Readings that are in the file.
@@ -63,7 +63,7 @@ pub(super) fn guided(
     }
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
-        let feed = Feed::connect(endpoint).await.map_err(|e| opening_failed(endpoint, &e))?;
+        let feed = DaemonStream::connect(endpoint).await.map_err(|e| opening_failed(endpoint, &e))?;
         let kept = record.readings.len();
         let mut guide = Guide { args, feed, lines: typed(), record, kept };
         eprintln!("connected to {endpoint}; at each point: b takes the point before once more, q stops, and --resume goes on");
@@ -113,7 +113,7 @@ impl Guide<'_> {
             };
             match said {
                 Said::Reference(reference) => next += usize::from(self.take(&steps[next], reference).await?),
-                Said::Rest => self.rest().await?,
+                Said::StaticRecord => self.rest().await?,
                 Said::NoRest => return Ok(()),
                 Said::Back if next == 0 => eprintln!("this is the first point"),
                 Said::Back => {
@@ -145,7 +145,7 @@ impl Guide<'_> {
                 "q" => return Ok(Said::Stop),
                 "" if given => return Ok(Said::Reference(target)),
                 _ if given => "the reference of this point stands in the file: just Enter, b or q".into(),
-                text => match amount::parse(axis, text) {
+                text => match quantity::parse(axis, text) {
                     Ok(reference) => match implausible(step, steps, reference, &self.record.readings) {
                         None => return Ok(Said::Reference(reference)),
                         Some(why) => why,
@@ -163,7 +163,7 @@ impl Guide<'_> {
         loop {
             eprint!("leave the mirror alone for {seconds} s, the record at rest; Enter starts it: ");
             match self.line().await?.as_deref().map(str::trim) {
-                Some("") => return Ok(Said::Rest),
+                Some("") => return Ok(Said::StaticRecord),
                 Some("b") => return Ok(Said::Back),
                 Some("q") => return Ok(Said::Stop),
                 Some(_) => once_more(exit::DATA, "just Enter, b or q")?,
@@ -184,7 +184,7 @@ impl Guide<'_> {
     /// Takes the readings of a point; says why, if there are none.
     async fn take(&mut self, step: &Step, reference: f64) -> anyhow::Result<bool> {
         let progress = bar(self.args.readings.into());
-        let counted = |_: &[Look]| {
+        let counted = |_: &[Observation]| {
             progress.inc(1);
             Ok(())
         };
@@ -222,7 +222,7 @@ impl Guide<'_> {
     }
 
     /// These looks do not belong to what was read of the same axis before.
-    fn other_config(&self, step: &Step, looks: &[Look]) -> bool {
+    fn other_config(&self, step: &Step, looks: &[Observation]) -> bool {
         let before =
             self.record.readings.iter().filter(|r| r.moved.is_some_and(|(axis, _)| axis == step.axis));
         let mut configs = before.map(|r| r.look.config).chain(looks.iter().map(|look| look.config));
@@ -236,7 +236,7 @@ impl Guide<'_> {
 
     /// There is a record at rest, or none is wanted.
     fn rested(&self) -> bool {
-        self.args.rest == 0.0 || self.record.readings.iter().any(|r| r.part == Part::Rest)
+        self.args.rest == 0.0 || self.record.readings.iter().any(|r| r.part == Part::StaticRecord)
     }
 
     /// Takes the record at rest; says why, if there is none.
@@ -244,8 +244,13 @@ impl Guide<'_> {
         eprintln!("recording");
         match self.record(self.args.rest).await {
             Ok(looks) => {
-                let at_rest =
-                    |(number, look)| Reading { part: Part::Rest, moved: None, point: 0, number, look };
+                let at_rest = |(number, look)| Reading {
+                    part: Part::StaticRecord,
+                    moved: None,
+                    point: 0,
+                    number,
+                    look,
+                };
                 self.record.readings.extend((1..).zip(looks).map(at_rest));
                 self.keep()
             }
@@ -271,7 +276,7 @@ impl Guide<'_> {
     }
 
     /// The record at rest, begun anew a few times where it has a hole.
-    async fn record(&mut self, seconds: f64) -> Result<Vec<Look>, Trouble> {
+    async fn record(&mut self, seconds: f64) -> Result<Vec<Observation>, Trouble> {
         for _ in 1..ATTEMPTS {
             match self.feed.rest(seconds).await {
                 Err(Trouble::Parted(why)) => eprintln!("{why}: the record begins anew"),
@@ -307,7 +312,7 @@ fn once_more(code: u8, why: &str) -> anyhow::Result<()> {
 }
 
 /// What was read at a point, in a line.
-fn say(step: &Step, reference: f64, looks: &[Look]) {
+fn say(step: &Step, reference: f64, looks: &[Observation]) {
     let (i, n) = (step.axis as usize, looks.len() as f64);
     let mean = looks.iter().map(|look| look.pose[i]).sum::<f64>() / n;
     let std = (looks.iter().map(|look| (look.pose[i] - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();

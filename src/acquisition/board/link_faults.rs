@@ -7,7 +7,7 @@ use trifacet_core::time::{Mono, NS_PER_S};
 
 /// What goes wrong between the board and here; in the order of the names below.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Mishap {
+pub(super) enum LinkFault {
     /// A scan never arrived.
     Lost,
     Repeated,
@@ -49,24 +49,24 @@ impl Tally {
 
     /// So many scans never arrived.
     pub(super) fn lost(&mut self, n: u32) {
-        self.add(Mishap::Lost, n.into());
+        self.add(LinkFault::Lost, n.into());
     }
 
-    pub(super) fn count(&mut self, mishap: Mishap) {
+    pub(super) fn count(&mut self, mishap: LinkFault) {
         self.add(mishap, 1);
     }
 
-    fn add(&mut self, mishap: Mishap, n: u64) {
+    fn add(&mut self, mishap: LinkFault, n: u64) {
         let counters = &self.counters;
         let counter = match mishap {
-            Mishap::Lost => &counters.scans_lost,
-            Mishap::Repeated => &counters.scans_repeated,
-            Mishap::Late => &counters.scans_late,
-            Mishap::Corrupted => &counters.frames_corrupted,
-            Mishap::Unknown => &counters.frames_unknown,
-            Mishap::BoardError => &counters.board_errors,
-            Mishap::Overrun => &counters.converter_overruns,
-            Mishap::LeaseExpired => &counters.leases_expired,
+            LinkFault::Lost => &counters.scans_lost,
+            LinkFault::Repeated => &counters.scans_repeated,
+            LinkFault::Late => &counters.scans_late,
+            LinkFault::Corrupted => &counters.frames_corrupted,
+            LinkFault::Unknown => &counters.frames_unknown,
+            LinkFault::BoardError => &counters.board_errors,
+            LinkFault::Overrun => &counters.converter_overruns,
+            LinkFault::LeaseExpired => &counters.leases_expired,
         };
         counter.add(n);
         self.recent[mishap as usize].1 += n;

@@ -4,7 +4,7 @@ use trifacet_core::centering::OnExit;
 use trifacet_core::steering::Xy;
 use trifacet_wire::actuator::LeaseAction;
 
-use super::look::{self, Look};
+use super::observation::{self, Observation};
 use crate::config::Config;
 use crate::exit::{self, Failure};
 
@@ -111,9 +111,11 @@ impl Settings {
 
     /// The steps that are safe after this rest, in which the stage said last that it stands `at`; or why
     /// there are none.
-    pub fn plan(&self, rest: &[Look], at: Option<Xy>) -> Result<Plan, Failure> {
+    pub fn plan(&self, rest: &[Observation], at: Option<Xy>) -> Result<Plan, Failure> {
         let offsets: Vec<Xy> = rest.iter().map(|look| look.offset).collect();
-        let (Some(offset), Some(noise)) = (look::mean(offsets.iter().copied()), look::noise(&offsets)) else {
+        let (Some(offset), Some(noise)) =
+            (observation::mean(offsets.iter().copied()), observation::noise(&offsets))
+        else {
             return Err(refused("there are too few samples"));
         };
         self.losses(rest)?;
@@ -145,7 +147,7 @@ impl Settings {
                 um(NEAR * self.beam_sigma - step)
             )));
         }
-        let unrest = look::unrest(&offsets, self.window().min(offsets.len()));
+        let unrest = observation::unrest(&offsets, self.window().min(offsets.len()));
         if step < ABOVE_UNREST * unrest {
             return Err(refused(format!(
                 "the offset is not quiet enough: {} um rms about a straight course over {:.0} ms, and a step of {} um allows {} um; \
@@ -184,14 +186,14 @@ impl Settings {
     }
 
     /// Enough windows must be without a lost sample, or too few steps could be used.
-    fn losses(&self, rest: &[Look]) -> Result<(), Failure> {
+    fn losses(&self, rest: &[Observation]) -> Result<(), Failure> {
         let came = rest.len() as u64;
         let lost =
             rest.first().zip(rest.last()).map_or(0, |(a, b)| (b.index + 1 - a.index).saturating_sub(came));
         let (mut all, mut whole) = (0_usize, 0_usize);
         for window in rest.windows(self.window()) {
             all += 1;
-            whole += usize::from(look::whole(window));
+            whole += usize::from(observation::whole(window));
         }
         if whole as f64 >= USED * all as f64 {
             return Ok(());
@@ -206,8 +208,8 @@ impl Settings {
     }
 
     /// Where the stage stands: by its readback, by what it said, or by what a person says.
-    fn found(&self, rest: &[Look], said: Option<Xy>) -> Result<Xy, Failure> {
-        let read = look::mean(rest.iter().filter_map(|look| look.readback)).or(said);
+    fn found(&self, rest: &[Observation], said: Option<Xy>) -> Result<Xy, Failure> {
+        let read = observation::mean(rest.iter().filter_map(|look| look.readback)).or(said);
         match (read, self.choices.at) {
             (Some(_), Some(_)) => {
                 Err(refused("--at is for a stage without readback; this one says where it stands"))

@@ -1,6 +1,6 @@
 //! What cannot be right with a typed reference.
 
-use trifacet::experiment::look::Look;
+use trifacet::experiment::observation::Observation;
 use trifacet::experiment::reading::Reading;
 use trifacet::experiment::{place, three};
 
@@ -29,7 +29,12 @@ pub(super) fn implausible(step: &Step, steps: &[Step], reference: f64, before: &
 }
 
 /// A word of warning where the sensor went one way and the reference the other.
-pub(super) fn opposite(step: &Step, reference: f64, looks: &[Look], before: &[Reading]) -> Option<String> {
+pub(super) fn opposite(
+    step: &Step,
+    reference: f64,
+    looks: &[Observation],
+    before: &[Reading],
+) -> Option<String> {
     let i = step.axis as usize;
     let went = reference - last(step, before).next()?.moved?.1;
     let [now, then] = [mean(i, looks.iter()), mean(i, last(step, before).map(|r| &r.look))];
@@ -51,7 +56,7 @@ fn last<'r>(step: &Step, before: &'r [Reading]) -> impl Iterator<Item = &'r Read
 }
 
 /// A mean and its stated deviation.
-fn mean<'l>(axis: usize, looks: impl Iterator<Item = &'l Look>) -> (f64, f64) {
+fn mean<'l>(axis: usize, looks: impl Iterator<Item = &'l Observation>) -> (f64, f64) {
     let (mut n, mut sum, mut square) = (0.0, 0.0, 0.0);
     for look in looks {
         n += 1.0;
@@ -69,9 +74,9 @@ mod tests {
 
     use super::*;
 
-    fn look(x: f64) -> Look {
+    fn look(x: f64) -> Observation {
         let status = Status::POSE_VALID;
-        Look { time_ns: 0, pose: [x; 6], deviations: [1e-6; 6], averaged: 1, config: 1, status }
+        Observation { time_ns: 0, pose: [x; 6], deviations: [1e-6; 6], averaged: 1, config: 1, status }
     }
 
     #[test]

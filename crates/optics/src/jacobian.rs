@@ -4,7 +4,7 @@ use nalgebra::{Matrix2, Matrix2x3, Matrix3x2};
 use serde::{Deserialize, Serialize};
 
 use super::beam::{Wedge, WedgeSlopes};
-use super::light::Light;
+use super::forward::Light;
 use super::linear::Factored;
 use super::ray::Row;
 use super::{Mat3, Optics, Vec2, Vec3};
@@ -61,11 +61,11 @@ impl Linearised {
         for (i, (psd, reflection)) in optics.psds.iter().zip(&light.reflections).enumerate() {
             let mut centroid = None;
             if let (Some(split), Some(wedge)) = (&light.split, &reflection.wedge) {
-                let slopes = split.slopes(i);
-                centroid = Some(Centroid::new(wedge, &slopes, optics.sigma()));
+                let jacobian = split.jacobian(i);
+                centroid = Some(Centroid::new(wedge, &jacobian, optics.sigma()));
                 if i < 2 {
                     by_offset.set_row(i, &(wedge.moment / optics.sigma()).transpose());
-                    by_turn.set_row(i, &slopes.power_turn.transpose());
+                    by_turn.set_row(i, &jacobian.power_turn.transpose());
                 }
             }
             u.set(i, &reflection.ray.row(psd, psd.y, reflection.arm), centroid.as_ref());
@@ -132,11 +132,11 @@ impl Rows {
 
 impl Centroid {
     #[inline(always)]
-    fn new(wedge: &Wedge, slopes: &WedgeSlopes, sigma: f64) -> Self {
+    fn new(wedge: &Wedge, jacobian: &WedgeSlopes, sigma: f64) -> Self {
         let per_power = 1.0 / wedge.power;
         let mean = wedge.moment * per_power;
-        let by_offset = Matrix2::identity() + slopes.moment_offset * per_power - mean * mean.transpose();
-        let by_turn = (slopes.moment_turn - mean * slopes.power_turn.transpose()) * (sigma * per_power);
+        let by_offset = Matrix2::identity() + jacobian.moment_offset * per_power - mean * mean.transpose();
+        let by_turn = (jacobian.moment_turn - mean * jacobian.power_turn.transpose()) * (sigma * per_power);
         Self { by_offset, by_turn }
     }
 }

@@ -11,7 +11,7 @@ use super::{Optics, Pose, Vec2, model};
 
 /// What one spot says of the beam.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Glimpse {
+pub struct FacetOffset {
     /// Unit vector across the beam, downhill on the facet.
     pub downhill: Vec2,
     /// Where the beam meets the facet, seen from the apex across the beam, metres; exact for a beam that
@@ -20,7 +20,7 @@ pub struct Glimpse {
     pub offset: Vec2,
 }
 
-impl Glimpse {
+impl FacetOffset {
     /// How far downhill from the apex the beam is, metres: true also when the mirror has moved sideways.
     pub fn distance(&self) -> f64 {
         self.downhill.dot(&self.offset)
@@ -33,7 +33,7 @@ impl Optics {
     ///
     /// As the point of reflection moves on the plane, the reflected ray keeps its direction: the spot is an
     /// affine function of the offset, and two equations give both components.
-    pub fn glimpse(&self, facet: usize, spot: [f64; 2], pose: &Pose) -> Option<Glimpse> {
+    pub fn glimpse(&self, facet: usize, spot: [f64; 2], pose: &Pose) -> Option<FacetOffset> {
         let mirror = self.mirror(pose.t, &pose.rotation());
         let normal = mirror.normals[facet];
         if normal.z < model::MIN_FACING {
@@ -44,11 +44,11 @@ impl Optics {
         let apex = at(Vec2::zeros());
         // One micrometre: any length gives the same slopes, up to rounding.
         let unit = 1e-6;
-        let slopes = [Vec2::x(), Vec2::y()].map(|axis| (at(axis * unit) - apex) / unit);
-        let offset = Matrix2::from_columns(&slopes).try_inverse()? * (Vec2::from(spot) - apex);
+        let jacobian = [Vec2::x(), Vec2::y()].map(|axis| (at(axis * unit) - apex) / unit);
+        let offset = Matrix2::from_columns(&jacobian).try_inverse()? * (Vec2::from(spot) - apex);
         let downhill = normal.xy().try_normalize(0.0)?;
         let reached = ray(offset).reaches() && offset.iter().all(|x| x.is_finite());
-        reached.then_some(Glimpse { downhill, offset })
+        reached.then_some(FacetOffset { downhill, offset })
     }
 }
 

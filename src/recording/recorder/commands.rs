@@ -6,10 +6,10 @@ use trifacet_core::time::{Clock, Mono, NS_PER_S};
 use super::{Recorder, SECOND_NS};
 use crate::clock::SystemClock;
 use crate::exit::{self, Failure};
-use crate::recording::handle::Wish;
+use crate::recording::handle::RecorderCommand;
 
 /// How long the end of a file may take: then it is said that it has not come yet.
-const PATIENCE_NS: i64 = 4 * SECOND_NS;
+const CLOSE_TIMEOUT_NS: i64 = 4 * SECOND_NS;
 
 /// Somebody waits for the end of the file.
 pub(super) struct Stopping {
@@ -23,20 +23,22 @@ impl Recorder {
     /// Does what is asked; while somebody waits for the end of a file, nothing else.
     pub(super) fn obey(&mut self) {
         while self.stopping.is_none()
-            && let Ok((wish, reply)) = self.asked.try_recv()
+            && let Ok((command, reply)) = self.asked.try_recv()
         {
             let cannot = |why| Failure::new(exit::IO, why);
-            let done = match wish {
-                Wish::Start => self.begin(None).map_err(cannot),
-                Wish::Stop if self.wanted => {
+            let done = match command {
+                RecorderCommand::Start => self.begin(None).map_err(cannot),
+                RecorderCommand::Stop if self.wanted => {
                     self.until = Some(self.latest);
-                    let deadline = SystemClock.now() + PATIENCE_NS;
+                    let deadline = SystemClock.now() + CLOSE_TIMEOUT_NS;
                     self.stopping = Some(Stopping { reply, deadline, failed: None });
                     return;
                 }
-                Wish::Stop => Ok(()),
-                Wish::Trigger if self.trigger.is_some() => self.triggered("asked for").map_err(cannot),
-                Wish::Trigger => {
+                RecorderCommand::Stop => Ok(()),
+                RecorderCommand::Trigger if self.trigger.is_some() => {
+                    self.triggered("asked for").map_err(cannot)
+                }
+                RecorderCommand::Trigger => {
                     let why = "only with recording.mode = \"on-fault\"; to record from now on: record start";
                     Err(Failure::new(exit::DATA, why))
                 }

@@ -8,7 +8,7 @@ use trifacet_core::signals::Identity;
 use trifacet_core::time::Mono;
 use trifacet_wire::stream::Replayed;
 
-use crate::config::{Config, Meaning, ReplayConfig, SourceKind};
+use crate::config::{CalibrationContext, Config, ReplayConfig, SourceKind};
 use crate::exit::{self, Failure};
 use crate::publishing::columns::rfc3339;
 use crate::recording::reader::Read;
@@ -16,20 +16,20 @@ use crate::recording::{Entry, Reader};
 
 /// The first configuration and the first frame of a recording.
 #[derive(Clone, Debug)]
-pub struct Beginning {
+pub struct RecordingHeader {
     /// What poses mean.
-    pub meaning: Arc<Meaning>,
+    pub context: Arc<CalibrationContext>,
     /// The source, if one was up.
     pub source: Option<Arc<Identity>>,
     /// The moment of the first frame, and its nanoseconds of UTC since 1970.
     pub first: (Mono, i64),
 }
 
-impl Beginning {
+impl RecordingHeader {
     /// That of the recording that is the source, if one is.
     ///
     /// # Errors
-    /// As [`Beginning::of`].
+    /// As [`RecordingHeader::of`].
     pub fn of_source(config: &Config) -> Result<Option<Self>, Failure> {
         let replayed = config.acquisition.source == SourceKind::Replay;
         replayed.then(|| Self::of(&config.replay.file)).transpose()
@@ -46,18 +46,18 @@ impl Beginning {
         while let Some(read) = reader.read().map_err(|e| wrong(e.to_string()))? {
             match read {
                 Read::Entry(Entry::Keyframe(keyframe)) => {
-                    configured.get_or_insert((keyframe.meaning, keyframe.source));
+                    configured.get_or_insert((keyframe.context, keyframe.source));
                 }
-                Read::Foreign { meaning, source, .. } => {
-                    configured.get_or_insert((meaning, source));
+                Read::Foreign { context, source, .. } => {
+                    configured.get_or_insert((context, source));
                 }
                 Read::Entry(Entry::Frame { frame, time, .. }) => {
                     first.get_or_insert((time, frame.time_ns));
                 }
                 _ => {}
             }
-            if let (Some((meaning, source)), Some(first)) = (&configured, first) {
-                return Ok(Self { meaning: Arc::clone(meaning), source: source.clone(), first });
+            if let (Some((context, source)), Some(first)) = (&configured, first) {
+                return Ok(Self { context: Arc::clone(context), source: source.clone(), first });
             }
         }
         let lacks = if configured.is_none() { "configuration" } else { "frame" };
@@ -66,12 +66,12 @@ impl Beginning {
 
     /// Samples per second, as they were recorded.
     pub fn rate_hz(&self) -> f64 {
-        self.source.as_ref().map_or(self.meaning.config.acquisition.rate_hz, |source| source.rate_hz)
+        self.source.as_ref().map_or(self.context.config.acquisition.rate_hz, |source| source.rate_hz)
     }
 
     /// The configuration that holds while it is replayed: what poses mean stands in the recording, and nothing steers.
     pub fn holding(&self, config: &Config) -> Config {
-        let Config { head, channels, estimation, frames, .. } = self.meaning.config.clone();
+        let Config { head, channels, estimation, frames, .. } = self.context.config.clone();
         let mut config = Config { head, channels, estimation, frames, ..config.clone() };
         config.acquisition.rate_hz = self.rate_hz();
         config.centering.mode = LoopMode::Off;

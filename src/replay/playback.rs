@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, TryRecvError};
 
-use super::feed::{self, News};
+use super::read_ahead::{self, News};
 use crate::recording::reader::Read;
 
 /// The recording that a daemon replays.
 #[derive(Debug)]
-pub struct Tape {
+pub struct Playback {
     file: PathBuf,
     /// None behind the end.
     news: Option<Receiver<News>>,
@@ -29,10 +29,10 @@ pub enum Next {
     Nothing,
 }
 
-impl Tape {
+impl Playback {
     /// At the beginning of this file.
     pub fn new(file: PathBuf) -> Self {
-        Self { news: Some(feed::read(vec![file.clone()])), file, ready: Vec::new().into_iter() }
+        Self { news: Some(read_ahead::read(vec![file.clone()])), file, ready: Vec::new().into_iter() }
     }
 
     /// Back to the beginning.

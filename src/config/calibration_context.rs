@@ -40,14 +40,14 @@ impl Tables {
 
 /// All that decides what samples and poses mean.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Meaning {
+pub struct CalibrationContext {
     /// The configuration.
     pub config: Config,
     /// Its correction tables.
     pub tables: Tables,
 }
 
-impl Meaning {
+impl CalibrationContext {
     /// A configuration with its tables. Blocks.
     ///
     /// # Errors

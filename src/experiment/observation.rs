@@ -4,7 +4,7 @@ use trifacet_wire::Status;
 
 /// What the sensor says at one moment, or in the mean over some.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Look {
+pub struct Observation {
     /// Nanoseconds: UTC since 1970, with the twin since its start.
     pub time_ns: i64,
     /// tx, ty, tz (m), roll, pitch, yaw (rad).
@@ -41,7 +41,7 @@ pub struct Mean {
 
 impl Mean {
     /// Takes one more; gives the mean of `of` looks when it has them, and begins anew.
-    pub fn push(&mut self, look: &Look, of: u32) -> Option<Look> {
+    pub fn push(&mut self, look: &Observation, of: u32) -> Option<Observation> {
         if self.n == 0.0 {
             self.first_ns = look.time_ns;
         }
@@ -57,7 +57,7 @@ impl Mean {
             return None;
         }
         let Mean { n, .. } = *self;
-        let mean = Look {
+        let mean = Observation {
             time_ns: self.first_ns + (self.since_ns / n) as i64,
             pose: self.pose.map(|sum| sum / n),
             // The noise of the looks is independent.
@@ -75,8 +75,8 @@ impl Mean {
 pub(super) mod tests {
     use super::*;
 
-    pub(crate) fn look(time_ns: i64, x: f64) -> Look {
-        Look {
+    pub(crate) fn look(time_ns: i64, x: f64) -> Observation {
+        Observation {
             time_ns,
             pose: [x; 6],
             deviations: [2e-6; 6],

@@ -10,7 +10,7 @@ use trifacet_wire::{PoseFrame, Status};
 
 /// A report with the time at which its signals were taken, nanoseconds of UTC since 1970.
 #[derive(Clone, Copy, Debug)]
-pub struct Told {
+pub struct Republished {
     /// `time` is the present moment in which it was due.
     pub report: PoseReport,
     /// As it was recorded.
@@ -21,7 +21,7 @@ pub struct Told {
 
 /// Tells reports, and remembers the last.
 #[derive(Debug)]
-pub struct Teller<C, Publish> {
+pub struct Republisher<C, Publish> {
     clock: C,
     publish: Publish,
     counters: Arc<Counters>,
@@ -35,7 +35,7 @@ pub struct Teller<C, Publish> {
     hole: bool,
 }
 
-impl<C: Clock, Publish: FnMut(&Told)> Teller<C, Publish> {
+impl<C: Clock, Publish: FnMut(&Republished)> Republisher<C, Publish> {
     /// Nothing was told yet.
     pub fn new(clock: C, publish: Publish, counters: Arc<Counters>) -> Self {
         let told = clock.now();
@@ -100,6 +100,6 @@ impl<C: Clock, Publish: FnMut(&Told)> Teller<C, Publish> {
         let now = self.clock.now();
         let report = PoseReport { solved: now, status: report.status | Status::REPLAYED, ..*report };
         (self.last, self.told) = (Some(report), now);
-        (self.publish)(&Told { report, time_ns, synced });
+        (self.publish)(&Republished { report, time_ns, synced });
     }
 }

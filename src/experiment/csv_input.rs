@@ -4,11 +4,11 @@ use std::path::Path;
 
 use csv::StringRecord;
 
-use super::amount::plain;
+use super::quantity::plain;
 use crate::exit::{self, Failure};
 
 /// A CSV file whose header is read.
-pub struct Sheet {
+pub struct CsvInput {
     name: String,
     reader: csv::Reader<std::fs::File>,
     columns: Vec<String>,
@@ -22,7 +22,7 @@ pub struct Row<'s> {
     record: StringRecord,
 }
 
-impl Sheet {
+impl CsvInput {
     /// Opens a file that must have these columns, in any order; others are ignored, and so are lines that begin with #.
     ///
     /// # Errors

@@ -5,7 +5,7 @@ use trifacet_wire::{LockState, PoseFrame, Status};
 
 /// Every status bit that was ever set, and the lock state.
 #[derive(Debug, Default)]
-pub struct Spells {
+pub struct StatusHistory {
     last: Option<(Status, LockState)>,
     lock_since_ms: f64,
     bits: [Spell; Status::NAMES.len()],
@@ -24,7 +24,7 @@ pub struct Spell {
     pub times: u64,
 }
 
-impl Spells {
+impl StatusHistory {
     /// Takes every frame in turn.
     pub fn frame(&mut self, frame: &PoseFrame) {
         let now = (frame.status, frame.lock);
@@ -67,10 +67,10 @@ mod tests {
 
     #[test]
     fn a_fault_of_one_frame_is_remembered_with_its_times() {
-        let mut spells = Spells::default();
+        let mut history = StatusHistory::default();
         let mut take = |ms: i64, status: Status, lock: LockState| {
             let frame = PoseFrame::example();
-            spells.frame(&PoseFrame { time_ns: ms * 1_000_000, status, lock, ..frame });
+            history.frame(&PoseFrame { time_ns: ms * 1_000_000, status, lock, ..frame });
         };
         take(10, Status::POSE_VALID, LockState::Locked);
         take(11, Status::PSD_B_LOW, LockState::Held);
@@ -78,13 +78,13 @@ mod tests {
         take(13, Status::POSE_VALID, LockState::Locked);
         take(14, Status::PSD_B_LOW, LockState::Locked);
         take(15, Status::PSD_B_LOW | Status::UNCALIBRATED, LockState::Locked);
-        let list = spells.list();
+        let list = history.list();
         let of = |name| list.iter().find(|spell| Status::NAMES[spell.bit].1 == name).copied().unwrap();
         let told = |name| (of(name).since_ms, of(name).until_ms, of(name).times);
         assert_eq!(told("PSD_B_LOW"), (14.0, None, 2));
         assert_eq!(told("POSE_VALID"), (12.0, Some(14.0), 2));
         assert_eq!(told("UNCALIBRATED"), (15.0, None, 1));
         assert_eq!(list.len(), 3);
-        assert!((spells.lock_since_ms() - 12.0).abs() < 1e-9);
+        assert!((history.lock_since_ms() - 12.0).abs() < 1e-9);
     }
 }

@@ -31,7 +31,7 @@ const LONGEST_S: f64 = 1e6;
 
 /// A line, understood.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Order {
+pub(super) enum EmulatorCommand {
     /// Let something go wrong, for so many seconds or for good.
     Fault { kind: FaultKind, for_s: Option<f64> },
     /// Pull the cable for so many seconds.
@@ -40,7 +40,7 @@ pub(super) enum Order {
     Status,
 }
 
-impl FromStr for Order {
+impl FromStr for EmulatorCommand {
     type Err = String;
 
     fn from_str(line: &str) -> Result<Self, String> {
@@ -51,11 +51,11 @@ impl FromStr for Order {
     }
 }
 
-fn parse<'a>(words: &mut impl Iterator<Item = &'a str>) -> Option<Order> {
+fn parse<'a>(words: &mut impl Iterator<Item = &'a str>) -> Option<EmulatorCommand> {
     let name = words.next()?;
     let kind = match name {
-        "status" => return Some(Order::Status),
-        "unplug" => return Some(Order::Unplug { for_s: seconds(words.next()?)? }),
+        "status" => return Some(EmulatorCommand::Status),
+        "unplug" => return Some(EmulatorCommand::Unplug { for_s: seconds(words.next()?)? }),
         "beam-blocked" => FaultKind::BeamBlocked,
         "psd-dark" => FaultKind::PsdDark { psd: number(words.next()?)? },
         "clipped" => FaultKind::Clipped { channel: number(words.next()?)? },
@@ -72,7 +72,7 @@ fn parse<'a>(words: &mut impl Iterator<Item = &'a str>) -> Option<Order> {
         Some(word) => Some(seconds(word)?),
         None => None,
     };
-    possible(kind).then_some(Order::Fault { kind, for_s })
+    possible(kind).then_some(EmulatorCommand::Fault { kind, for_s })
 }
 
 fn number<T: FromStr>(word: &str) -> Option<T> {
@@ -102,15 +102,15 @@ mod tests {
 
     #[test]
     fn orders_are_understood_with_and_without_a_duration() {
-        let fault = |kind, for_s| Ok(Order::Fault { kind, for_s });
+        let fault = |kind, for_s| Ok(EmulatorCommand::Fault { kind, for_s });
         assert_eq!("beam-blocked 0.5".parse(), fault(FaultKind::BeamBlocked, Some(0.5)));
         assert_eq!(" psd-dark 1 ".parse(), fault(FaultKind::PsdDark { psd: 1 }, None));
         assert_eq!("dropped 0.1 2".parse(), fault(FaultKind::Dropped { fraction: 0.1 }, Some(2.0)));
         assert_eq!("laser-power 1.1 2".parse(), fault(FaultKind::LaserPower { factor: 1.1 }, Some(2.0)));
         let bump = FaultKind::LaserBump { shift_um: [-30.0, 5.0] };
         assert_eq!("laser-bump -30 5 1".parse(), fault(bump, Some(1.0)));
-        assert_eq!("unplug 1".parse(), Ok(Order::Unplug { for_s: 1.0 }));
-        assert_eq!("status".parse(), Ok(Order::Status));
+        assert_eq!("unplug 1".parse(), Ok(EmulatorCommand::Unplug { for_s: 1.0 }));
+        assert_eq!("status".parse(), Ok(EmulatorCommand::Status));
     }
 
     #[test]
@@ -134,7 +134,7 @@ mod tests {
             "laser-bump 1",
             "laser-bump 1 nan",
         ] {
-            let error = line.parse::<Order>().unwrap_err();
+            let error = line.parse::<EmulatorCommand>().unwrap_err();
             assert!(error.contains(&format!("`{line}`")) && error.contains("steering-stuck [S]"), "{error}");
         }
     }

@@ -6,7 +6,7 @@ use crate::recording::Entry;
 
 /// Counts the samples along, to find a hole that nothing on record tells of: a file that was cut, or put together.
 #[derive(Debug, Default)]
-pub(super) struct Order {
+pub(super) struct Continuity {
     /// Index of the sample before, where that is known.
     last: Option<u64>,
     /// Index of the last sample at all: no later one has a smaller.
@@ -19,7 +19,7 @@ pub(super) struct Order {
     taken: Option<u32>,
 }
 
-impl Order {
+impl Continuity {
     /// Something is missing just here, and that is told.
     pub(super) fn hole(&mut self) {
         (self.last, self.doubt, self.taken) = (None, true, None);
@@ -65,7 +65,7 @@ impl Order {
             }
             Entry::Keyframe(keyframe) => {
                 self.last = keyframe.last.map(|scan| scan.index);
-                self.taken = self.doubt.then(|| keyframe.meaning.id());
+                self.taken = self.doubt.then(|| keyframe.context.id());
             }
             Entry::Frame { .. } => self.doubt &= self.taken.take().is_none(),
             Entry::Silence { .. } | Entry::Lock { .. } => {}

@@ -8,7 +8,7 @@ use trifacet_wire::{PoseFrame, Status};
 
 use super::bins::{Bin, History, Past};
 use super::spectrum::{Spectrum, Welch};
-use super::spells::{Spell, Spells};
+use super::status_history::{Spell, StatusHistory};
 use crate::monitor::health::{Readiness, Standstill};
 use crate::publishing::columns::Columns;
 
@@ -17,9 +17,9 @@ const RARELY: u64 = 10;
 
 /// What is kept for the page.
 #[derive(Debug, Default)]
-pub struct Gathered {
+pub struct PageState {
     past: Past,
-    spells: Spells,
+    history: StatusHistory,
     lately: Lately,
     /// Made while somebody looks.
     welch: Option<Welch>,
@@ -46,7 +46,7 @@ pub struct Update {
     dead: Option<Standstill>,
     ready: Readiness,
     lock_since_ms: f64,
-    spells: Vec<Spell>,
+    history: Vec<Spell>,
     bins: Vec<Bin>,
     frames: u32,
     invalid: u32,
@@ -59,7 +59,7 @@ pub struct Update {
     spectrum: Option<Spectrum>,
 }
 
-impl Gathered {
+impl PageState {
     /// Takes every frame in turn, `rate_hz` a second; `watched` if somebody looks.
     pub fn frames(&mut self, batch: &[PoseFrame], rate_hz: f64, watched: bool) {
         if !watched {
@@ -74,7 +74,7 @@ impl Gathered {
         }
         for frame in batch {
             self.past.frame(frame);
-            self.spells.frame(frame);
+            self.history.frame(frame);
             if let Some(welch) = &mut self.welch {
                 welch.frame(frame);
                 self.lately.frame(frame);
@@ -103,8 +103,8 @@ impl Gathered {
             frame: newest.map(Columns::of),
             dead,
             ready,
-            lock_since_ms: self.spells.lock_since_ms(),
-            spells: self.spells.list(),
+            lock_since_ms: self.history.lock_since_ms(),
+            history: self.history.list(),
             bins: self.past.news(),
             frames: lately.frames,
             invalid: lately.invalid,
