@@ -20,7 +20,7 @@ const WAY: u32 = 64;
 
 /// The paper's bench, as a twin.
 pub struct Bench {
-    rig: ClosedLoopSim,
+    sim: ClosedLoopSim,
     /// Where the mirror stands, metres and radians.
     at: [f64; 6],
     /// Samples for which poses must count, one after the other, before one is taken.
@@ -53,14 +53,14 @@ impl Bench {
     /// What would keep the daemon from starting.
     pub fn new(config: &Config) -> Result<Self, Failure> {
         let config = Config { frames: FramesConfig::default(), ..config.clone() };
-        let mut rig = ClosedLoopSim::new(&config)?;
-        rig.place(Pose::default());
+        let mut sim = ClosedLoopSim::new(&config)?;
+        sim.place(Pose::default());
         let rate_hz = config.acquisition.rate_hz;
         let average = u32::from(config.estimation.average);
         // What was begun before the mirror moved does not count, nor how the loop comes after it.
         let settle = (config.centering.lock_time_ms * 1e-3 * rate_hz).ceil() as u64 + u64::from(average);
         let patience = (POSE_TIMEOUT_S * rate_hz).ceil() as u64 + 2 * settle;
-        Ok(Self { rig, at: [0.0; 6], settle, calm: 0, patience, rate_hz, average, why: String::new() })
+        Ok(Self { sim, at: [0.0; 6], settle, calm: 0, patience, rate_hz, average, why: String::new() })
     }
 
     /// Goes through a protocol; `taken` hears of every reading.
@@ -128,8 +128,8 @@ impl Bench {
         for k in 1..=WAY {
             let part = f64::from(k) / f64::from(WAY);
             let pose = std::array::from_fn(|i| self.at[i] + part * (to[i] - self.at[i]));
-            self.rig.place(Pose::from_array(pose));
-            self.rig.turn();
+            self.sim.place(Pose::from_array(pose));
+            self.sim.step();
         }
         (self.at, self.calm) = (to, 0);
     }
@@ -137,7 +137,7 @@ impl Bench {
     /// The next pose that counts: valid and locked, as were those before it since the mirror settled.
     fn look(&mut self) -> Result<Observation, String> {
         for _ in 0..self.patience {
-            let Some(report) = self.rig.turn().report else { continue };
+            let Some(report) = self.sim.step().report else { continue };
             match look(&report) {
                 Ok(look) => {
                     self.calm += u64::from(look.averaged);
