@@ -104,7 +104,10 @@ impl Service {
             Task::ALL.into_iter().filter(|task| !self.heartbeats.of(*task).ended()).collect();
         let what =
             if running.is_empty() { "clients are".into() } else { format!("task {} is", list(&running)) };
-        Failure::new(exit::SOFTWARE, format!("{} s after the stop, {what} still running", END.as_secs()))
+        Failure::new(
+            exit::SOFTWARE,
+            format!("{} s after the stop request, {what} still running", END.as_secs()),
+        )
     }
 }
 

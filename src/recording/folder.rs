@@ -127,8 +127,8 @@ impl Folder {
         Ok(recordings)
     }
 
-    /// Deletes the oldest recordings until `wanted` bytes are left within `budget` bytes. Files in use are kept.
-    /// Returns the deleted recordings.
+    /// Deletes the oldest recordings until `wanted` bytes are left within `budget` bytes. Files in use are
+    /// kept. Returns the deleted recordings.
     ///
     /// # Errors
     /// The folder cannot be read.

@@ -20,7 +20,7 @@ pub struct Output {
     file: Arc<File>,
     /// Its path until it is finished.
     pub path: PathBuf,
-    /// When it began.
+    /// Start of the recording, monotonic.
     pub since: Mono,
     written: Arc<AtomicU64>,
     failed: Arc<AtomicBool>,

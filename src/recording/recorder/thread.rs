@@ -55,7 +55,7 @@ pub fn start(
 }
 
 impl Thread {
-    /// Ends the recorder and waits until everything is on disk, for [`END_TIMEOUT`] at most. To be called
+    /// Ends the recorder and waits until everything is on disk, for 4 s at most. To be called
     /// after the fast side has sent its last entry.
     pub fn join(self) {
         self.stop.store(true, Ordering::Relaxed);
