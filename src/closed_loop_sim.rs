@@ -7,8 +7,8 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use trifacet_core::centering::{Centering, LoopState};
 use trifacet_core::centering::lock::Transition;
+use trifacet_core::centering::{Centering, LoopState};
 use trifacet_core::estimation::PoseReport;
 use trifacet_core::pipeline::{Pipeline, Step};
 use trifacet_core::signals::{Sample, Scan};

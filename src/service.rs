@@ -1,7 +1,7 @@
-//! Under a supervisor: what is told to systemd, and what is watched with or without it.
+//! Supervision of the tasks, with and without systemd.
 //!
 //! - [`notify`]: the messages to systemd (`sd_notify`).
-//! - [`watch`]: which task makes no heartbeats; pure.
+//! - [`watch`]: detects tasks without heartbeats; pure.
 //! - [`Service`]: the task, on the main thread, a few times a second.
 
 pub mod notify;
@@ -21,41 +21,41 @@ use watch::Watch;
 use crate::config::RealtimeConfig;
 use crate::exit::{self, Failure};
 
-/// How often it looks, at least.
+/// Longest interval between checks.
 const TICK: Duration = Duration::from_millis(250);
-/// A task without a turn for so long is told of where nothing else asks for it sooner.
+/// Time without a heartbeat after which a task is reported as stalled, unless a limit requires less.
 const TELL: Duration = Duration::from_secs(1);
-/// The end in order takes less.
+/// Time limit for an orderly end.
 const END: Duration = Duration::from_secs(8);
 
-/// What the main thread does for whoever supervises the daemon.
+/// The supervision on the main thread.
 #[derive(Debug)]
 pub struct Service {
-    /// The way to systemd.
+    /// Messages to systemd.
     pub notify: Notify,
     heartbeats: Arc<Heartbeats>,
     glance: Arc<LatestStatus>,
-    /// `realtime.stall_ms`, unless that is never.
+    /// `realtime.stall_ms`; `None` for 0.
     patience: Option<Duration>,
     ending: Cell<bool>,
 }
 
 impl Service {
-    /// For the daemon with these tasks and frames.
+    /// Supervises the daemon with these heartbeats and frames.
     pub fn new(config: &RealtimeConfig, heartbeats: Arc<Heartbeats>, glance: Arc<LatestStatus>) -> Self {
         let patience = (config.stall_ms > 0).then(|| Duration::from_millis(config.stall_ms.into()));
         let notify = Notify::from_environment();
         Self { notify, heartbeats, glance, patience, ending: Cell::new(false) }
     }
 
-    /// The daemon is asked to end. From now on tasks may be without heartbeats, but not for ever.
+    /// Notes that the daemon is stopping. From now on tasks need no heartbeats, but must end in time.
     pub fn ending(&self) {
         self.notify.stopping();
         self.ending.set(true);
     }
 
-    /// Tells systemd when there has been a frame, what the newest one says, and that every task has made
-    /// heartbeats. Returns when a task has made none for too long, or when the end takes too long.
+    /// Reports to systemd: the first frame, the status in the newest frame, and heartbeats of all tasks.
+    /// Returns when a task has had none for too long, or when the end takes too long.
     pub async fn run(&self) -> Failure {
         let half = || [self.notify.watchdog(), self.patience].into_iter().flatten().map(|limit| limit / 2);
         let tick = half().fold(TICK, Duration::min);
@@ -65,7 +65,7 @@ impl Service {
         let mut watch = Watch::default();
         let mut ending = 0;
         let mut looks = interval(tick);
-        // Time in which this thread stood still, too, is not held against the tasks.
+        // Time in which this thread did not run is not counted against the tasks.
         looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             looks.tick().await;
@@ -82,7 +82,8 @@ impl Service {
             let stalled = patience.map_or_else(Vec::new, |ticks| watch.stalled(&self.heartbeats, ticks));
             if !stalled.is_empty() {
                 let ms = self.patience.unwrap_or_default().as_millis();
-                let why = format!("task {} stalls: no turn for {ms} ms (realtime.stall_ms)", list(&stalled));
+                let why =
+                    format!("task {} stalls: no heartbeat for {ms} ms (realtime.stall_ms)", list(&stalled));
                 return Failure::new(exit::SOFTWARE, why);
             }
         }
@@ -103,11 +104,14 @@ impl Service {
             Task::ALL.into_iter().filter(|task| !self.heartbeats.of(*task).ended()).collect();
         let what =
             if running.is_empty() { "clients are".into() } else { format!("task {} is", list(&running)) };
-        Failure::new(exit::SOFTWARE, format!("asked to end {} s ago, and {what} still there", END.as_secs()))
+        Failure::new(
+            exit::SOFTWARE,
+            format!("{} s after the stop request, {what} still running", END.as_secs()),
+        )
     }
 }
 
-/// What the newest frame says, in a line for `systemctl status`.
+/// The status in the newest frame, as a line for `systemctl status`.
 fn line((status, lock): (Status, LockState), stalled: &[Task]) -> String {
     let reasons = Status(status.0 & Status::FATAL.0).names().collect::<Vec<_>>().join(" ");
     let poses = match reasons.as_str() {
@@ -121,7 +125,7 @@ fn line((status, lock): (Status, LockState), stalled: &[Task]) -> String {
     if stalled.is_empty() { line } else { format!("task {} stalls; before that: {line}", list(stalled)) }
 }
 
-/// Tasks in words.
+/// Names of tasks, separated by commas.
 fn list(tasks: &[Task]) -> String {
     tasks.iter().map(|task| task.name()).collect::<Vec<_>>().join(", ")
 }

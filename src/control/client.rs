@@ -1,4 +1,4 @@
-//! The other end of the control socket, for `trifacet ctl`.
+//! Client of the control socket, for `trifacet ctl`.
 
 use std::io::{self, BufRead, BufReader, Write};
 use std::os::unix::net::UnixStream;
@@ -10,14 +10,14 @@ use serde_json::Value;
 use super::Command;
 use crate::exit::{self, Failure};
 
-/// Longer than any command takes.
+/// Time limit for an answer, longer than any command takes.
 const ANSWER_TIMEOUT: Duration = Duration::from_mins(1);
 
-/// Tells a daemon, and returns what it answers.
+/// Sends a command to a daemon and returns its answer.
 ///
 /// # Errors
-/// Nobody is there, or may be talked to ([`exit::UNAVAILABLE`], [`exit::IO`]), or what comes back is no
-/// answer. That the daemon refuses is an answer.
+/// [`exit::UNAVAILABLE`] if no daemon listens or the answer is missing or invalid, [`exit::IO`] if the socket
+/// cannot be opened. A refusal by the daemon is an answer, not an error.
 pub fn ask(socket: &Path, command: &Command) -> Result<Value, Failure> {
     let at = socket.display();
     let stream = UnixStream::connect(socket).map_err(|e| {
@@ -37,9 +37,9 @@ pub fn ask(socket: &Path, command: &Command) -> Result<Value, Failure> {
     let mut line = String::new();
     BufReader::new(&stream).read_line(&mut line).map_err(broke)?;
     if line.is_empty() {
-        return Err(Failure::new(exit::UNAVAILABLE, format!("the daemon at {at} hung up without an answer")));
+        return Err(Failure::new(exit::UNAVAILABLE, format!("the daemon at {at} closed without an answer")));
     }
     serde_json::from_str(&line).map_err(|e| {
-        Failure::new(exit::UNAVAILABLE, format!("what listens on {at} is no trifacet daemon: {e}"))
+        Failure::new(exit::UNAVAILABLE, format!("what listens on {at} is not a trifacet daemon: {e}"))
     })
 }

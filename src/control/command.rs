@@ -1,4 +1,4 @@
-//! What can be said to a daemon: one line of ASCII.
+//! Commands to a daemon: one line of ASCII each.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,58 +8,58 @@ use trifacet_core::telemetry::heartbeat::{Drill, Task};
 
 use crate::recording::RecorderCommand;
 
-/// A command.
+/// A command. [`ALLOWED`] lists their syntax.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Command {
-    /// What is going on?
+    /// Queries the state.
     Status,
-    /// From now on the present pose reads zero.
+    /// Makes the present pose the zero of later ones.
     Tare {
-        /// So many poses are averaged; without, those of a tenth of a second.
+        /// Number of poses to average; by default those of 0.1 s.
         poses: Option<u32>,
-        /// Also in the configuration file.
+        /// Also write the tare to the configuration file.
         save: bool,
     },
-    /// No tare any more.
+    /// Removes the tare.
     ClearTare {
-        /// Also in the configuration file.
+        /// Also remove it from the configuration file.
         save: bool,
     },
-    /// Switches the loop.
+    /// Sets the mode of the loop.
     Loop(LoopMode),
-    /// Where the loop brings the beam, off the apex, micrometres.
+    /// Sets the target position of the beam relative to the apex, micrometres.
     Setpoint([f64; 2]),
-    /// Gains of the loop.
+    /// Sets the gains of the loop.
     Gains {
-        /// Proportional.
+        /// Proportional gain.
         kp: f64,
-        /// Integral, per second.
+        /// Integral gain, per second.
         ki_per_s: f64,
     },
-    /// Sends the stage to a place, micrometres; only while the loop is manual.
+    /// Moves the stage to this position, micrometres; only in manual mode.
     Move([f64; 2]),
-    /// Takes the loop off the stage and parks it: from now on the loop is manual.
+    /// Switches the loop to manual mode and parks the stage.
     Park,
-    /// Looks for the apex now.
+    /// Starts a search for the apex.
     Search,
-    /// Lets a task misbehave, to see whether the supervision notices; the twin only.
+    /// Makes a task stall or end, to test the supervision; twin only.
     Drill(Drill, Task),
-    /// What is recorded?
+    /// Queries the state of the recorder.
     Recording,
-    /// Lets the recorder begin, end, or do as if there were a fault.
+    /// Commands the recorder.
     Record(RecorderCommand),
     /// Reads the configuration file again.
     Reload,
 }
 
-/// A line that is no command.
+/// A line that is not a command.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{found:?} is no command; allowed are: {ALLOWED}")]
+#[error("{found:?} is not a command; allowed: {ALLOWED}")]
 pub struct NoCommand {
     found: String,
 }
 
-/// Every command in its form.
+/// The syntax of every command.
 pub const ALLOWED: &str = "status, tare [poses=N] [save], tare clear [save], loop on|off|shadow|manual, \
     setpoint X_UM Y_UM, gains KP KI_PER_S, move X_UM Y_UM, park, search, reload, \
     record start|stop|trigger|status, \
@@ -114,7 +114,7 @@ fn number(text: &str) -> Option<f64> {
     text.parse().ok().filter(|x: &f64| x.is_finite())
 }
 
-/// As it is said.
+/// The line that [`FromStr`] parses.
 impl fmt::Display for Command {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let save = |save: bool| if save { " save" } else { "" };

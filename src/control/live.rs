@@ -1,4 +1,4 @@
-//! The configuration of a running daemon, and how it changes.
+//! The configuration of a running daemon, and its changes.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -33,49 +33,50 @@ use crate::logging::Logging;
 use crate::publishing::descriptor::StreamFacts;
 use crate::recording::{Handle, RecorderCommand};
 
-/// How long the fast side may take to answer.
+/// Time limit for an answer of the fast side.
 const FAST_SIDE_TIMEOUT: Duration = Duration::from_secs(5);
-/// What a tare averages over, seconds: by default, and at most.
+/// Time over which a tare averages, seconds: default and maximum.
 const TARE_S: [f64; 2] = [0.1, 10.0];
 
-/// What is known of a running daemon, and the ways to change it.
+/// State of a running daemon, and the channels for changing it.
 #[derive(Debug)]
 pub struct RunningConfig {
-    /// What it was started with.
+    /// Configuration file at the start.
     pub file: Option<PathBuf>,
-    /// What holds at present.
+    /// Configuration in force.
     pub running: Config,
-    /// The file as far as it was taken over.
+    /// The file as last taken over.
     pub taken: Config,
     /// The correction tables in force.
     pub tables: Tables,
-    /// What the descriptor says.
+    /// Facts for the descriptor.
     pub facts: StreamFacts,
-    /// Where TCP clients find it.
+    /// The descriptor for TCP clients.
     pub descriptor: watch::Sender<Descriptor>,
-    /// Where the monitor finds what holds.
+    /// The configuration in force, for the monitor.
     pub told: watch::Sender<Config>,
-    /// The ways to the fast side.
+    /// Channels to the fast side.
     pub fast: FastRequests,
-    /// Where a stage with a task of its own finds its limits.
+    /// Limits for a stage with its own task.
     pub steering: watch::Sender<SteeringConfig>,
     /// The log.
     pub log: Arc<Logging>,
-    /// Every counter.
+    /// All counters.
     pub counters: Arc<Counters>,
-    /// The turns of the fast side's tasks.
+    /// Heartbeats of the tasks of the fast side.
     pub heartbeats: Arc<Heartbeats>,
     /// The recorder.
     pub recording: Handle,
-    /// When the daemon started.
+    /// Time of the daemon's start.
     pub started: Mono,
 }
 
 impl RunningConfig {
-    /// Does what a command says. What it answers is a JSON object; with an `error` in it if not all was done.
+    /// Executes a command. Returns the answer, a JSON object; it contains `error` if the command failed, also
+    /// in part.
     pub async fn obey(&mut self, command: Command) -> Value {
         if self.running.acquisition.source == SourceKind::Replay && command != Command::Status {
-            let why = "a recording is replayed: nothing steers, and nothing about it can be changed";
+            let why = "a recording is replayed: its settings and its steering cannot be changed";
             return error(&Failure::new(exit::DATA, why));
         }
         let answer = match command {
@@ -125,7 +126,7 @@ impl RunningConfig {
         self.order(CenteringRequest::Search).await
     }
 
-    /// Only where nothing real hangs on it.
+    /// Starts a drill. Refused unless both source and stage are simulated.
     fn drill(&self, drill: Drill, task: Task) -> Result<Value, Failure> {
         let Config { acquisition, steering, .. } = &self.running;
         if acquisition.source != SourceKind::Twin || steering.kind != SteeringKind::Outputs {
@@ -136,7 +137,7 @@ impl RunningConfig {
         Ok(json!({ "drill": drill.name(), "task": task.name() }))
     }
 
-    /// Tells the loop something that it may refuse.
+    /// Sends a request that the loop may refuse.
     async fn order(
         &self,
         order: impl FnOnce(oneshot::Sender<Result<(), &'static str>>) -> CenteringRequest,
@@ -152,15 +153,16 @@ impl RunningConfig {
         Ok(json!({ "recording": self.recording.state.tell() }))
     }
 
-    /// Reads the file again and takes over what can be.
+    /// Reads the file again, and takes over the changes that do not need a restart.
     async fn reload(&mut self) -> Result<Value, Failure> {
-        let wrong = |message: String| Failure::new(exit::CONFIG, format!("nothing is changed: {message}"));
+        let wrong =
+            |message: String| Failure::new(exit::CONFIG, format!("configuration unchanged: {message}"));
         let Some(file) = &self.file else {
             return Err(wrong("the daemon was started without a configuration file".into()));
         };
         let file = config::load(Some(file)).map_err(|e| wrong(e.to_string()))?;
         let mut plan = reload(&self.running, &self.taken, &file).map_err(wrong)?;
-        // A correction table may have changed, too.
+        // The contents of a correction table may have changed.
         let tables = Tables::read(&plan.running).map_err(|e| wrong(e.to_string()))?;
         let mut channels = None;
         if plan.running.channels != self.running.channels || tables != self.tables {
@@ -176,8 +178,7 @@ impl RunningConfig {
             "changed": plan.changed, "refused": plan.refused, "config": self.id()
         });
         if !plan.refused.is_empty() {
-            answer["error"] =
-                format!("not taken over, it needs a restart: {}", plan.refused.join(", ")).into();
+            answer["error"] = format!("these changes need a restart: {}", plan.refused.join(", ")).into();
             answer["code"] = exit::DATA.into();
         }
         Ok(answer)
@@ -194,7 +195,7 @@ impl RunningConfig {
             let why = format!("poses={poses}: allowed is 1 to {most}, {} s at {rate_hz} Hz", TARE_S[1]);
             return Err(Failure::new(exit::USAGE, why));
         }
-        let no_tare = |why: String| Failure::new(exit::DATA, format!("the tare is as it was: {why}"));
+        let no_tare = |why: String| Failure::new(exit::DATA, format!("tare unchanged: {why}"));
         let patience = FAST_SIDE_TIMEOUT + Duration::from_secs_f64(2.0 * f64::from(poses) / rate_hz);
         let mean = ask(&self.fast.questions, patience, |reply| EstimationRequest::Mean(poses, reply)).await?;
         let mean = mean.map_err(|status| {
@@ -223,7 +224,7 @@ impl RunningConfig {
             let edits =
                 [edit("translation_mm", tare.translation_mm), edit("rotation_deg", tare.rotation_deg)];
             edit::write(file, &edits).map_err(|e| {
-                let why = format!("the tare is as it was: cannot write it into {}: {e:#}", file.display());
+                let why = format!("tare unchanged: cannot write it to {}: {e:#}", file.display());
                 Failure::new(exit::IO, why)
             })?;
             self.taken.frames.tare = tare;
@@ -238,8 +239,8 @@ impl RunningConfig {
         })
     }
 
-    /// Goes on with another configuration, which differs only where it may; `channels` if they, or their
-    /// tables, have changed, with the tables.
+    /// Puts another configuration in force. It may differ only in what can change at run time. `channels` is
+    /// the new channel map with its tables, if either has changed.
     async fn go_on_with(
         &mut self,
         next: Config,
@@ -256,7 +257,7 @@ impl RunningConfig {
             self.change_meaning(&next, channels).await?;
         }
         if next.centering != self.running.centering || next.steering != self.running.steering {
-            // Before the loop acts on them.
+            // The limits first: the loop must not act before the stage has them.
             self.steering.send_replace(next.steering.clone());
             let tuning = Box::new(next.loop_params());
             ask(&self.fast.orders, FAST_SIDE_TIMEOUT, |done| CenteringRequest::Retune(tuning, done)).await?;
@@ -266,7 +267,7 @@ impl RunningConfig {
         Ok(())
     }
 
-    /// From one sample to the next, poses mean something else.
+    /// Changes, from one sample to the next, what poses depend on.
     async fn change_meaning(
         &mut self,
         next: &Config,
@@ -314,7 +315,7 @@ impl RunningConfig {
             let numbers = report.pose.map(Pose::to_array);
             json!({
                 "valid": report.pose.is_some(),
-                // Of a replay the light was measured some time before that time.
+                // In a replay `time` is not the time of the measurement.
                 "age_s": replay.is_none().then(|| now.seconds_since(report.time)),
                 "sample_index": report.index,
                 "status": report.status.names().collect::<Vec<_>>(),
@@ -340,7 +341,7 @@ impl RunningConfig {
         }))
     }
 
-    /// What is replayed, and whether that is over.
+    /// Description of the replay, with `at_end`.
     fn replay(&self) -> Option<Value> {
         let told = self.descriptor.borrow().replay.clone()?;
         let at_end = !told.repeat && self.counters.replay_ends.get() > 0;
@@ -371,12 +372,12 @@ impl RunningConfig {
     }
 }
 
-/// An answer that says what went wrong.
+/// The answer for a failure.
 pub fn error(failure: &Failure) -> Value {
     json!({ "error": failure.message, "code": failure.code })
 }
 
-/// Asks a task of the fast side, and waits for its answer.
+/// Sends a request to a task of the fast side and waits for the answer.
 async fn ask<Q, A>(
     to: &mpsc::Sender<Q>,
     patience: Duration,
@@ -384,10 +385,10 @@ async fn ask<Q, A>(
 ) -> Result<A, Failure> {
     let unavailable = |why: &str| Failure::new(exit::UNAVAILABLE, why);
     let (reply, answer) = oneshot::channel();
-    to.try_send(question(reply)).map_err(|_| unavailable("the daemon is ending, or too busy to listen"))?;
+    to.try_send(question(reply)).map_err(|_| unavailable("the daemon is stopping, or too busy to answer"))?;
     match timeout(patience, answer).await {
         Ok(Ok(answer)) => Ok(answer),
-        Ok(Err(_)) => Err(unavailable("the daemon is ending")),
+        Ok(Err(_)) => Err(unavailable("the daemon is stopping")),
         Err(_) => Err(unavailable("the fast side of the daemon does not answer")),
     }
 }

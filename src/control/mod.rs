@@ -1,11 +1,11 @@
-//! Telling a running daemon what to do: over a Unix socket, and by SIGHUP.
+//! Commands to a running daemon, over a Unix socket and by SIGHUP.
 //!
-//! - [`command`]: what can be said, in one line; pure.
-//! - [`live`]: the configuration as it is at present, and how it changes.
-//! - [`server`]: the socket. [`client`]: the other end of it.
+//! - [`command`]: the commands and their syntax; pure.
+//! - [`live`]: the configuration in force, and its changes.
+//! - [`server`]: the socket. [`client`]: its client.
 //!
-//! All this stands on the main thread. The fast side is told through bounded channels and answers through
-//! a channel of the question's own; neither waits for the other.
+//! All of this runs on the main thread. Requests reach the fast side through bounded channels. Each request
+//! carries a channel for its answer. Neither side blocks the other.
 
 pub mod client;
 pub mod command;
@@ -20,10 +20,10 @@ use crate::acquisition::task::SettingsChange;
 use crate::centering::CenteringRequest;
 use crate::estimation::EstimationRequest;
 
-/// Orders that may wait on each way. They come one at a time, so there is always room.
+/// Requests that can wait in each channel. They come one at a time, so there is always room.
 const QUEUE: usize = 4;
 
-/// The ways to the tasks of the fast side.
+/// The sending ends of the channels to the fast side.
 #[derive(Debug)]
 pub struct FastRequests {
     changes: mpsc::Sender<SettingsChange>,
@@ -31,18 +31,18 @@ pub struct FastRequests {
     orders: mpsc::Sender<CenteringRequest>,
 }
 
-/// Their ends there.
+/// The receiving ends of the channels to the fast side.
 #[derive(Debug)]
 pub struct FastLink {
-    /// For acquisition.
+    /// Requests to acquisition.
     pub changes: mpsc::Receiver<SettingsChange>,
-    /// For estimation.
+    /// Requests to estimation.
     pub questions: mpsc::Receiver<EstimationRequest>,
-    /// For centering.
+    /// Requests to centering.
     pub orders: mpsc::Receiver<CenteringRequest>,
 }
 
-/// The ways between the main thread and the fast side.
+/// The channels between the main thread and the fast side.
 pub fn ways() -> (FastRequests, FastLink) {
     let (changes, changes_end) = mpsc::channel(QUEUE);
     let (questions, questions_end) = mpsc::channel(QUEUE);

@@ -1,4 +1,4 @@
-//! The socket: one line in, one line of JSON out.
+//! Server of the control socket: one line in, one line of JSON out.
 
 use std::os::unix::fs::FileTypeExt;
 use std::os::unix::net as blocking;
@@ -22,14 +22,14 @@ use super::{Command, RunningConfig};
 use crate::config::ControlConfig;
 use crate::exit::{self, Failure};
 
-/// Most bytes of a line, its end included.
+/// Longest line in bytes, including its end.
 const LINE: u64 = 256;
 /// Most clients at a time.
 const CLIENTS: usize = 16;
-/// A client that says nothing, or takes no answer, for so long is dropped.
+/// A client that sends no line or accepts no answer for this time is disconnected.
 const CLIENT_TIMEOUT: Duration = Duration::from_mins(1);
 
-/// The socket; its file goes with it.
+/// The socket. Dropping it removes its file.
 #[derive(Debug)]
 pub struct Socket {
     listener: UnixListener,
@@ -37,10 +37,9 @@ pub struct Socket {
 }
 
 impl Socket {
-    /// Opens the socket that the configuration names. A file that a dead daemon left there is replaced.
+    /// Opens the configured socket; `None` if there is none. A socket file without a listener is replaced.
     ///
-    /// Must be called before other threads make files: for a moment the process makes them with the
-    /// permissions of the socket.
+    /// Must be called before other threads create files: the umask of the process is changed for a moment.
     ///
     /// # Errors
     /// [`exit::IN_USE`] if another daemon listens there, [`exit::IO`] if it cannot be opened.
@@ -62,7 +61,7 @@ impl Socket {
         Ok(Some(Self { listener, path }))
     }
 
-    /// Serves clients for ever, each at its own pace; their commands one after the other.
+    /// Serves clients without end. Clients are served concurrently, their commands one after the other.
     pub async fn serve(self, live: Arc<Mutex<RunningConfig>>) {
         let mut clients = JoinSet::new();
         loop {
@@ -72,7 +71,7 @@ impl Socket {
                     if clients.len() < CLIENTS {
                         clients.spawn(client(stream, Arc::clone(&live)));
                     } else {
-                        tracing::warn!("control: refused a client, {CLIENTS} are connected already");
+                        tracing::warn!("control: refused a client: {CLIENTS} are already connected");
                     }
                 }
                 Err(e) => {
@@ -86,15 +85,15 @@ impl Socket {
 
 impl Drop for Socket {
     fn drop(&mut self) {
-        let _ = fs::remove_file(&self.path); // whoever starts next replaces it
+        let _ = fs::remove_file(&self.path); // if this fails, the next daemon replaces it
     }
 }
 
-/// Removes a socket on which nobody listens any more; anything else stays.
+/// Removes a socket file without a listener. Other files stay.
 fn clear(path: &Path) -> Result<(), Failure> {
     let is_socket = fs::symlink_metadata(path).is_ok_and(|file| file.file_type().is_socket());
     if !is_socket {
-        return Ok(()); // if there is something else, opening says so
+        return Ok(()); // another kind of file makes opening fail
     }
     match blocking::UnixStream::connect(path) {
         Ok(_) => {
@@ -102,7 +101,7 @@ fn clear(path: &Path) -> Result<(), Failure> {
             Err(Failure::new(exit::IN_USE, why))
         }
         Err(e) if e.kind() == io::ErrorKind::ConnectionRefused => {
-            let _ = fs::remove_file(path); // if not, opening says so
+            let _ = fs::remove_file(path); // if this fails, so does opening
             Ok(())
         }
         Err(_) => Ok(()),
@@ -138,7 +137,7 @@ async fn client(stream: UnixStream, live: Arc<Mutex<RunningConfig>>) {
     }
 }
 
-/// The next whole line; none at the end. A line without its end is none: half a number is another number.
+/// The next complete line; `None` at the end. An incomplete line is ignored: half a number is another number.
 async fn next_line(lines: &mut BufReader<OwnedReadHalf>) -> io::Result<Option<String>> {
     let mut line = Vec::new();
     lines.take(LINE).read_until(b'\n', &mut line).await?;
@@ -150,7 +149,7 @@ async fn next_line(lines: &mut BufReader<OwnedReadHalf>) -> io::Result<Option<St
     if whole { Err(too_long()) } else { Ok(None) }
 }
 
-/// Whoever changes something is in the log, with what came of it.
+/// Logs a command with its result, except for `status`.
 pub fn note(command: &Command, uid: Option<u32>, answer: &Value) {
     if *command == Command::Status {
         return;

@@ -1,4 +1,4 @@
-//! The fast thread: acquisition, centering and estimation with their edges, or a replay in their place.
+//! The fast thread: acquisition, centering and estimation with their channels, or a replay in their place.
 
 use std::io;
 use std::sync::Arc;
@@ -27,14 +27,14 @@ use crate::steering::{self, Gcs, Outputs, StageDriver};
 use crate::twin::{Twin, TwinSource};
 use crate::{acquisition, centering, estimation, realtime};
 
-/// Samples that may wait for estimation.
+/// Samples that can wait for estimation.
 const QUEUE: usize = 1024;
 
-/// What the fast thread is made of.
+/// Everything the fast thread needs.
 pub(super) struct Parts {
     pub(super) config: Config,
     pub(super) pipeline: Pipeline,
-    /// The stage, if it is not the source's own.
+    /// The stage, if the source does not drive it.
     pub(super) gcs: Option<Gcs>,
     pub(super) publisher: Publisher<SystemClock>,
     pub(super) counters: Arc<Counters>,
@@ -42,14 +42,14 @@ pub(super) struct Parts {
     pub(super) glance: Arc<LatestStatus>,
     pub(super) control: FastLink,
     pub(super) context: Arc<CalibrationContext>,
-    /// Of the recording, if that is the source.
+    /// The beginning of the recording, if that is the source.
     pub(super) beginning: Option<RecordingHeader>,
     pub(super) descriptor: watch::Sender<Descriptor>,
     pub(super) records: RecordSender,
     pub(super) stop: CancellationToken,
 }
 
-/// The fast thread, and the news of its end: the task that ended by itself, if one did.
+/// The fast thread, and the result of its tasks: an error if a task ended by itself.
 pub(super) struct Fast {
     pub(super) thread: JoinHandle<()>,
     pub(super) ended: oneshot::Receiver<anyhow::Result<()>>,
@@ -84,13 +84,13 @@ fn start_fast<F: Future<Output = anyhow::Result<()>>>(
             .build()
             .context("cannot start the fast runtime")
             .and_then(|runtime| LocalSet::new().block_on(&runtime, tasks()));
-        // The main thread may have given up waiting; then there is nobody to tell.
+        // The receiver is gone if the main thread has given up waiting.
         let _ = end.send(result);
     });
     Ok(Fast { thread: thread.context("cannot start the fast thread")?, ended })
 }
 
-/// The three tasks and their edges; ends when `stop` is cancelled, or with an error when a task ends.
+/// Runs the three tasks. Returns when `stop` is cancelled, or with an error when a task ends by itself.
 async fn fast<S: Source + 'static>(
     parts: Parts,
     source: impl FnOnce() -> io::Result<S>,
@@ -170,15 +170,15 @@ async fn fast<S: Source + 'static>(
         let why = end.err().map_or_else(|| "it returned".into(), |e| e.to_string());
         return Err(Failure::new(exit::SOFTWARE, format!("task {task} ended by itself: {why}")).into());
     }
-    // In order: the stage gets its last command while acquisition still carries it; then acquisition
-    // ends, and with it the channel that estimation lives on.
-    centering.await.context("task centering failed at the end")?;
+    // In order: centering sends the last command to the stage while acquisition can still transmit it. Then
+    // acquisition ends, which closes the channel of samples; this ends estimation.
+    centering.await.context("task centering failed while stopping")?;
     stop_acquisition.cancel();
-    acquisition.await.context("task acquisition failed at the end")?;
-    estimation.await.context("task estimation failed at the end")
+    acquisition.await.context("task acquisition failed while stopping")?;
+    estimation.await.context("task estimation failed while stopping")
 }
 
-/// One task in place of the three: a recording, at the pace at which it was made.
+/// Runs one task in place of the three: it replays a recording.
 async fn replayed(parts: Parts) -> anyhow::Result<()> {
     let Parts { config, pipeline, mut publisher, counters, glance, heartbeats, .. } = parts;
     let Parts { control, stop, descriptor, beginning, .. } = parts;
@@ -195,13 +195,13 @@ async fn replayed(parts: Parts) -> anyhow::Result<()> {
     let (_, _, estimation) = pipeline.into_stages();
     let recording = replay::task::Recording { config: config.replay, beginning, estimation, counters };
     let task = replay::task::run(recording, SystemClock, edges, stop);
-    // It does the work of all three.
+    // This task counts heartbeats for all three.
     let [acquisition, centering, estimation] = Task::ALL.map(|task| heartbeats.of(task));
     Box::pin(counted(counted(counted(task, acquisition), centering), estimation)).await;
     Ok(())
 }
 
-/// A task whose turns are counted.
+/// Spawns a task with its heartbeats counted.
 fn spawn(
     task: impl Future<Output = ()> + 'static,
     heartbeats: &Arc<Heartbeats>,
@@ -212,5 +212,5 @@ fn spawn(
 }
 
 pub(super) fn fast_end(end: Result<anyhow::Result<()>, oneshot::error::RecvError>) -> anyhow::Result<()> {
-    end.unwrap_or_else(|_| Err(Failure::new(exit::SOFTWARE, "the fast thread ended without a word").into()))
+    end.unwrap_or_else(|_| Err(Failure::new(exit::SOFTWARE, "the fast thread ended without a result").into()))
 }

@@ -1,4 +1,4 @@
-//! The wiring: makes every channel, starts every task, owns start and shutdown.
+//! The daemon: creates the channels, starts the tasks, and controls start and shutdown.
 //!
 //! ```text
 //!  fast thread                                                     main thread
@@ -6,12 +6,13 @@
 //!              ^   └─(newest)─> centering <─(pose)─┘   └─(frames)─> TCP clients, monitor
 //!              └──────(command)─────┘   └─(lock)──^           ^ subscriptions
 //!                              └─(command)─> PI stage, on the main thread
-//!       (changes, orders, questions) <── control ── socket, SIGHUP
+//!       (changes, requests) <── control ── socket, SIGHUP
 //! ```
 //!
-//! - `fast`: the three tasks, in a thread of their own. `slow`: everything else, in the main thread.
+//! - `fast`: the three tasks, in a thread of their own.
+//! - `slow`: everything else, on the main thread.
 //!
-//! The fast thread never waits for the main thread: frames that do not fit into the channel are counted.
+//! The fast thread never waits for the main thread: frames that do not fit into a channel are counted.
 
 mod fast;
 mod slow;
@@ -46,13 +47,16 @@ use crate::replay::RecordingHeader;
 use crate::service::Service;
 use crate::steering::gcs;
 
-/// Frames that may wait for TCP or for the monitor, each on an ordinary thread: the system may stop it for
-/// long (1.6 s of frames at 10 kHz). Takes memory only while they wait.
+/// Frames that can wait for TCP or for the monitor: 1.6 s at 10 kHz. The system may stop an ordinary thread
+/// for that long. Memory is used only for frames that are waiting.
 const TO_MAIN: usize = 16 * 1024;
 
-/// Runs until SIGTERM or SIGINT; then ends in order, the steering first.
+/// Runs the daemon until SIGTERM or SIGINT; then ends in order, the steering first.
 ///
-/// `file` is where the configuration comes from, to be read again on SIGHUP.
+/// `file` is the source of the configuration. SIGHUP makes the daemon read it again.
+///
+/// # Errors
+/// The daemon cannot start (configuration, port, device or file), or a task ended by itself or stalled.
 pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::Result<()> {
     let started = SystemClock.now();
     let counters = Arc::new(Counters::default());
@@ -69,7 +73,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         calibrated: context.calibrated(),
     };
     let main = Builder::new_current_thread().enable_all().build().context("cannot start a runtime")?;
-    // Before anything else: without a handler SIGHUP would end the process.
+    // First of all: without a handler SIGHUP would end the process.
     let hangup = main.block_on(async { signal(SignalKind::hangup()) }).context("cannot listen for SIGHUP")?;
     let socket = main.block_on(async { Socket::open(&config.control) })?;
     let (to_fast, at_fast) = control::ways();
@@ -152,11 +156,11 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     recorder.join();
     let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
     tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
-    main.shutdown_background(); // a port that is being opened, or a name that is looked up, is not waited for
+    main.shutdown_background(); // do not wait for pending opens of ports or name look-ups
     result
 }
 
-/// The configuration that holds and what poses mean by it; of a recording, what they mean at its beginning.
+/// The configuration in force with its context; for a replay, those at the beginning of the recording.
 fn holding(config: &Config) -> anyhow::Result<(Config, Arc<CalibrationContext>, Option<RecordingHeader>)> {
     Ok(match RecordingHeader::of_source(config)? {
         None => (config.clone(), Arc::new(CalibrationContext::read(config.clone())?), None),
@@ -164,7 +168,7 @@ fn holding(config: &Config) -> anyhow::Result<(Config, Arc<CalibrationContext>, 
     })
 }
 
-/// What the stream says of itself; also what is replayed, if that is the source.
+/// The descriptor, including the replay if that is the source.
 fn described(facts: StreamFacts, config: &Config, beginning: Option<&RecordingHeader>) -> Descriptor {
     let replay = beginning.map(|then| then.told(&config.replay));
     Descriptor { replay, ..facts.descriptor() }

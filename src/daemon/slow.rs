@@ -25,7 +25,7 @@ use crate::publishing::{subscription, subscription_server, tcp};
 use crate::service::{Notify, Service};
 use crate::steering::gcs;
 
-/// What the main thread serves.
+/// Everything that the main thread serves.
 pub(super) struct Slow<'a> {
     pub(super) service: &'a Service,
     pub(super) server: Option<Server>,
@@ -35,21 +35,21 @@ pub(super) struct Slow<'a> {
     pub(super) session: u32,
 }
 
-/// The TCP side.
+/// The TCP server.
 pub(super) struct Server {
     pub(super) listener: tokio::net::TcpListener,
     pub(super) frames: mpsc::Receiver<PoseFrame>,
     pub(super) descriptor: watch::Receiver<Descriptor>,
 }
 
-/// The HTTP side.
+/// The HTTP server.
 pub(super) struct Monitor {
     pub(super) listener: tokio::net::TcpListener,
     pub(super) frames: mpsc::Receiver<PoseFrame>,
     pub(super) view: View,
 }
 
-/// Where TCP clients and browsers connect, if they may.
+/// Opens the configured ports for TCP clients and for the monitor.
 pub(super) async fn listeners(config: &Config) -> anyhow::Result<[Option<tokio::net::TcpListener>; 2]> {
     let server = match config.publishing.tcp {
         Some(address) => Some(tcp::bind(address).await?),
@@ -62,7 +62,7 @@ pub(super) async fn listeners(config: &Config) -> anyhow::Result<[Option<tokio::
     Ok([server, monitor])
 }
 
-/// Commands and SIGHUP, for ever.
+/// Serves commands and SIGHUP without end.
 pub(super) async fn control(
     live: Arc<Mutex<RunningConfig>>,
     socket: Option<Socket>,
@@ -86,7 +86,7 @@ pub(super) async fn control(
     tokio::join!(commands, reloads);
 }
 
-/// The main thread: TCP clients, UDP subscriptions, a slow stage, commands and signals, until the end.
+/// Runs the main thread until the daemon ends.
 pub(super) fn serve(
     main: &Runtime,
     config: &Config,
@@ -107,7 +107,7 @@ pub(super) fn serve(
         subscription::Subscriptions::new(slow.session, publishing.subscribers, publishing.allow.clone());
     let Slow { service, server, monitor, subscription_server, stage, .. } = slow;
     let Fast { thread, mut ended } = fast;
-    // A fast thread that does not come back is left behind: its end is that of the process.
+    // A stalled fast thread is not joined: it ends with the process.
     let left_behind = Cell::new(false);
     let result = main.block_on(async {
         let (mut terminate, mut interrupt) =
@@ -117,7 +117,7 @@ pub(super) fn serve(
                 stop.cancelled().await;
                 return;
             };
-            // Not told to stop: it serves what the fast side still sends, and ends when that has ended.
+            // Without a stop signal: the server sends all frames of the fast side and ends after them.
             let never = CancellationToken::new();
             tcp::serve(listener, frames, descriptor, limits, Arc::clone(counters), never).await;
         };
@@ -154,11 +154,11 @@ pub(super) fn serve(
             biased;
             end = &mut ended => return fast_end(end),
             () = &mut serving => {
-                // The servers end by themselves only when the fast side is gone.
+                // The servers end by themselves only after the fast side has ended.
                 return fast_end(ended.await);
             }
-            () = &mut steering => return fast_end(ended.await), // likewise
-            end = subscribing => end.context("cannot take UDP subscriptions").map(|()| "subscriptions ended"),
+            () = &mut steering => return fast_end(ended.await), // as above
+            end = subscribing => end.context("cannot serve UDP subscriptions").map(|()| "subscriptions ended"),
             () = control => Err(Failure::new(exit::SOFTWARE, "the control task ended by itself").into()),
             stalled = &mut watching => {
                 left_behind.set(true);
@@ -184,7 +184,7 @@ pub(super) fn serve(
     if left_behind.get() {
         return result;
     }
-    // It has said that it ended; only a panic is news now.
+    // The thread has reported its end. Only a panic after that is an error.
     if thread.join().is_err() {
         return Err(Failure::new(exit::SOFTWARE, "the fast thread panicked").into());
     }

@@ -1,4 +1,4 @@
-//! From a recording to what the configuration should say, with deviations and doubts.
+//! Derives the keys of the configuration from a recording, with their uncertainties and plausibility.
 
 use trifacet_core::steering::Xy;
 
@@ -8,67 +8,67 @@ use super::response::{self, Response, Windows};
 use super::task::{Recording, Step};
 use crate::exit::Failure;
 
-/// A gain below this, or below so many of its deviations, is no movement.
+/// A gain counts as movement from this value, and from this multiple of its standard uncertainty.
 const MOVES: f64 = 0.01;
 const MOVES_SIGMAS: f64 = 5.0;
-/// Largest deviation of a gain, in parts of it.
+/// Largest relative standard uncertainty of a gain.
 const GAIN_SIGMA: f64 = 0.03;
-/// Largest difference between response and fit, in parts of the movement.
+/// Largest difference between response and fit, as a fraction of the movement.
 const MISFIT: f64 = 0.1;
-/// The movement must be over within a dwell: this many lags after the delay.
+/// The movement must end within a dwell time: this many lags after the delay.
 const SETTLED: f64 = 4.0;
-/// Columns with a smaller sine between them count as parallel; the configuration refuses them.
+/// Columns with a smaller sine of the angle between them count as parallel; the configuration refuses them.
 const PARALLEL: f64 = 0.1;
-/// Of a movement that was commanded, a stage that follows reads back this part at least.
+/// Least fraction of a commanded movement in the readback of a stage that follows.
 const FOLLOWED: f64 = 0.5;
-/// A readback whose scale is off by more is worth a remark; and one that is off by this much, metres.
+/// Errors of the readback above which there is a remark: relative error of its scale, and offset in metres.
 const SCALE: f64 = 0.03;
 const OFFSET: f64 = 1e-6;
 
-/// A number with one standard deviation.
+/// A number with its standard uncertainty.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Measured {
     /// The number.
     pub value: f64,
-    /// Its deviation.
+    /// Its standard uncertainty.
     pub sigma: f64,
 }
 
-/// The readback of an axis against what was commanded.
+/// The readback of an axis relative to the commands.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Readback {
-    /// Movement read back per movement commanded.
+    /// Movement of the readback per commanded movement.
     pub scale: Measured,
-    /// What it reads more than commanded, metres.
+    /// Readback minus command, metres.
     pub offset: f64,
-    /// White noise at rest, metres.
+    /// Standard deviation of the white noise at rest, metres.
     pub noise: f64,
 }
 
-/// What was found.
+/// Results of the measurement.
 #[derive(Clone, Debug)]
 pub struct Findings {
-    /// The steering matrix, rows x and y of the beam, a column for each axis.
+    /// The steering matrix: rows for x and y of the beam, one column per axis.
     pub matrix: [[Measured; 2]; 2],
-    /// Where the beam crosses the plane of the apex while the stage stands at zero, metres.
+    /// Position at which the beam crosses the plane of the apex with the stage at zero, metres.
     pub origin: [Measured; 2],
-    /// From a sample to the start of the effect of its command, seconds.
+    /// Time from a sample to the beginning of the effect of its command, seconds.
     pub delay: Measured,
     /// First-order lag, seconds.
     pub lag: Measured,
-    /// Of the delay from step to step, seconds.
+    /// Standard deviation of the delay from step to step, seconds.
     pub jitter: f64,
-    /// The part of the delay from a sample to its command: the middle one and the longest, seconds.
+    /// Time from a sample to its command, which is part of the delay: median and maximum, seconds.
     pub computed: [f64; 2],
-    /// White noise of the offset at rest, metres.
+    /// Standard deviation of the white noise of the offset at rest, metres.
     pub noise: Xy,
-    /// By axis, if the stage has one.
+    /// Readback per axis, if the stage has one.
     pub readback: Option<[Readback; 2]>,
-    /// The response to each axis.
+    /// Response to each axis.
     pub responses: [Response; 2],
-    /// Why this is not to be trusted; empty if it is.
+    /// Reasons for which the result cannot be trusted; empty if it can.
     pub doubts: Vec<String>,
-    /// What a person should know besides.
+    /// Further information for the operator.
     pub remarks: Vec<String>,
 }
 
@@ -76,14 +76,17 @@ pub struct Findings {
 pub const AXES: [&str; 2] = ["x", "y"];
 
 impl Findings {
-    /// From a recording with so much time between its samples, seconds.
+    /// Evaluates a recording. `period` is the sample period in seconds.
+    ///
+    /// # Errors
+    /// [`exit::DATA`](crate::exit::DATA) if too few steps can be used, or nothing moved.
     pub fn new(recording: &Recording, period: f64) -> Result<Self, Failure> {
         let fit = |axis: usize| {
             let windows = windows(recording, axis, period);
             response::fit(&windows).ok_or_else(|| {
                 refused(format!(
-                    "only {} of {} steps of the {} axis came in time and without a lost sample, or nothing moved: \
-                     needed are {:.0}",
+                    "only {} of {} steps of the {} axis were made in time and without a lost sample, or nothing moved; \
+                     at least {:.0} are needed",
                     windows.offsets.len(),
                     recording.plan.steps,
                     AXES[axis],
@@ -117,8 +120,8 @@ impl Findings {
         Ok(findings)
     }
 
-    /// One delay and one lag for the loop, from two axes: their mean if they agree, or else the longer
-    /// delay and the shorter lag, which make for the more careful gains.
+    /// One delay and one lag for the loop from those of both axes: the weighted means if they agree,
+    /// otherwise the longer delay and the shorter lag, which give the more cautious gains.
     fn join(&mut self, period: f64) {
         let [x, y] = &self.responses;
         let delays = [(x.delay, x.delay_sigma), (y.delay, y.delay_sigma)];
@@ -136,7 +139,7 @@ impl Findings {
         self.lag = pick(lags, lags[1].0 < lags[0].0);
         self.remarks.push(format!(
             "the axes differ: x has a delay of {:.3} ms and a lag of {:.3} ms, y {:.3} ms and {:.3} ms; \
-             the longer delay and the shorter lag are taken",
+             the longer delay and the shorter lag are used",
             x.delay * 1e3,
             x.lag * 1e3,
             y.delay * 1e3,
@@ -154,8 +157,8 @@ impl Findings {
         let sine = (a * d - b * c) / (a.hypot(c) * b.hypot(d));
         if doubts.is_empty() && sine.abs() < PARALLEL {
             doubts.push(format!(
-                "both axes move the beam in the same direction, or nearly: the sine of the angle between them is {:.3}, \
-                 needed is {PARALLEL}", sine.abs()
+                "both axes move the beam in nearly the same direction: the sine of the angle between the directions \
+                 is {:.3}, at least {PARALLEL} is needed", sine.abs()
             ));
         }
         self.doubts = doubts;
@@ -164,17 +167,19 @@ impl Findings {
     fn remark(&mut self) {
         if self.lag.value == 0.0 {
             self.remarks.push(
-                "the lag is too short to be seen at this rate; the delay ends at the first sample that shows the whole effect".into(),
+                "the lag is too short to be resolved at this sample rate; the delay ends at the first sample that shows the whole effect".into(),
             );
         }
         for (axis, readback) in self.readback.iter().flatten().enumerate() {
             let Readback { scale, offset, .. } = *readback;
-            // A stage that does not follow says nothing of the scale.
+            // The scale of a stage that does not follow has no meaning.
             if scale.value >= FOLLOWED && (scale.value - 1.0).abs() > SCALE + 3.0 * scale.sigma {
                 self.remarks.push(format!(
-                    "the readback of the {} axis moves by {:.3} of what is commanded: channels.readback_um_per_v should be \
-                     {:.4} of what it is, or steering.full_scale_um is wrong",
-                    AXES[axis], scale.value, 1.0 / scale.value
+                    "the readback of the {} axis moves by {:.3} of the commanded movement: multiply \
+                     channels.readback_um_per_v by {:.4}, unless steering.full_scale_um is wrong",
+                    AXES[axis],
+                    scale.value,
+                    1.0 / scale.value
                 ));
             }
             if offset.abs() > OFFSET {
@@ -188,7 +193,7 @@ impl Findings {
     }
 }
 
-/// What speaks against the response to an axis, of whose movement the readback shows the part `read`.
+/// Reasons to distrust the response to an axis. `read`: movement of its readback per commanded movement.
 fn doubts_of(name: &str, response: &Response, read: Option<f64>, plan: &Plan, period: f64) -> Vec<String> {
     let Response { gain, gain_sigma, delay, lag, .. } = *response;
     let (size, sigma) = (gain[0].hypot(gain[1]), gain_sigma[0].hypot(gain_sigma[1]));
@@ -208,7 +213,7 @@ fn doubts_of(name: &str, response: &Response, read: Option<f64>, plan: &Plan, pe
                 )
             }
             Some(_) => format!(
-                "the {name} axis does not move the beam: the stage follows by its readback, but {moved}"
+                "the {name} axis does not move the beam: the readback of the stage follows, but {moved}"
             ),
             None => format!("the stage does not follow on the {name} axis: {moved}"),
         }];
@@ -217,7 +222,7 @@ fn doubts_of(name: &str, response: &Response, read: Option<f64>, plan: &Plan, pe
     if let Some(read) = read.filter(|read| *read < 0.0) {
         doubts.push(format!(
             "the readback of the {name} axis moves against the commands, by {} um for a step of {} um: \
-             the beam answers later than a dwell, or the readback is wired the other way",
+             the beam responds later than a dwell time, or the polarity of the readback is wrong",
             um(read * plan.step),
             um(plan.step)
         ));
@@ -230,46 +235,49 @@ fn doubts_of(name: &str, response: &Response, read: Option<f64>, plan: &Plan, pe
     }
     if (response.used as f64) < USED * f64::from(plan.steps) {
         doubts.push(format!(
-            "of {} steps of the {name} axis only {} can be used, the rest came late ({} by the beam alone), or with samples lost: is the machine busy?",
+            "of {} steps of the {name} axis only {} can be used; the others were late ({} by the response of the beam) or had lost samples: is the machine busy?",
             plan.steps, response.used, response.outliers
         ));
     }
     if sigma > GAIN_SIGMA * size {
-        doubts.push(format!("the gain of the {name} axis, {size:.3}, is only known to {sigma:.3}: take more --steps, or a larger --step"));
+        doubts.push(format!("the gain of the {name} axis, {size:.3}, has a standard uncertainty of {sigma:.3}: use more --steps, or a larger --step"));
     }
     let dwell = plan.dwell as f64 * period;
     if delay + SETTLED * lag > dwell {
         doubts.push(format!(
-            "the {name} axis has not settled {:.0} ms after a step (delay {:.1} ms, lag {:.1} ms): take a longer --dwell",
+            "the {name} axis has not settled {:.0} ms after a step (delay {:.1} ms, lag {:.1} ms): use a longer --dwell",
             dwell * 1e3, delay * 1e3, lag * 1e3
         ));
     }
     if response.misfit > MISFIT {
         doubts.push(format!(
-            "the response of the {name} axis is no delay with a first-order lag: it is up to {:.0} % off, allowed are {:.0} %",
+            "the response of the {name} axis is not a delay with a first-order lag: it differs by up to {:.0} %, allowed: {:.0} %",
             response.misfit * 1e2, MISFIT * 1e2
         ));
     }
     if response.jitter > 0.5 * (delay + lag) {
         doubts.push(format!(
-            "the delay of the {name} axis changes by {:.3} ms from step to step, and is {:.3} ms",
+            "the delay of the {name} axis varies by {:.3} ms from step to step; the fitted delay is {:.3} ms",
             response.jitter * 1e3,
             delay * 1e3
         ));
     }
     if response.delay_sigma > (0.2 * delay).max(period / 2.0) {
         let known = if response.delay_sigma < dwell {
-            format!(", {:.3} ms, is only known to {:.3} ms", delay * 1e3, response.delay_sigma * 1e3)
+            format!(
+                ", {:.3} ms, has a standard uncertainty of {:.3} ms",
+                delay * 1e3,
+                response.delay_sigma * 1e3
+            )
         } else {
-            " cannot be told from the noise".into()
+            " cannot be distinguished from the noise".into()
         };
-        doubts.push(format!("the delay of the {name} axis{known}: take more --steps, or a larger --step"));
+        doubts.push(format!("the delay of the {name} axis{known}: use more --steps, or a larger --step"));
     }
     doubts
 }
 
-/// The windows around the steps of an axis, those without a lost sample and with a command that was not
-/// held up.
+/// Windows around the steps of an axis. Steps with a lost sample or a late command are left out.
 fn windows(recording: &Recording, axis: usize, period: f64) -> Windows {
     let dwell = recording.plan.dwell;
     let usual = median(recording.steps.iter().map(|step| step.computed)) + period / 2.0;
@@ -293,13 +301,13 @@ fn windows(recording: &Recording, axis: usize, period: f64) -> Windows {
     windows
 }
 
-/// What is seen after a step, once the stage has come to rest.
+/// Observations after a step, once the stage has settled.
 fn settled<'a>(recording: &'a Recording, step: &Step) -> &'a [Observation] {
     let dwell = recording.plan.dwell;
     recording.looks.get(step.on + 1 + dwell / 2..=step.on + dwell).unwrap_or_default()
 }
 
-/// The beam less what the stage contributes, by its readback or else by the command.
+/// Position of the beam minus the contribution of the stage, by its readback or else by the command.
 fn origin(recording: &Recording, matrix: &[[Measured; 2]; 2]) -> [Measured; 2] {
     let (mut at_zero, mut stands) = (Vec::new(), [0.0_f64; 2]);
     for step in &recording.steps {
@@ -319,7 +327,7 @@ fn origin(recording: &Recording, matrix: &[[Measured; 2]; 2]) -> [Measured; 2] {
     })
 }
 
-/// The readback against the commands.
+/// The readback relative to the commands.
 fn readback(recording: &Recording) -> Option<[Readback; 2]> {
     let rest: Vec<Xy> =
         recording.looks.get(..recording.rest)?.iter().filter_map(|look| look.readback).collect();
@@ -352,7 +360,7 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or_default()
 }
 
-/// The mean of two numbers by their deviations.
+/// The mean of two numbers, weighted by their standard uncertainties.
 fn mean([(a, a_sigma), (b, b_sigma)]: [(f64, f64); 2]) -> Measured {
     let weight = |sigma: f64| 1.0 / (sigma * sigma).max(1e-30);
     let (p, q) = (weight(a_sigma), weight(b_sigma));

@@ -1,13 +1,13 @@
-//! Measures the loop on the live system: what a step of each axis does to the beam, and when.
+//! Identifies the loop on the live system: the response of the beam to steps of each axis.
 //!
-//! - [`response`]: from recorded steps to gain, delay and lag.
-//! - [`observation`]: what a sample says of beam and stage.
-//! - [`plan`]: which steps are safe, and which are refused.
-//! - `probe`: whether the beam answers within a dwell.
-//! - [`task`]: takes samples, makes the steps, and brings the stage back. Stands where centering does.
-//! - [`findings`]: what follows for the configuration, and whether it can be trusted.
+//! - [`response`]: gain, delay and lag from recorded steps.
+//! - [`observation`]: positions of beam and stage in a sample.
+//! - [`plan`]: chooses safe steps, and refuses unsafe ones.
+//! - `probe`: checks whether the beam responds within a dwell time.
+//! - [`task`]: receives samples, makes the steps, and returns the stage. It takes the place of centering.
+//! - [`findings`]: the resulting keys of the configuration, and whether they can be trusted.
 //!
-//! All but the task is pure.
+//! Everything but the task is pure.
 
 pub mod findings;
 pub mod observation;

@@ -1,4 +1,4 @@
-//! What a sample says of beam and stage.
+//! Positions of beam and stage in a sample.
 
 use trifacet_core::signals::{PsdState, Sample};
 use trifacet_core::steering::Xy;
@@ -7,22 +7,23 @@ use trifacet_optics::{Estimator, FACETS, HeadError, Model, Optics, Signals, Solu
 
 use crate::config::Config;
 
-/// What a sample says.
+/// Positions in a sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
-    /// As in the sample.
+    /// Index of the sample.
     pub index: u64,
-    /// As in the sample.
+    /// Time of the sample.
     pub time: Mono,
-    /// Beam minus apex, across the beam, metres.
+    /// Position of the beam relative to the apex, perpendicular to the beam, metres.
     pub offset: Xy,
-    /// The beam in the world, across itself, metres: the mirror's movement is not in it.
+    /// Position of the beam in the world, perpendicular to itself, metres. The mirror's movement has no
+    /// effect on it.
     pub beam: Xy,
-    /// Where the stage says that it stands, metres.
+    /// Position of the stage by its readback, metres.
     pub readback: Option<Xy>,
 }
 
-/// Looks at samples with the Gaussian model, whatever the configuration has: the ray knows no offset.
+/// Evaluates samples with the Gaussian model, whatever is configured: the ray model has no beam offset.
 #[derive(Clone, Debug)]
 pub struct Observer {
     estimator: Estimator,
@@ -30,18 +31,25 @@ pub struct Observer {
 }
 
 impl Observer {
-    /// For the head of a checked configuration.
+    /// An observer for the head of a checked configuration.
+    ///
+    /// # Errors
+    /// The head cannot be built.
     pub fn new(config: &Config) -> Result<Self, HeadError> {
         let optics = Optics::new(&config.head.build()?);
         Ok(Self { estimator: Estimator::new(optics, Model::Gaussian), warm: None })
     }
 
-    /// One standard deviation of the beam, metres.
+    /// Standard deviation of the beam profile per axis, metres.
     pub fn beam_sigma(&self) -> f64 {
         self.estimator.optics().sigma()
     }
 
-    /// Looks at a sample; the error says what is wrong with its light, or that the stage is at a limit.
+    /// Evaluates a sample.
+    ///
+    /// # Errors
+    /// The reason for which the sample cannot be used: too little light, clipping, no solution, or a stage at
+    /// its own limit.
     pub fn look(&mut self, sample: &Sample) -> Result<Observation, String> {
         if sample.psds.iter().all(|state| *state == PsdState::Low) {
             return Err("no PSD sees light".into());
@@ -54,13 +62,13 @@ impl Observer {
             }
         }
         if sample.output_railed {
-            return Err("the stage stands at a limit of its own".into());
+            return Err("the stage is at its own limit".into());
         }
         let signals = Signals { spots: sample.spots, powers: sample.powers };
         let solution = self
             .estimator
             .solve(&signals, self.warm.as_ref())
-            .map_err(|error| format!("the light gives no pose: {error}"))?;
+            .map_err(|error| format!("no pose can be computed: {error}"))?;
         let offset = solution.offset;
         let beam = self.estimator.optics().across(solution.pose.t) + offset;
         self.warm = Some(solution);
@@ -84,21 +92,21 @@ pub fn mean(points: impl IntoIterator<Item = Xy>) -> Option<Xy> {
     (count > 0.0).then(|| sum.map(|s| s / count))
 }
 
-/// No sample is lost between these.
+/// Whether no sample is missing between these.
 pub fn whole(looks: &[Observation]) -> bool {
     looks.first().zip(looks.last()).is_some_and(|(a, b)| b.index - a.index + 1 == looks.len() as u64)
 }
 
-/// White noise of a course of points, one standard deviation per axis, by its second differences: slow
-/// movement is not in it. `None` below three points.
+/// Standard deviation of the white noise per axis, from second differences (their variance is 6 times that of
+/// the noise). Slow movement has little effect on it. `None` below three points.
 pub fn noise(points: &[Xy]) -> Option<Xy> {
     let bend = |w: &[Xy], k: usize| (w[0][k] - 2.0 * w[1][k] + w[2][k]).powi(2) / 6.0;
     let count = points.len().checked_sub(2).filter(|n| *n > 0)? as f64;
     Some([0, 1].map(|k| (points.windows(3).map(|w| bend(w, k)).sum::<f64>() / count).sqrt()))
 }
 
-/// How far points are from a straight course over so many samples, rms of the worse axis, metres: noise
-/// and whatever shakes.
+/// Rms residual from straight lines, each fitted to `samples` points, of the worse axis, metres. Contains
+/// noise and vibration.
 pub fn unrest(points: &[Xy], samples: usize) -> f64 {
     let mut worst: f64 = 0.0;
     for axis in 0..2 {

@@ -1,4 +1,5 @@
-//! Which steps are safe: within the limits of the stage, small beside the beam, large beside the noise.
+//! Chooses steps that are safe: within the limits of the stage, small relative to the beam, large relative to
+//! the noise.
 
 use trifacet_core::centering::OnExit;
 use trifacet_core::steering::Xy;
@@ -8,84 +9,84 @@ use super::observation::{self, Observation};
 use crate::config::Config;
 use crate::exit::{self, Failure};
 
-/// A step by default at most, and a fraction of the beam's deviation: well within where its offset is
-/// measured well.
+/// Largest default step, metres, and as a fraction of the standard deviation of the beam profile. Both are
+/// well within the range in which the offset is measured accurately.
 const STEP: f64 = 20e-6;
 const STEP_OF_BEAM: f64 = 0.2;
-/// The beam with its steps must stay within so many of its deviations of the apex at the start ...
+/// Largest distance of beam plus step from the apex at the start, in standard deviations of the beam profile.
 const NEAR: f64 = 1.0;
-/// ... and within so many all the time.
+/// The same limit during the measurement.
 const FAR: f64 = 1.5;
-/// A step must be so many times what the offset does by itself.
+/// A step must be at least this many times the rms variation of the offset at rest.
 const ABOVE_UNREST: f64 = 4.0;
-/// Windows without a lost sample that must be left of all.
+/// Least fraction of windows without a lost sample.
 pub(super) const USED: f64 = 0.8;
-/// A single step is watched for so many dwells, and so many seconds at least.
+/// Duration of observing a single step: this many dwell times, and at least this many seconds.
 const WATCHED: usize = 10;
 const WATCHED_S: f64 = 1.0;
 
-/// What a person may choose.
+/// Options of the operator.
 #[derive(Clone, Copy, Debug)]
 pub struct Choices {
-    /// Length of a step, metres; by default one that fits beam and stage.
+    /// Length of a step, metres; by default one that suits beam and stage.
     pub step: Option<f64>,
-    /// Steps of each axis.
+    /// Steps per axis.
     pub steps: u32,
-    /// How long the stage stays after each, seconds; by default what fits the configured delay.
+    /// Dwell time after each step, seconds; by default derived from the configured delay and lag.
     pub dwell: Option<f64>,
-    /// Where a stage without readback stands, metres.
+    /// Position of a stage without readback, metres.
     pub at: Option<Xy>,
 }
 
-/// What the configuration says, and a person.
+/// Settings from the configuration and the options.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
     choices: Choices,
-    /// Samples that the stage stays after each step.
+    /// Dwell time after each step, in samples.
     pub dwell: usize,
-    /// Samples at rest before anything moves.
+    /// Number of samples at rest before the first movement.
     pub rest: usize,
-    /// Seconds between samples.
+    /// Sample period, seconds.
     pub period: f64,
     beam_sigma: f64,
     limit: f64,
     slew: f64,
     park: Option<Xy>,
-    /// The lease of every command, milliseconds.
+    /// Lease of every command, milliseconds.
     pub lease_ms: u16,
-    /// What happens when it ends.
+    /// Action when the lease expires.
     pub on_expiry: LeaseAction,
 }
 
-/// What will be done.
+/// The planned measurement.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
-    /// Where the stage stands, metres.
+    /// Initial position of the stage, metres.
     pub found: Xy,
-    /// Where it stands at the end.
+    /// Final position of the stage, metres.
     pub end: Xy,
-    /// Length of a step, metres: each axis goes half of it to either side.
+    /// Length of a step, metres. Each axis moves half of it to either side.
     pub step: f64,
-    /// Steps of each axis.
+    /// Steps per axis.
     pub steps: u32,
-    /// Samples after each step.
+    /// Dwell time after each step, in samples.
     pub dwell: usize,
-    /// Samples for which the first step of each axis is watched.
+    /// Number of samples for which the first step of each axis is observed.
     pub watch: usize,
-    /// How long all of it takes, seconds.
+    /// Duration of the whole measurement, seconds.
     pub duration: f64,
-    /// Plus and minus, metres.
+    /// Limit of the stage, plus and minus, metres.
     pub limit: f64,
-    /// The beam may not be farther from the apex than this, metres.
+    /// Largest permitted distance of the beam from the apex, metres.
     pub reach: f64,
-    /// The mean offset of the beam at rest, metres.
+    /// Mean offset of the beam at rest, metres.
     pub offset: Xy,
-    /// White noise of the offset at rest, metres.
+    /// Standard deviation of the white noise of the offset at rest, metres.
     pub noise: Xy,
 }
 
 impl Settings {
-    /// From a checked configuration, for a beam of this deviation.
+    /// Settings from a checked configuration. `beam_sigma`: standard deviation of the beam profile, metres.
     pub fn new(config: &Config, beam_sigma: f64, choices: Choices) -> Self {
         let (steering, centering) = (&config.steering, &config.centering);
         let rate = config.acquisition.rate_hz;
@@ -109,8 +110,10 @@ impl Settings {
         }
     }
 
-    /// The steps that are safe after this rest, in which the stage said last that it stands `at`; or why
-    /// there are none.
+    /// Plans safe steps after the observations `rest`. `at` is the last position that the stage reported.
+    ///
+    /// # Errors
+    /// [`exit::DATA`] with the reason if no safe step exists: limits, position, noise or lost samples.
     pub fn plan(&self, rest: &[Observation], at: Option<Xy>) -> Result<Plan, Failure> {
         let offsets: Vec<Xy> = rest.iter().map(|look| look.offset).collect();
         let (Some(offset), Some(noise)) =
@@ -139,7 +142,7 @@ impl Settings {
         if far + step > NEAR * self.beam_sigma {
             return Err(refused(format!(
                 "the beam is {} um off the apex ({}, {}); with a step of {} um at most {} um can be measured well: \
-                 bring it nearer first",
+                 move it closer to the apex first",
                 um(far),
                 um(offset[0]),
                 um(offset[1]),
@@ -151,7 +154,7 @@ impl Settings {
         if step < ABOVE_UNREST * unrest {
             return Err(refused(format!(
                 "the offset is not quiet enough: {} um rms about a straight course over {:.0} ms, and a step of {} um allows {} um; \
-                 take a larger --step, or quieten light and mirror",
+                 use a larger --step, or reduce the noise of the light and the vibration of the mirror",
                 um(unrest),
                 self.window() as f64 * self.period * 1e3,
                 um(step),
@@ -175,17 +178,17 @@ impl Settings {
         })
     }
 
-    /// Commands stay within plus and minus this, metres.
+    /// Limit of commands, plus and minus, metres.
     pub fn limit(&self) -> f64 {
         self.limit
     }
 
-    /// Samples of a window around a step.
+    /// Number of samples of a window around a step.
     pub fn window(&self) -> usize {
         self.dwell + self.dwell / 2
     }
 
-    /// Enough windows must be without a lost sample, or too few steps could be used.
+    /// Checks that enough windows contain no lost sample.
     fn losses(&self, rest: &[Observation]) -> Result<(), Failure> {
         let came = rest.len() as u64;
         let lost =
@@ -199,25 +202,25 @@ impl Settings {
             return Ok(());
         }
         Err(refused(format!(
-            "{lost} samples were lost while {came} came: of 100 stretches of {:.0} ms, which a step needs, {} are \
-             without a loss, needed are {:.0}",
+            "{lost} samples were lost while {came} arrived: a step needs windows of {:.0} ms without a loss; {} of 100 \
+             windows are without one, at least {:.0} are needed",
             self.window() as f64 * self.period * 1e3,
             100 * whole / all.max(1),
             USED * 100.0
         )))
     }
 
-    /// Where the stage stands: by its readback, by what it said, or by what a person says.
+    /// Position of the stage: by its readback, as it reported it, or by the option `--at`.
     fn found(&self, rest: &[Observation], said: Option<Xy>) -> Result<Xy, Failure> {
         let read = observation::mean(rest.iter().filter_map(|look| look.readback)).or(said);
         match (read, self.choices.at) {
             (Some(_), Some(_)) => {
-                Err(refused("--at is for a stage without readback; this one says where it stands"))
+                Err(refused("--at is for a stage without readback; this one reports its position"))
             }
             (Some(at), None) | (None, Some(at)) => Ok(at),
             (None, None) => Err(refused(
-                "the stage does not say where it stands, and the first command could make it jump: \
-                 say where it was sent last with --at X_UM,Y_UM; it is sent there first",
+                "the stage does not report its position, and the first command could make it jump: \
+                 state its last commanded position with --at X_UM,Y_UM; the stage is sent there first",
             )),
         }
     }
@@ -226,7 +229,7 @@ impl Settings {
         let most = self.slew * self.period;
         match self.choices.step {
             Some(step) if step > most * (1.0 + 1e-9) => Err(refused(format!(
-                "a step of {} um from one sample to the next is faster than steering.slew_mm_per_s, {}; allowed are {} um",
+                "a step of {} um from one sample to the next is faster than steering.slew_mm_per_s, {}; allowed: {} um",
                 um(step),
                 self.slew * 1e3,
                 um(most)
@@ -237,12 +240,12 @@ impl Settings {
     }
 }
 
-/// Nothing has been moved, or nothing more is: with the reason.
+/// A failure with the reason for which the measurement does not begin, or ends.
 pub(super) fn refused(why: impl Into<String>) -> Failure {
     Failure::new(exit::DATA, why)
 }
 
-/// Micrometres, to 0.01, without a negative zero.
+/// Micrometres, rounded to 0.01, without a negative zero.
 pub fn um(metres: f64) -> f64 {
     (metres * 1e8).round() / 100.0 + 0.0
 }

@@ -1,4 +1,4 @@
-//! The task: stands where centering does, takes samples, makes the steps, and brings the stage back.
+//! The task: takes the place of centering, receives samples, makes the steps, and returns the stage.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -18,69 +18,74 @@ use crate::acquisition::task::SampleEvent;
 use crate::exit::{self, Failure};
 use crate::steering::{Driver, StageEvent};
 
-/// The longest wait for the first sample.
+/// Longest wait for the first sample.
 const FIRST_SAMPLE_TIMEOUT: Duration = Duration::from_secs(5);
-/// The longest wait for the next one, besides five periods.
+/// Longest wait for each further sample, plus five periods.
 const SILENCE: Duration = Duration::from_millis(500);
-/// The longest wait for the stage, in times of the rest.
+/// Longest wait for the stage, in multiples of the time at rest.
 const STAGE: usize = 5;
-/// How long the last command may wait for its acknowledgement.
+/// Longest wait for the acknowledgement of the last command.
 const LAST_ACK: Duration = Duration::from_secs(1);
-/// A sample on which a step is made is at most this part of a period older than most are.
+/// A step is made on a sample that is older than the median age by at most this fraction of a period.
 const FRESH: f64 = 0.25;
-/// So many times the samples of a dwell without one that is the newest: the machine is too slow.
+/// Multiple of a dwell time without a fresh sample after which the machine counts as too slow.
 const BEHIND: usize = 20;
 
-/// The edges of the task.
+/// Connections of the task.
 #[derive(Debug)]
 pub struct IdentificationLinks {
     /// Samples in order, from acquisition.
     pub samples: mpsc::Receiver<SampleEvent>,
-    /// Ends it; the stage is brought back all the same.
+    /// Ends the measurement. The stage is returned all the same.
     pub stop: CancellationToken,
 }
 
-/// Who is told what goes on.
+/// Receives the progress of the measurement.
 pub trait Audience {
-    /// What will be done, before anything moves; `false` if nothing shall.
+    /// The plan, before anything moves. Returns `false` to end without moving.
     fn plan(&mut self, plan: &Plan, source: &Identity) -> bool;
 
-    /// How many of all steps are made. Called where a pause does not matter.
+    /// Steps made so far. Called where a delay has no effect.
     fn progress(&mut self, made: u32, of: u32);
 
-    /// The stage is brought back: it has acknowledged that, or why that is not sure.
+    /// The stage was returned to this position. `complaint` is the reason if it has not acknowledged this.
     fn back(&mut self, position: Xy, complaint: Option<&str>);
 }
 
 /// A step of one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
-    /// 0 or 1.
+    /// Axis: 0 or 1.
     pub axis: usize,
-    /// Forth or back.
+    /// Positive direction.
     pub forth: bool,
-    /// Where to, metres.
+    /// Target position, metres.
     pub to: Xy,
-    /// Index of the look on which it was made.
+    /// Index of the observation on which the step was commanded.
     pub on: usize,
-    /// From the sample to its command, seconds.
+    /// Time from the sample to its command, seconds.
     pub computed: f64,
 }
 
-/// All that was seen and done.
+/// All observations and steps.
 #[derive(Clone, Debug)]
 pub struct Recording {
-    /// What was to be done.
+    /// The plan.
     pub plan: Plan,
-    /// Each sample in order.
+    /// One observation per sample, in order.
     pub looks: Vec<Observation>,
-    /// So many of them were taken before anything moved.
+    /// Number of observations before the first movement.
     pub rest: usize,
-    /// The steps in order.
+    /// The steps, in order.
     pub steps: Vec<Step>,
 }
 
-/// Measures. `None` if the audience does not want it.
+/// Measures. Returns `None` if `audience` declines the plan.
+///
+/// # Errors
+/// The measurement is unsafe or not possible ([`exit::DATA`]), source or stage fail ([`exit::UNAVAILABLE`]),
+/// `stop` is cancelled ([`exit::INTERRUPTED`]), or acquisition ends ([`exit::SOFTWARE`]). If anything was
+/// moved, the stage is returned first.
 pub async fn run<D: Driver, C: Clock>(
     settings: Settings,
     looker: Observer,
@@ -99,7 +104,7 @@ pub async fn run<D: Driver, C: Clock>(
         stop,
         source: None,
         ready: false,
-        unready: "it says nothing".into(),
+        unready: "no message from the stage".into(),
         said: None,
         commanded: None,
         commands: 0,
@@ -120,7 +125,7 @@ pub async fn run<D: Driver, C: Clock>(
     Ok(Some(Recording { plan, rest: tuner.rested, steps: steps?, looks: tuner.looks }))
 }
 
-/// The stage, and what is seen of it.
+/// State of the measurement.
 struct Tuner<D, C> {
     settings: Settings,
     looker: Observer,
@@ -129,25 +134,25 @@ struct Tuner<D, C> {
     samples: mpsc::Receiver<SampleEvent>,
     stop: CancellationToken,
     source: Option<Arc<Identity>>,
-    /// The stage takes commands.
+    /// The stage accepts commands.
     ready: bool,
-    /// Why not, as far as it is known.
+    /// Why the stage does not accept commands, if known.
     unready: String,
-    /// Where the stage said that it stands.
+    /// Last position that the stage reported.
     said: Option<Xy>,
     commanded: Option<Xy>,
     commands: u32,
     looks: Vec<Observation>,
-    /// So many of them were taken before anything moved.
+    /// Number of observations before the first movement.
     rested: usize,
-    /// How old the samples were when they were looked at, while nothing moved; seconds.
+    /// Ages of the samples at their evaluation, before the first movement; seconds.
     ages: Vec<f64>,
-    /// A step is made on a sample that is no older.
+    /// Largest age of a sample on which a step is made, seconds.
     fresh: f64,
 }
 
 impl<D: Driver, C: Clock> Tuner<D, C> {
-    /// Looks on while nothing moves, and makes the plan.
+    /// Observes at rest, and makes the plan.
     async fn rest(&mut self) -> Result<Plan, Failure> {
         while self.looks.len() < self.settings.rest || !self.ready {
             let look = self.next().await?;
@@ -162,7 +167,7 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         self.settings.plan(rest, self.said)
     }
 
-    /// All steps of both axes. Whatever goes wrong ends it at once.
+    /// Makes all steps of both axes. Any failure ends the measurement at once.
     async fn steps(&mut self, plan: &Plan, audience: &mut dyn Audience) -> Result<Vec<Step>, Failure> {
         self.take_over(plan).await?;
         for axis in 0..2 {
@@ -191,7 +196,7 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         Ok(steps)
     }
 
-    /// The first command: stay. If the stage goes somewhere else, its readback is not to be trusted.
+    /// Sends the first command: the present position. If the beam moves, the position is wrong.
     async fn take_over(&mut self, plan: &Plan) -> Result<(), Failure> {
         let beam = |looks: &[Observation]| {
             observation::mean(looks.iter().rev().take(plan.dwell / 2).map(|l| l.beam))
@@ -203,8 +208,8 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         let moved = (after[0] - before[0]).hypot(after[1] - before[1]);
         if moved > plan.step {
             return Err(refused(format!(
-                "the beam moved by {} um when the stage was sent to where it is said to stand, {} {} um: \
-                 channels.readback_um_per_v (or --at) is wrong, or something else moves it",
+                "the beam moved by {} um when the stage was commanded to its stated position, {} {} um: \
+                 channels.readback_um_per_v (or --at) is wrong, or something else moves the beam",
                 um(moved),
                 um(plan.found[0]),
                 um(plan.found[1])
@@ -213,7 +218,7 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         Ok(())
     }
 
-    /// One step of an axis, seen for long: it must be over within a dwell.
+    /// Makes one step of an axis and observes it: the movement must end within a dwell time.
     async fn probe(&mut self, axis: usize, plan: &Plan) -> Result<(), Failure> {
         let before = self.looks.len() - plan.dwell;
         let mut to = plan.found;
@@ -234,8 +239,8 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         self.dwell(2 * plan.dwell, plan).await
     }
 
-    /// Sends the stage somewhere on the next sample that comes as fresh as most do; gives the time from the
-    /// sample to the command.
+    /// Commands a position on the next sample that is no older than [`Tuner::fresh`]. Returns the time from
+    /// the sample to the command, seconds.
     async fn go(&mut self, to: Xy, plan: &Plan) -> Result<f64, Failure> {
         for _ in 0..BEHIND * plan.dwell {
             let look = self.watch(plan).await?;
@@ -245,10 +250,10 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
                 return Ok(self.clock.now().seconds_since(look.time));
             }
         }
-        Err(refused("this machine is too busy: hardly a sample is looked at as soon as it comes"))
+        Err(refused("this machine is too busy: hardly any sample is evaluated in time"))
     }
 
-    /// Stays for so many samples. Each renews the lease, as the loop does.
+    /// Observes this number of samples. Each command renews the lease, as in the loop.
     async fn dwell(&mut self, samples: usize, plan: &Plan) -> Result<(), Failure> {
         for _ in 0..samples {
             self.watch(plan).await?;
@@ -261,13 +266,13 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         Ok(())
     }
 
-    /// The next look, with the beam where it may be.
+    /// The next observation. Fails if the beam is too far from the apex.
     async fn watch(&mut self, plan: &Plan) -> Result<Observation, Failure> {
         let look = self.next().await?;
         let far = look.offset[0].hypot(look.offset[1]);
         if far > plan.reach {
             return Err(refused(format!(
-                "the beam is {} um off the apex, allowed are {} um while steps are made",
+                "the beam is {} um off the apex, allowed: {} um during the steps",
                 um(far),
                 um(plan.reach)
             )));
@@ -284,9 +289,9 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         self.driver.steer(Command { id: self.commands, position, lease_ms, on_expiry });
     }
 
-    /// The next look at a sample, and what the stage says meanwhile.
+    /// The next observation. Handles events of the stage meanwhile.
     async fn next(&mut self) -> Result<Observation, Failure> {
-        let mut why = "nothing came from the source".to_owned();
+        let mut why = "no data from the source".to_owned();
         let first = self.looks.is_empty();
         let patience = if first {
             FIRST_SAMPLE_TIMEOUT
@@ -316,11 +321,11 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         }
     }
 
-    /// What the stage says.
+    /// Handles an event of the stage.
     fn hear(&mut self, event: StageEvent) -> Result<(), Failure> {
         match event {
             StageEvent::Up if self.commanded.is_some() => {
-                Err(unavailable("the stage came up anew: it may stand anywhere"))
+                Err(unavailable("the stage restarted: its position is unknown"))
             }
             StageEvent::Up => {
                 self.ready = true;
@@ -332,7 +337,7 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
             }
             StageEvent::Ack(Ack { accepted: false, .. }) => Err(refused("the stage refused a command")),
             StageEvent::Ack(_) => Ok(()),
-            // Before the first command it may still be on its way.
+            // Before the first command the stage may still be starting.
             StageEvent::Down(reason) if self.commanded.is_none() => {
                 (self.ready, self.unready) = (false, reason);
                 Ok(())
@@ -343,7 +348,7 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         }
     }
 
-    /// Sends the last command and waits until the stage has taken it; what is wrong if it has not.
+    /// Sends the last command and waits for its acknowledgement. Returns the reason if there is none.
     async fn finish(&mut self, end: Xy) -> Option<String> {
         self.commanded?;
         self.send(end);
@@ -356,7 +361,7 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
                 }
             }
         };
-        // Acquisition carries commands and answers; samples must not fill its queue meanwhile.
+        // Acquisition transmits commands and answers. Draining its queue of samples keeps it from blocking.
         let samples = &mut self.samples;
         let drain = async { while samples.recv().await.is_some() {} };
         let accepted = tokio::select! {
@@ -365,8 +370,8 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         };
         let complaint = match accepted {
             Ok(true) => return None,
-            Ok(false) => "it refused that",
-            Err(_) => "it did not acknowledge that within a second; look where it stands",
+            Ok(false) => "it refused the command",
+            Err(_) => "it did not acknowledge this within a second; check its position",
         };
         Some(complaint.into())
     }

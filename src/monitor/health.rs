@@ -1,25 +1,25 @@
-//! Whether the daemon lives, and whether its poses can be used. Pure.
+//! Liveness of the daemon, and readiness of its poses. Pure.
 
 use jiff::Timestamp;
 use serde::Serialize;
 use trifacet_wire::{LockState, PoseFrame, Status};
 
-/// What must hold before poses can be used.
+/// A condition for the use of poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Subject {
     /// Samples come from a source, not from a recording.
     Samples,
-    /// The light gives a pose.
+    /// The frame has a valid pose.
     Optics,
     /// The loop holds the beam on the apex.
     Lock,
 }
 
 impl Subject {
-    /// In the order of the flow.
+    /// All subjects, in the order of the signal flow.
     pub const ALL: [Subject; 3] = [Subject::Samples, Subject::Optics, Subject::Lock];
 
-    /// As a word.
+    /// Name of the subject.
     pub fn name(self) -> &'static str {
         match self {
             Subject::Samples => "samples",
@@ -36,13 +36,13 @@ impl Subject {
         }
     }
 
-    /// Why it does not hold on this frame: status bits, or the lock state.
+    /// Why the condition fails for this frame: names of status bits, or the lock state.
     fn reason(self, frame: &PoseFrame) -> String {
         match self {
             Subject::Samples => names(frame.status, NO_SAMPLES),
             Subject::Optics => {
                 let fatal = names(frame.status, Status::FATAL);
-                // Nothing else makes a frame invalid: a gap within an averaged block.
+                // The only other cause of an invalid frame is a gap within an averaged block.
                 if fatal.is_empty() { "SAMPLE_GAP".into() } else { fatal }
             }
             Subject::Lock => frame.lock.name().into(),
@@ -50,33 +50,33 @@ impl Subject {
     }
 }
 
-/// Bits of frames without samples of now.
+/// Status bits of frames without live samples.
 const NO_SAMPLES: Status = Status(Status::SOURCE_DOWN.0 | Status::REPLAYED.0);
 
 fn names(status: Status, of: Status) -> String {
     Status(status.0 & of.0).names().collect::<Vec<_>>().join(", ")
 }
 
-/// A part of the daemon that stands still.
+/// A part of the daemon that stalls.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Standstill {
-    /// Which, in words.
+    /// Description.
     pub why: String,
-    /// When it was noticed, or, without frames, time of the last one; nanoseconds of UTC since 1970. None
-    /// before the first frame.
+    /// Time at which the stall was noticed, or, if there are no frames, time of the last frame; nanoseconds
+    /// of UTC since 1970. `None` before the first frame.
     pub since_ns: Option<i64>,
-    /// No frames come. Else others go on, and what the frames say is true.
+    /// There are no frames. Otherwise other tasks continue, and the contents of the frames are valid.
     pub silent: bool,
 }
 
-/// Since when each subject holds, or does not.
+/// Result of each check, and the time of its last change.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Checks([Option<Check>; 3]);
 
 #[derive(Clone, Copy, Debug)]
 struct Check {
     ok: bool,
-    /// Time of the first such frame, UTC.
+    /// Time of the first frame with this result, UTC.
     since_ns: i64,
 }
 
@@ -91,8 +91,8 @@ impl Checks {
         }
     }
 
-    /// What this means while `newest` is the newest frame; nothing is ready while a part of the
-    /// daemon is `dead`.
+    /// The readiness with `newest` as the newest frame. Nothing is ready while a part of the daemon stalls
+    /// (`dead`).
     pub fn readiness(&self, newest: Option<&PoseFrame>, dead: Option<&Standstill>) -> Readiness {
         let checks = Subject::ALL.iter().zip(self.0).map(|(subject, check)| {
             let (Some(frame), Some(check)) = (newest, check) else {
@@ -113,25 +113,25 @@ impl Checks {
     }
 }
 
-/// Whether poses can be used, and if not, why.
+/// Whether poses can be used, and the reasons if not.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Readiness {
-    /// All checks are fine.
+    /// All checks pass.
     pub ready: bool,
-    /// In the order of [`Subject::ALL`].
+    /// The checks in the order of [`Subject::ALL`].
     pub checks: Vec<Finding>,
 }
 
-/// One check.
+/// Result of a check.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Finding {
-    /// Of the subject.
+    /// Name of the subject.
     pub name: &'static str,
-    /// It holds.
+    /// The check passes.
     pub ok: bool,
-    /// UTC of the first frame since which it is as it is; none before the first frame.
+    /// UTC of the first frame with this result; `None` before the first frame.
     pub since: Option<String>,
-    /// Why it does not hold.
+    /// Why the check fails.
     pub reason: Option<String>,
 }
 

@@ -1,26 +1,26 @@
-//! Which requests are meant for this server.
+//! Refuses requests that are meant for other hosts.
 //!
-//! A page of some other site, open in a browser on this machine, can send requests here, and, if its
-//! name is made to lead to this address (DNS rebinding), read the answers. The name that it used is in
-//! `Host`, the site that it belongs to in `Origin`: both must be this machine.
+//! A page of another site, open in a browser on this machine, can send requests here. If its name resolves to
+//! this address (DNS rebinding), it can also read the answers. The browser sends the name that the page used
+//! in `Host`, and the site of the page in `Origin`: both must name this machine.
 
 use std::net::IpAddr;
 
 use axum::http::uri::Authority;
 use axum::http::{HeaderMap, HeaderName, StatusCode, Uri, header};
 
-/// The names of this machine.
+/// The configured names of this machine.
 #[derive(Clone, Debug)]
 pub struct Hosts(Vec<String>);
 
 impl Hosts {
-    /// These, `localhost`, and the address that a request came to.
+    /// Accepts these names, `localhost`, and the address to which a request was sent.
     pub fn new(allowed: &[String]) -> Self {
         Self(allowed.to_vec())
     }
 
-    /// Why a request that came to this address is refused, if it is. Said twice, a name would be one here and
-    /// another there.
+    /// The status and reason if a request to this address is refused. Repeated headers are refused, since
+    /// different programs could use different ones.
     pub fn refusal(&self, to: &Uri, headers: &HeaderMap, own: IpAddr) -> Option<(StatusCode, String)> {
         let twice = |name: &HeaderName| headers.get_all(name).iter().nth(1).is_some();
         for (name, word) in [(header::HOST, "Host"), (header::ORIGIN, "Origin")] {
@@ -37,9 +37,9 @@ impl Hosts {
         if !self.are(host.host(), own) {
             return Some(self.words("Host", host.host()));
         }
-        // "GET http://host/": the name in it counts more than the one in Host.
+        // In "GET http://host/" the host in the request line takes precedence over `Host`.
         if let Some(host) = to.host().filter(|host| !self.are(host, own)) {
-            return Some(self.words("the request line's", host));
+            return Some(self.words("request line host", host));
         }
         if !headers.contains_key(header::ORIGIN) {
             return None;
@@ -66,7 +66,7 @@ impl Hosts {
         let mut allowed = vec!["localhost", "the address that the request is sent to"];
         allowed.extend(self.0.iter().map(String::as_str));
         format!(
-            "{header} {found:?} is not this machine: allowed are {} (monitor.allowed_hosts)\n",
+            "{header} {found:?} is not a name of this machine; allowed: {} (monitor.allowed_hosts)\n",
             allowed.join(", ")
         )
     }

@@ -1,7 +1,7 @@
 //! The HTTP server, on the main thread.
 //!
-//! Connections are bounded in number, and in how long they may take to say what they want or to read the
-//! answer. Each has a task of its own, so that a slow one delays no other.
+//! The number of connections is limited, and so is the time to send a request and to read the answer. Each
+//! connection has its own task, so that a slow one does not delay others.
 
 use std::convert::Infallible;
 use std::net::SocketAddr;
@@ -29,19 +29,22 @@ use super::page;
 use super::view::View;
 use crate::exit::Failure;
 
-/// Most connections at a time; further ones are cut off.
+/// Most connections at a time; further ones are closed.
 const CONNECTIONS: usize = 128;
-/// A connection that has not said what it wants for this long is closed.
+/// A connection is closed after this time without a complete request header.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(30);
-/// One that takes nothing of its answer for this long is cut off.
+/// A connection that accepts none of its answer for this time is closed, milliseconds.
 const STALL_MS: u32 = 10_000;
-/// At the end: how long answers that are under way may take.
+/// Time limit at shutdown for answers in progress.
 const DRAIN: Duration = Duration::from_millis(500);
 
-/// What is told is true now, and not to be kept.
+/// Answers describe the present and must not be cached.
 const FRESH: [(HeaderName, &str); 1] = [(header::CACHE_CONTROL, "no-store")];
 
-/// Opens the port and logs where the page is. Fails with [`crate::exit::IN_USE`] if someone else has it.
+/// Opens the port and logs the address of the page.
+///
+/// # Errors
+/// The port cannot be opened; with [`crate::exit::IN_USE`] if another process uses it.
 pub async fn bind(address: SocketAddr) -> Result<TcpListener, Failure> {
     let listener = TcpListener::bind(address)
         .await
@@ -51,7 +54,7 @@ pub async fn bind(address: SocketAddr) -> Result<TcpListener, Failure> {
     Ok(listener)
 }
 
-/// Serves until no more frames can come.
+/// Serves until the channel of frames closes.
 pub async fn serve(listener: TcpListener, mut frames: mpsc::Receiver<PoseFrame>, view: View, hosts: Hosts) {
     let view = Arc::new(view);
     let mut server = Server { view: Arc::clone(&view), hosts, router: router(&view), open: JoinSet::new() };
@@ -61,12 +64,12 @@ pub async fn serve(listener: TcpListener, mut frames: mpsc::Receiver<PoseFrame>,
     }
     drop(listener);
     view.ending.cancel();
-    // What is still open then is cut off: there is nothing left to read.
+    // Connections that are still open after the time limit are closed.
     let all_done = async { while server.open.join_next().await.is_some() {} };
     let _ = timeout(DRAIN, all_done).await;
 }
 
-/// Every page. A handler takes `State<Arc<View>>`.
+/// All pages. A handler takes `State<Arc<View>>`.
 fn router(view: &Arc<View>) -> Router {
     Router::new()
         .route("/healthz", get(healthz))
@@ -110,7 +113,7 @@ impl Server {
             match listener.accept().await {
                 Ok((stream, peer)) => self.admit(stream, peer),
                 Err(e) => {
-                    // Out of file descriptors, as a rule: nothing to do but wait for some.
+                    // Usually out of file descriptors: wait until some are free.
                     tracing::warn!("monitor: cannot accept a connection: {e}");
                     sleep(Duration::from_millis(100)).await;
                 }
@@ -125,12 +128,12 @@ impl Server {
             self.open.spawn(talk(stream, peer, view, hosts, router));
         } else {
             self.view.sources.counters.monitor_refused.inc();
-            tracing::warn!("monitor: refused a connection, {CONNECTIONS} are open already");
+            tracing::warn!("monitor: refused a connection: {CONNECTIONS} are already open");
         }
     }
 }
 
-/// One connection, to its end. That it breaks is the business of the other side.
+/// Serves one connection to its end. Errors of the connection are ignored.
 async fn talk(stream: TcpStream, peer: SocketAddr, view: Arc<View>, hosts: Hosts, router: Router) {
     let Ok(own) = stream.local_addr() else { return };
     if rustix::net::sockopt::set_tcp_user_timeout(&stream, STALL_MS).is_err() {

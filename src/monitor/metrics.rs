@@ -1,4 +1,4 @@
-//! The page `/metrics`. docs/monitoring.md has the table of what is on it; a test compares them.
+//! The page `/metrics`. The table in docs/monitoring.md lists its contents; a test compares both.
 
 use std::fmt;
 use std::sync::Arc;
@@ -19,12 +19,15 @@ use trifacet_wire::{LockState, Status};
 use super::tally::{Second, Tally};
 use super::view::View;
 
-/// Of the page: OpenMetrics, which Prometheus reads as it reads its own older text.
+/// Content type: OpenMetrics, which Prometheus also accepts.
 pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 const PSDS: [&str; 3] = ["A", "B", "C"];
 
-/// The page as it is now.
+/// Renders the page.
+///
+/// # Errors
+/// A metric cannot be formatted.
 pub fn render(view: Arc<View>) -> Result<String, fmt::Error> {
     let mut registry = Registry::with_prefix("trifacet");
     registry.register_collector(Box::new(view));
@@ -66,12 +69,12 @@ impl Page<'_> {
         self.put(name, help, &ConstGauge::new(value))
     }
 
-    /// A gauge that is absent while it is not known: zero would be a lie.
+    /// A gauge that is absent while its value is unknown. Zero would be misleading.
     fn known(&mut self, name: &str, help: &str, value: Option<f64>) -> fmt::Result {
         value.map_or(Ok(()), |value| self.gauge(name, help, value))
     }
 
-    /// A number for each value of a label. Those that are not known are absent.
+    /// One metric for each value of a label. Unknown ones are absent.
     fn each<M: EncodeMetric>(
         &mut self,
         name: &str,
@@ -107,16 +110,16 @@ impl Page<'_> {
         self.each("clients", "TCP clients, subscribers to datagrams, viewers of the page", "kind", gauges)
     }
 
-    /// What holds at this moment.
+    /// The present state.
     fn state(&mut self, view: &View) -> fmt::Result {
         let readiness = view.readiness();
         let checks = readiness.checks.iter().map(|check| (check.name, flag(check.ok)));
-        self.each("ready", "1 if the check of /readyz holds", "check", checks)?;
+        self.each("ready", "1 if the check of /readyz passes", "check", checks)?;
         let silent = view.dead().is_some_and(|still| still.silent);
         let lock = view.newest().borrow().filter(|_| !silent).map(|newest| newest.frame.lock);
         let of = |lock| LockState::ALL.map(|state| (state.name(), flag(lock == state)));
         let states = lock.into_iter().flat_map(of);
-        self.each("lock_state", "1 for the state of the loop", "state", states)
+        self.each("lock_state", "1 for the current state of the loop", "state", states)
     }
 
     fn recording(&mut self, view: &View) -> fmt::Result {
@@ -125,12 +128,12 @@ impl Page<'_> {
         self.gauge("recording", "1 while a recording is being written", on(&state.recording))?;
         self.gauge("recording_fault", "1 while the recorder loses data", on(&state.fault))?;
         let ring = state.ring.load(Ordering::Relaxed);
-        self.gauge("recording_ring_bytes", "Memory that holds the time before a fault", ring as f64)?;
+        self.gauge("recording_ring_bytes", "Memory used for the data before a fault", ring as f64)?;
         let free = state.free().map(|free| free as f64);
         self.known("recording_free_bytes", "Free space for recordings", free)
     }
 
-    /// What was added up over every frame.
+    /// Totals over all frames.
     fn frames(&mut self, tally: &Tally) -> fmt::Result {
         let bits = Status::NAMES.iter().zip(tally.status).map(|((_, name), n)| (*name, ConstCounter::new(n)));
         self.each("status_frames", "Pose frames with this status bit", "bit", bits)?;
@@ -139,12 +142,12 @@ impl Page<'_> {
         self.each("lock_frames", "Pose frames in this state of the loop", "state", states)?;
         let mut histogram = |name, help, histogram: &Histogram| self.put(name, help, histogram);
         histogram("solve_delay_seconds", "Time from the sample to the solved pose", &tally.solve_delay)?;
-        histogram("send_delay_seconds", "Time from the solved pose to its sending", &tally.send_delay)?;
-        histogram("solver_iterations", "Iterations of the solver, where it ran", &tally.steps)?;
+        histogram("send_delay_seconds", "Time from the solved pose to its transmission", &tally.send_delay)?;
+        histogram("solver_iterations", "Iterations of the solver, in frames in which it ran", &tally.steps)?;
         histogram("beam_distance_meters", "Distance of the beam's centre from the apex", &tally.offset)
     }
 
-    /// The means of the last second.
+    /// Means of the last second.
     fn second(&mut self, second: &Second) -> fmt::Result {
         let axes = ["x", "y"].into_iter().zip(second.offset.into_iter().flatten().map(ConstGauge::new));
         self.each("beam_offset_meters", "Beam's centre minus apex, mean of the last second", "axis", axes)?;
@@ -168,7 +171,7 @@ fn flag(on: bool) -> ConstGauge<u64> {
     ConstGauge::new(on.into())
 }
 
-/// As the kernel tells it, in kB.
+/// Resident memory in bytes. The kernel reports it in kB.
 fn resident_bytes() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let kb = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;

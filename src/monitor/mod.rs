@@ -1,10 +1,10 @@
-//! What people and machines see of a running daemon. Nothing here can hold up the fast side.
+//! Monitoring of a running daemon for operators and programs. Nothing here can delay the fast side.
 //!
-//! - [`view`]: frames, configuration and counters, for whoever looks.
-//! - [`health`], [`tally`], [`trend`]: what becomes of every frame. Pure.
-//! - [`metrics`]: all that as Prometheus reads it.
+//! - [`view`]: frames, configuration and counters for the pages.
+//! - [`health`], [`tally`], [`trend`]: evaluation of every frame. Pure.
+//! - [`metrics`]: the metrics page for Prometheus.
 //! - [`page`]: the live page.
-//! - [`http`]: the server. [`host_filter`]: which requests are meant for it.
+//! - [`http`]: the server. [`host_filter`]: refuses requests that are meant for other hosts.
 
 pub mod health;
 pub mod host_filter;

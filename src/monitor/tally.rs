@@ -1,4 +1,4 @@
-//! What is added up over every frame, so that no scrape misses any. Pure.
+//! Totals and means over all frames, so that a scrape misses none. Pure.
 
 use prometheus_client::metrics::histogram::Histogram;
 use trifacet_core::time::{Mono, NS_PER_S};
@@ -6,46 +6,46 @@ use trifacet_wire::{LockState, PoseFrame, Status};
 
 use super::trend::Trend;
 
-/// Bounds of the delays, seconds.
+/// Bucket bounds of the delays, seconds.
 const DELAYS_S: [f64; 16] =
     [1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0];
-/// Bounds of the beam's distance from the apex, metres.
+/// Bucket bounds of the distance between beam and apex, metres.
 const OFFSETS_M: [f64; 10] = [1e-7, 3e-7, 1e-6, 2e-6, 3e-6, 5e-6, 1e-5, 3e-5, 1e-4, 3e-4];
-/// Bounds of the solver's steps.
+/// Bucket bounds of the number of solver iterations.
 const STEPS: [f64; 8] = [1.0, 2.0, 3.0, 4.0, 6.0, 10.0, 20.0, 40.0];
 
-/// The sums since the start, and the means of the last second.
+/// Totals since the start, and means of the last second.
 #[derive(Debug)]
 pub struct Tally {
     /// Frames with each status bit, in the order of [`Status::NAMES`].
     pub status: [u64; Status::NAMES.len()],
     /// Frames in each lock state, in the order of [`LockState::ALL`].
     pub lock: [u64; LockState::ALL.len()],
-    /// From the sample to the solved pose, seconds; frames of samples only.
+    /// Time from the sample to the solved pose, seconds; frames with samples only.
     pub solve_delay: Histogram,
-    /// From there until it was sent, seconds.
+    /// Time from the solved pose to its transmission, seconds.
     pub send_delay: Histogram,
-    /// Steps of the solver, frames in which it ran.
+    /// Iterations of the solver, in frames in which it ran.
     pub steps: Histogram,
-    /// The beam's distance from the apex, metres, where it is known.
+    /// Distance between beam and apex, metres, if known.
     pub offset: Histogram,
-    /// The last whole second.
+    /// The last complete second.
     pub second: Second,
-    /// Where the total power is going.
+    /// Trend of the total power.
     pub trend: Trend,
     sums: Sums,
-    /// When the second in the making began.
+    /// Start of the current second.
     began: Mono,
 }
 
-/// Of one second. What no frame of it knew, is none.
+/// Means of one second. A value that no frame contains is `None`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Second {
     /// Mean offset of the beam from the apex, x and y, metres.
     pub offset: Option<[f64; 2]>,
-    /// Root of the mean square of its length, metres.
+    /// Rms of the length of the offset, metres.
     pub offset_rms: Option<f64>,
-    /// The least distance of a spot from the edge of PSD A, B, C, metres; negative beyond it.
+    /// Smallest distance of a spot from the edge of PSD A, B, C, metres; negative beyond the edge.
     pub edge: [Option<f64>; 3],
     /// Mean power on PSD A, B, C, watts.
     pub powers: Option<[f64; 3]>,
@@ -61,7 +61,7 @@ struct Sums {
     lit: Mean<3>,
 }
 
-/// A mean in the making.
+/// Sum and count of a mean.
 #[derive(Clone, Copy, Debug)]
 struct Mean<const N: usize> {
     sum: [f64; N],
@@ -75,7 +75,7 @@ impl<const N: usize> Default for Mean<N> {
 }
 
 impl<const N: usize> Mean<N> {
-    /// Takes numbers that are all known.
+    /// Adds numbers if all of them are known.
     fn push(&mut self, numbers: [f64; N]) {
         if numbers.iter().all(|x| x.is_finite()) {
             self.sum.iter_mut().zip(numbers).for_each(|(sum, x)| *sum += x);
@@ -89,7 +89,7 @@ impl<const N: usize> Mean<N> {
 }
 
 impl Tally {
-    /// Nothing yet.
+    /// A tally without frames.
     pub fn new(now: Mono) -> Self {
         Self {
             status: [0; _],
@@ -146,7 +146,7 @@ impl Tally {
         }
     }
 
-    /// Closes the second, if it is over.
+    /// Closes the second if it is over.
     pub fn tick(&mut self, now: Mono) {
         if now - self.began < NS_PER_S {
             return;
@@ -190,7 +190,7 @@ mod tests {
         let mut tally = Tally::new(Mono(0));
         tally.frame(&frame(3e-6, 1e-3, 1e-4), 6.5e-3);
         tally.tick(Mono(NS_PER_S - 1));
-        assert_eq!(tally.second, Second::default(), "not yet over");
+        assert_eq!(tally.second, Second::default(), "the second is not over");
         tally.frame(&frame(-1e-6, -6e-3, 3e-4), 6.5e-3);
         let dark = PoseFrame { spots: [f32::NAN; 6], beam_offset: [f32::NAN; 2], ..frame(0.0, 0.0, 0.0) };
         tally.frame(&dark, 6.5e-3);
@@ -200,9 +200,9 @@ mod tests {
         assert!(close(second.offset_rms.unwrap(), 5e-12_f64.sqrt()));
         assert!(close(second.edge[0].unwrap(), 0.5e-3) && close(second.edge[2].unwrap(), 5.5e-3));
         assert!(close(second.powers.unwrap()[0], 4e-4 / 3.0), "dark frames have a power");
-        assert!(close(second.lit.unwrap()[0], 2e-4), "and no light");
+        assert!(close(second.lit.unwrap()[0], 2e-4), "and do not count as lit");
         tally.tick(Mono(2 * NS_PER_S));
-        assert_eq!(tally.second, Second::default(), "what no frame knew is none");
+        assert_eq!(tally.second, Second::default(), "values that no frame contains are None");
     }
 
     #[test]

@@ -1,20 +1,20 @@
-//! Where a slow number is going.
+//! Trend of a slowly varying number.
 
 use std::collections::VecDeque;
 
 use trifacet_core::time::Mono;
 
-/// Values that it goes by: those of ten minutes, if they come once a second.
+/// Most values used: ten minutes at one value per second.
 const MOST: usize = 600;
-/// Fewer say nothing.
+/// Fewest values from which a trend is computed.
 const LEAST: usize = 10;
 
-/// The slope of the straight line through the last values.
+/// Slope of the straight line through the last values.
 #[derive(Clone, Debug, Default)]
 pub struct Trend(VecDeque<(Mono, f64)>);
 
 impl Trend {
-    /// One more value, and when it was so.
+    /// Adds a value with its time.
     pub fn push(&mut self, at: Mono, value: f64) {
         if self.0.len() == MOST {
             self.0.pop_front();
@@ -22,7 +22,7 @@ impl Trend {
         self.0.push_back((at, value));
     }
 
-    /// Change per second, by least squares; none while there are too few values.
+    /// Change per second, by least squares; `None` while there are too few values.
     pub fn per_second(&self) -> Option<f64> {
         let (origin, _) = *self.0.front()?;
         if self.0.len() < LEAST {

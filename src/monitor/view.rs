@@ -1,4 +1,4 @@
-//! What the pages are made of. Fed on the main thread, read by every request.
+//! Data for the pages. Updated on the main thread, read by every request.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -24,62 +24,62 @@ use crate::config::Config;
 use crate::publishing::target::Subscriber;
 use crate::recording::handle::State;
 
-/// How often new frames are looked for. A frame wakes nobody, so its rate costs little here.
+/// Interval of polling for new frames. Frames do not wake the task, so their rate costs little here.
 const LOOK: Duration = Duration::from_millis(20);
-/// A side that does nothing for longer stands still; seconds.
+/// A side of the daemon without progress for longer than this counts as stalled; seconds.
 const STANDSTILL_S: f64 = 1.0;
-/// While a task stands still, frames that others make are no older; seconds.
+/// While a task stalls, frames of other tasks up to this age count as current; seconds.
 const YOUNG_S: f64 = 0.25;
-/// Most frames that are taken at a time.
+/// Most frames processed at a time.
 const BATCH: usize = 16 * 1024;
-/// Looks from one update of the page to the next: ten updates a second.
+/// Polls between two updates of the page: ten updates per second.
 const UPDATE: u64 = 5;
-/// Updates that a viewer may be behind before it loses the oldest: 1.6 s.
+/// Updates that a viewer may fall behind before it loses the oldest: 1.6 s.
 const BEHIND: usize = 16;
 /// Most viewers at a time.
 const VIEWERS: usize = 64;
 
-/// What the rest of the daemon lets the monitor see.
+/// Sources of the data from the rest of the daemon.
 #[derive(Debug)]
 pub struct Sources {
-    /// Every counter.
+    /// All counters.
     pub counters: Arc<Counters>,
-    /// What the stream says of itself at present.
+    /// The current descriptor of the stream.
     pub descriptor: watch::Receiver<Descriptor>,
-    /// The configuration that holds at present.
+    /// The configuration in force.
     pub config: watch::Receiver<Config>,
-    /// Who subscribes to datagrams at present, if anyone may.
+    /// Current subscribers to datagrams, if subscriptions are enabled.
     pub subscribers: Option<watch::Receiver<Arc<[Subscriber]>>>,
-    /// Signs of life of the fast side's tasks.
+    /// Heartbeats of the tasks of the fast side.
     pub heartbeats: Arc<Heartbeats>,
-    /// What the recorder does.
+    /// State of the recorder.
     pub recording: Arc<State>,
-    /// How the page steers, if it may.
+    /// Control from the page, if enabled.
     pub control: Option<Controls>,
 }
 
-/// What is known of the daemon, for whoever looks.
+/// Data for the pages.
 #[derive(Debug)]
 pub struct View {
-    /// From elsewhere.
+    /// Sources from the rest of the daemon.
     pub sources: Sources,
-    /// Cancelled when the daemon ends: whoever still sends says goodbye.
+    /// Cancelled when the daemon stops. Open connections then end.
     pub ending: CancellationToken,
     newest: watch::Sender<Option<Newest>>,
     aggregates: Mutex<Aggregates>,
-    /// The page, once for all viewers.
+    /// Updates of the page, shared by all viewers.
     updates: broadcast::Sender<Utf8Bytes>,
     pub(super) seats: Arc<Semaphore>,
 }
 
-/// What is kept of every frame.
+/// Aggregates over all frames.
 #[derive(Debug)]
 pub(super) struct Aggregates {
-    /// When frames were last looked for.
+    /// Time of the last poll for frames.
     looked: Mono,
-    /// The newest frame, or the start, was seen then.
+    /// Time at which the newest frame was seen; initially the start.
     heard: Mono,
-    /// Time of the first frame with a task that stands still, nanoseconds of UTC since 1970.
+    /// Time of the first frame with a stalled task, nanoseconds of UTC since 1970.
     stalled_ns: Option<i64>,
     pub(super) checks: Checks,
     pub(super) tally: Tally,
@@ -89,14 +89,15 @@ pub(super) struct Aggregates {
 /// The newest frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Newest {
-    /// As it was sent.
+    /// The frame.
     pub frame: PoseFrame,
-    /// When the monitor saw it: at most a look after it was sent, unless the main thread was held up.
+    /// Time at which the monitor saw it: at most one poll after its transmission, unless the main thread was
+    /// delayed.
     pub seen: Mono,
 }
 
 impl View {
-    /// A view of a daemon that has not made a frame yet.
+    /// A view without frames.
     pub fn new(sources: Sources) -> Self {
         let now = SystemClock.now();
         let (checks, tally, page) = (Checks::default(), Tally::new(now), PageState::default());
@@ -111,28 +112,28 @@ impl View {
         }
     }
 
-    /// The newest frame, if there is one; can be waited on.
+    /// The newest frame, if there is one. The receiver can wait for changes.
     pub fn newest(&self) -> watch::Receiver<Option<Newest>> {
         self.newest.subscribe()
     }
 
-    /// Every update of the page from now on. A viewer that does not keep up loses the oldest
-    /// (`Lagged`), and no other notices.
+    /// Updates of the page from now on. A viewer that does not keep up loses the oldest (`Lagged`); other
+    /// viewers are not affected.
     pub(super) fn updates(&self) -> broadcast::Receiver<Utf8Bytes> {
         self.updates.subscribe()
     }
 
-    /// The past of the axes, up to the newest update.
+    /// The history of the axes, up to the newest update.
     pub(super) fn history(&self, span_s: u32) -> History {
         self.aggregates().page.history(span_s)
     }
 
-    /// How many have the page open.
+    /// Number of viewers of the page.
     pub fn viewers(&self) -> usize {
         VIEWERS - self.seats.available_permits()
     }
 
-    /// Which parts of the daemon stand still, if some do.
+    /// The parts of the daemon that stall, if any.
     pub fn dead(&self) -> Option<Standstill> {
         let newest_ns = self.newest.borrow().map(|newest| newest.frame.time_ns);
         let period_s = {
@@ -143,32 +144,32 @@ impl View {
         let held_up_s = SystemClock.now().seconds_since(aggregates.looked);
         let silent_s = aggregates.looked.seconds_since(aggregates.heard);
         if held_up_s > STANDSTILL_S {
-            let why = format!("the main side was held up for {held_up_s:.1} s");
+            let why = format!("the main thread was delayed for {held_up_s:.1} s");
             return Some(Standstill { why, since_ns: newest_ns, silent: true });
         }
         let silent = (silent_s > STANDSTILL_S.max(3.0 * period_s))
             .then(|| format!("the fast side has made no frame for {silent_s:.1} s"));
         let names: Vec<_> = self.sources.heartbeats.stalled().into_iter().map(Task::name).collect();
-        let stalled = (!names.is_empty()).then(|| format!("task {} stands still", names.join(", ")));
+        let stalled = (!names.is_empty()).then(|| format!("task {} stalled", names.join(", ")));
         let parts: Vec<_> = stalled.into_iter().chain(silent).collect();
         let silent = newest_ns.is_none() || silent_s > YOUNG_S.max(3.0 * period_s);
         let since_ns = aggregates.stalled_ns.filter(|_| !silent).or(newest_ns);
         (!parts.is_empty()).then(|| Standstill { why: parts.join(", "), since_ns, silent })
     }
 
-    /// Whether poses can be used.
+    /// Readiness of the poses.
     pub fn readiness(&self) -> Readiness {
         let dead = self.dead();
         let newest = self.newest.borrow().map(|newest| newest.frame);
         self.aggregates().checks.readiness(newest.as_ref(), dead.as_ref())
     }
 
-    /// Nothing can panic while they are open, so they are never torn.
+    /// Access to the aggregates. No code panics while it holds the lock, so a poisoned lock is safe to use.
     pub(super) fn aggregates(&self) -> MutexGuard<'_, Aggregates> {
         self.aggregates.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes frames until none can come any more.
+    /// Processes frames until the channel closes.
     pub(super) async fn feed(&self, frames: &mut mpsc::Receiver<PoseFrame>) {
         let mut looks = interval(LOOK);
         looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -190,17 +191,17 @@ impl View {
         }
     }
 
-    /// Tells all viewers what is new.
+    /// Sends an update to all viewers.
     fn update(&self) {
         let (dead, ready) = (self.dead(), self.readiness());
         let newest = self.newest.borrow().map(|newest| newest.frame);
         let update = self.aggregates().page.update(newest.as_ref(), dead, ready, &self.sources.counters);
         self.sources.counters.page_updates.inc();
-        // Fails if the last viewer has just gone, which is no loss.
+        // Fails if the last viewer has just left, which is not a loss.
         let _ = self.updates.send(serde_json::json!({ "update": update }).to_string().into());
     }
 
-    /// Enters frames into the aggregates.
+    /// Adds frames to the aggregates.
     fn enter(&self, batch: &[PoseFrame]) {
         let half_m = self.sources.config.borrow().head.psd_size_mm * 0.5e-3;
         let rate_hz = self.sources.descriptor.borrow().rate_hz;
@@ -222,7 +223,7 @@ impl View {
     }
 }
 
-/// Takes what is there; says whether the sender is gone.
+/// Takes all waiting frames. Returns whether the channel has closed.
 fn drain(frames: &mut mpsc::Receiver<PoseFrame>, batch: &mut Vec<PoseFrame>) -> bool {
     while batch.len() < BATCH {
         match frames.try_recv() {

@@ -5,27 +5,27 @@ use serde::{Serialize, Serializer};
 use trifacet_wire::frame::{CLOCK_UNKNOWN, PoseFrame};
 use trifacet_wire::layout::{BEAM, DEVIATIONS, POSE, POWERS, SPOTS, STEERING};
 
-/// A value of a column.
+/// The value of a column.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value {
-    /// A number; NaN if it is not known.
+    /// A number; NaN if unknown.
     Number(f64),
-    /// A count or a time.
+    /// A signed integer, such as a time.
     Integer(i64),
-    /// A count that only grows.
+    /// An unsigned integer, such as a count.
     Count(u64),
-    /// A word.
+    /// A text.
     Text(String),
-    /// Words.
+    /// A list of names.
     Names(Vec<&'static str>),
 }
 
-/// A frame's values by name, in order.
+/// The values of a frame with their names, in order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Columns(pub Vec<(&'static str, Value)>);
 
 impl Columns {
-    /// Everything that is in a frame.
+    /// All values of a frame.
     pub fn of(frame: &PoseFrame) -> Self {
         let clock_sigma = match frame.clock_quality {
             CLOCK_UNKNOWN => f64::NAN,
@@ -60,7 +60,7 @@ impl Columns {
         Self(columns)
     }
 
-    /// These of the columns, in this order; all of them if none is named.
+    /// The named columns in the order of `names`; all columns if `names` is `None`.
     #[must_use]
     pub fn select(self, names: Option<&[&'static str]>) -> Self {
         let Some(names) = names else { return self };
@@ -68,19 +68,19 @@ impl Columns {
         Self(names.iter().filter_map(of).collect())
     }
 
-    /// The names, as the first line of a CSV file.
+    /// The names, as the header line of a CSV file.
     pub fn csv_header(&self) -> String {
         self.0.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(",")
     }
 
-    /// The values, as a line of a CSV file: 17 digits, empty where not known, words apart by a space.
+    /// The values, as a line of a CSV file, each as [`Value::csv`] writes it.
     pub fn csv_line(&self) -> String {
         self.0.iter().map(|(_, value)| value.csv()).collect::<Vec<_>>().join(",")
     }
 }
 
 impl Value {
-    /// 17 digits, empty where not known, words apart by a space.
+    /// The value as a CSV field: numbers with 17 digits, unknown values empty, names separated by spaces.
     pub fn csv(&self) -> String {
         match self {
             Self::Number(x) if x.is_nan() => String::new(),
@@ -93,7 +93,7 @@ impl Value {
     }
 }
 
-/// A JSON object; what is not known is `null`, and so is what JSON cannot say (infinite).
+/// A JSON object. Unknown and infinite values are `null`, since JSON cannot represent them.
 impl Serialize for Columns {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut map = serializer.serialize_map(Some(self.0.len()))?;
@@ -124,9 +124,9 @@ fn singles<const N: usize>(
     named(names, values.map(f64::from))
 }
 
-/// "2026-11-21T12:00:00.000000001Z".
+/// A time in nanoseconds since 1970 (UTC) in RFC 3339 format: "2026-11-21T12:00:00.000000001Z".
 pub fn rfc3339(ns: i64) -> String {
-    // Always within range: 64 bits of nanoseconds reach from 1677 to 2262.
+    // Always within range: 64 bits of nanoseconds cover the years 1677 to 2262.
     jiff::Timestamp::from_nanosecond(ns.into()).map(|t| format!("{t:.9}")).unwrap_or_default()
 }
 

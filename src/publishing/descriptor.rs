@@ -1,4 +1,4 @@
-//! What this daemon says of itself in the descriptor and in heartbeats.
+//! The descriptor of this daemon and the heartbeat of a client.
 
 use std::collections::BTreeMap;
 
@@ -11,16 +11,16 @@ use trifacet_wire::{LockState, Status};
 use super::publisher::StreamId;
 use crate::config::Model;
 
-/// What the daemon knows of its stream and does not get from this module.
+/// The facts about the stream that the descriptor needs from outside this module.
 #[derive(Clone, Copy, Debug)]
 pub struct StreamFacts {
     /// Session and configuration.
     pub id: StreamId,
-    /// Samples a second.
+    /// Sample rate in Hz.
     pub sample_rate_hz: f64,
     /// Samples averaged into a frame; at least 1.
     pub average: u16,
-    /// The sensor model.
+    /// The sensor model of the estimator.
     pub model: Model,
     /// Whether every PSD has a correction table.
     pub calibrated: bool,
@@ -76,7 +76,7 @@ fn words(pairs: &[(&str, &str)]) -> BTreeMap<String, String> {
     pairs.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned())).collect()
 }
 
-/// The heartbeat of a client: frames sent to it, frames dropped for it, and every counter of the daemon.
+/// The heartbeat of a client: frames sent to it, frames dropped for it, and all counters of the daemon.
 pub fn heartbeat(sent: u64, dropped: u64, counters: &Counters) -> Heartbeat {
     let counters = counters.list().into_iter().map(|(name, count)| (name.to_owned(), count)).collect();
     Heartbeat { sent, dropped, counters }

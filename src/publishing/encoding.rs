@@ -1,4 +1,4 @@
-//! What goes to a TCP client, in the form that it asked for.
+//! Encodes frames, descriptors and answers in the format that a TCP client requested.
 
 use std::io;
 
@@ -14,29 +14,29 @@ use trifacet_wire::stream::{
 
 use super::columns::Columns;
 
-/// A frame as all TCP clients share it.
+/// A frame, encoded once and shared by all TCP clients.
 #[derive(Clone, Debug)]
 pub struct EncodedFrame {
     frame: PoseFrame,
     bytes: FrameBytes,
-    /// With the last valid pose, if that is another frame.
+    /// The frame with the last valid pose instead, if it differs.
     held: Option<(PoseFrame, FrameBytes)>,
     came: Instant,
 }
 
 impl EncodedFrame {
-    /// The next frame of the stream.
+    /// Encodes the next frame of the stream.
     pub fn new(frame: PoseFrame, hold: &mut Hold) -> Self {
         let held = hold.next(&frame).map(|held| (held, held.encode()));
         Self { frame, bytes: frame.encode(), held, came: Instant::now() }
     }
 
-    /// The frame as it was made.
+    /// The frame without a held pose.
     pub fn frame(&self) -> &PoseFrame {
         &self.frame
     }
 
-    /// How long ago its light was measured, in seconds.
+    /// Age of the measurement, in seconds.
     pub fn age_s(&self) -> f64 {
         f64::from(self.frame.send_delay_ns) * 1e-9 + self.came.elapsed().as_secs_f64()
     }
@@ -49,7 +49,7 @@ impl EncodedFrame {
     }
 }
 
-/// The form of a client's stream.
+/// Encoder of one client's stream.
 #[derive(Clone, Debug)]
 pub struct ClientEncoder {
     request: StreamRequest,
@@ -57,29 +57,32 @@ pub struct ClientEncoder {
 }
 
 impl ClientEncoder {
-    /// The form of a request, in a stream of so many frames a second.
+    /// An encoder for this request, in a stream with `frames_hz` frames per second.
     pub fn new(request: StreamRequest, frames_hz: f64) -> Self {
         let divider = request.pace.divider(frames_hz).into();
         Self { request, divider }
     }
 
-    /// One frame in so many is sent.
+    /// Every `divider`-th frame is sent.
     pub fn divider(&self) -> u64 {
         self.divider
     }
 
-    /// Whether this frame is one of those that are sent.
+    /// Whether this frame is sent to the client.
     pub fn wants(&self, frame_once: &EncodedFrame) -> bool {
         frame_once.frame.sequence.is_multiple_of(self.divider)
     }
 
-    /// How many of the `n` frames before this one would have been sent.
+    /// The number of the `n` frames before this one that would have been sent.
     pub fn wanted_before(&self, frame_once: &EncodedFrame, n: u64) -> u64 {
         let end = frame_once.frame.sequence;
         end.div_ceil(self.divider) - end.saturating_sub(n).div_ceil(self.divider)
     }
 
-    /// What comes before the first frame.
+    /// The bytes before the first frame: the descriptor, and for CSV the header line.
+    ///
+    /// # Errors
+    /// The descriptor cannot be serialized.
     pub fn greeting(&self, descriptor: &Descriptor) -> io::Result<Vec<u8>> {
         let mut bytes = self.descriptor(descriptor)?;
         if self.request.format == Format::Csv {
@@ -96,7 +99,10 @@ impl ClientEncoder {
         }
     }
 
-    /// What the daemon says of itself and of this stream.
+    /// The descriptor of the daemon, with the description of this stream.
+    ///
+    /// # Errors
+    /// The descriptor cannot be serialized.
     pub fn descriptor(&self, descriptor: &Descriptor) -> io::Result<Vec<u8>> {
         let descriptor = Descriptor {
             stream: Some(StreamForm {
@@ -111,7 +117,10 @@ impl ClientEncoder {
         self.write(Kind::Descriptor, &descriptor)
     }
 
-    /// Appends a frame.
+    /// Appends a frame to `to`.
+    ///
+    /// # Errors
+    /// The frame cannot be serialized.
     pub fn frame(&self, frame_once: &EncodedFrame, to: &mut Vec<u8>) -> io::Result<()> {
         let (frame, bytes) = frame_once.choose(self.request.held);
         let columns = || Columns::of(frame).select(self.request.fields.as_deref());
@@ -126,7 +135,10 @@ impl ClientEncoder {
         Ok(())
     }
 
-    /// A heartbeat.
+    /// The bytes of a heartbeat.
+    ///
+    /// # Errors
+    /// The heartbeat cannot be serialized.
     pub fn heartbeat(&self, heartbeat: &Heartbeat) -> io::Result<Vec<u8>> {
         self.write(Kind::Heartbeat, heartbeat)
     }
@@ -144,7 +156,10 @@ impl ClientEncoder {
     }
 }
 
-/// An answer to a query: a line of its own, or one that fits into the stream that runs.
+/// The answer to a query: a plain line, or a message of the running stream if there is one.
+///
+/// # Errors
+/// The answer cannot be serialized.
 pub fn answer(form: Option<&ClientEncoder>, line: &str) -> io::Result<Vec<u8>> {
     match form {
         Some(form) => form.write(Kind::Answer, &Answer(line.to_owned())),
@@ -152,7 +167,10 @@ pub fn answer(form: Option<&ClientEncoder>, line: &str) -> io::Result<Vec<u8>> {
     }
 }
 
-/// Why the connection ends, likewise.
+/// The reason for which the daemon closes the connection, as a plain line or a message of the stream.
+///
+/// # Errors
+/// The reason cannot be serialized.
 pub fn farewell(form: Option<&ClientEncoder>, error: &str) -> io::Result<Vec<u8>> {
     match form {
         Some(form) => form.write(Kind::Refusal, &Refusal { error: error.to_owned() }),

@@ -1,15 +1,15 @@
-//! [`PoseReport`](trifacet_core::estimation::PoseReport)s to UDP and TCP, and the client side of the same protocol.
+//! Publishes pose reports over UDP and TCP, and contains the client side of the same protocol.
 //!
-//! - [`frame`]: the 192 bytes of a pose frame; [`layout`] is its byte table; [`stamp`] makes one of a report.
-//! - [`message`]: how messages follow each other on TCP, and how a reader finds them again after damage.
-//! - [`descriptor`]: what the daemon says of itself in JSON: descriptor, heartbeat, answer, refusal.
-//! - [`publisher`]: the fast side: makes every frame; [`target`] sends the datagrams ([`endian`]: in network order).
-//! - [`subscription`]: who leases datagrams and until when; [`subscription_server`] is the task.
-//! - [`tcp`]: the slow side: the TCP server. [`request`] is what its clients say, [`encoding`] the shape of what
-//!   they get, [`query`] the answers in one line; [`held`] keeps the last pose for those who ask for it.
-//! - [`client`]: reads all this back; [`columns`] names what is in a frame for JSON and CSV.
+//! - [`publisher`]: the fast side. It makes every frame; [`target`] sends the datagrams.
+//! - [`subscription`]: leases of datagrams; [`subscription_server`] is the task that accepts the requests.
+//! - [`tcp`]: the TCP server, on the slow side. [`encoding`] brings frames into the format that a client
+//!   requested, [`query`] answers queries with one line.
+//! - [`descriptor`]: the JSON descriptor of the daemon and the heartbeat.
+//! - [`columns`]: names and SI values of a frame, for JSON and CSV.
+//! - [`client`]: reads all of this.
 //!
-//! `docs/stream.md` describes the stream for those who write a client of their own.
+//! Frame layout, framing and requests are in [`trifacet_wire`]. `docs/stream.md` describes the stream for
+//! authors of other clients.
 
 pub mod client;
 pub mod columns;

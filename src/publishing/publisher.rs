@@ -1,5 +1,5 @@
-//! The fast side of publishing: makes every frame, sends the datagrams, hands the frame on to TCP and to the monitor.
-//! Nothing here ever waits; what is not taken at once is dropped and counted.
+//! The fast side of publishing: makes every frame, sends the datagrams, passes the frame to TCP and monitor.
+//! Nothing here ever waits. A frame that is not accepted at once is dropped and counted.
 
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::sync::Arc;
@@ -18,46 +18,46 @@ use crate::clock::utc::Utc;
 use crate::config::UdpTarget;
 use crate::exit::Failure;
 
-/// What tells the frames of one daemon, with one configuration, from all others.
+/// Distinguishes the frames of one run of a daemon with one configuration from all others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StreamId {
-    /// Random: another one after a restart.
+    /// Random; differs after each restart.
     pub session: u32,
     /// Hash of geometry and calibration.
     pub config: u32,
 }
 
 impl StreamId {
-    /// A new session with this configuration, as [`crate::config::Config::config_id`] tells it.
+    /// A new session with this configuration, as computed by [`crate::config::Config::config_id`].
     pub fn new(config: u32) -> Self {
         // The standard library seeds its hash maps from the system's random numbers.
         Self { session: RandomState::new().build_hasher().finish() as u32, config }
     }
 }
 
-/// What a [`Publisher`] needs to know.
+/// Settings of a [`Publisher`].
 #[derive(Clone, Debug)]
 pub struct PublisherSettings {
-    /// Goes into every frame.
+    /// Part of every frame.
     pub id: StreamId,
-    /// Where datagrams go.
+    /// The fixed targets of datagrams.
     pub udp: Vec<UdpTarget>,
 }
 
-/// Where frames go besides the fixed targets. What is none, is switched off.
+/// Outlets for frames besides the fixed targets. `None` disables an outlet.
 #[derive(Debug, Default)]
 pub struct Outlets {
-    /// Those of [`super::subscription_server`].
+    /// The subscribers of [`super::subscription_server`].
     pub subscribers: Option<Subscribers>,
-    /// To [`super::tcp::serve`].
+    /// Frames for [`super::tcp::serve`].
     pub tcp: Option<mpsc::Sender<PoseFrame>>,
-    /// To [`crate::monitor::http::serve`].
+    /// Frames for [`crate::monitor::http::serve`].
     pub monitor: Option<mpsc::Sender<PoseFrame>>,
-    /// Whether a recording loses data.
+    /// Set while a recording loses data.
     pub recording_fault: Arc<AtomicBool>,
 }
 
-/// Makes frames of reports and gives them to the network. Lives on the fast thread.
+/// Makes frames from reports and sends them. Runs on the fast thread.
 #[derive(Debug)]
 pub struct Publisher<C> {
     id: StreamId,
@@ -72,9 +72,10 @@ pub struct Publisher<C> {
 }
 
 impl<C: Clock> Publisher<C> {
-    /// A publisher with its sockets.
+    /// Opens the sockets of all targets.
     ///
-    /// Fails if no socket can be had.
+    /// # Errors
+    /// A socket cannot be opened.
     pub fn new(
         settings: PublisherSettings,
         clock: C,
@@ -88,17 +89,17 @@ impl<C: Clock> Publisher<C> {
         Ok(Self { id, targets, clock, utc, counters, tcp, monitor, recording_fault, sequence: 0 })
     }
 
-    /// Sends the frame of a report to everyone. Frames go out at the full rate, valid or not: silence
-    /// means that the link is down, a status bit means why the optics are. Gives the frame.
+    /// Sends the frame of a report to all receivers and returns it. Frames are sent at the full rate, valid
+    /// or not: silence means that the link is down, and status bits give the reason for an invalid pose.
     pub fn publish(&mut self, report: &PoseReport) -> PoseFrame {
         let (time_ns, synced) = self.utc.at(report.time, self.clock.now());
         self.publish_of(report, time_ns, synced)
     }
 
-    /// The same with signals that were taken at another time, nanoseconds of UTC since 1970.
+    /// As [`Publisher::publish`], with the time of the measurement in UTC, nanoseconds since 1970.
     pub fn publish_of(&mut self, report: &PoseReport, time_ns: i64, synced: bool) -> PoseFrame {
         let sent = self.clock.now();
-        // Not that of the start: it changes when the meaning of poses does, with the sample.
+        // From the report, not from the start: the identifier changes with the calibration, at a sample.
         let (session, config) = (self.id.session, report.config);
         let stamp = Stamp { session, config, sequence: self.sequence, time_ns, synced, sent };
         let mut frame = report.frame(stamp);
@@ -115,7 +116,7 @@ impl<C: Clock> Publisher<C> {
     }
 }
 
-/// A closed channel is not a loss: it means that the other side has ended, which the daemon sees.
+/// Passes a frame to a channel. A closed channel is not a loss: the daemon notices that its reader has ended.
 fn hand_on(frame: PoseFrame, to: Option<&mpsc::Sender<PoseFrame>>, overflows: &Counter) {
     if let Some(to) = to
         && let Err(TrySendError::Full(_)) = to.try_send(frame)
@@ -171,10 +172,10 @@ mod tests {
                 (frame.session, frame.config, frame.sequence),
                 (1, PoseReport::example().config, sequence)
             );
-            assert_eq!(frame.time_ns, 5_001_000_000, "not the time of sending");
+            assert_eq!(frame.time_ns, 5_001_000_000, "not the time of transmission");
             assert_eq!(frame.send_delay_ns, 200_000);
         }
-        assert_eq!(publisher.counters.udp_dropped.get(), 0, "that nobody listens is not a loss");
+        assert_eq!(publisher.counters.udp_dropped.get(), 0, "a target without a listener is not a loss");
     }
 
     #[test]

@@ -1,4 +1,5 @@
-//! Answers in one line of ASCII, for controllers that cannot read binary: `key=value`, apart by a space.
+//! Answers to queries in one line of ASCII, `key=value` separated by spaces, for controllers that cannot
+//! read binary data.
 
 use std::fmt::Write as _;
 
@@ -8,22 +9,22 @@ use trifacet_wire::{PoseFrame, Status};
 
 use super::encoding::EncodedFrame;
 
-/// A pose older than this, and than three frames, is not given out as valid: the daemon itself is stuck.
+/// A pose older than this, in seconds, and older than three frames is reported as invalid: the daemon stalls.
 const STALE_S: f64 = 1.0;
 
-/// The newest pose: `pose?`.
+/// Answer to `pose?`: the newest pose.
 pub fn pose(frame_once: &EncodedFrame, frames_hz: f64) -> String {
     let frame = frame_once.frame();
     let valid = valid(frame_once, frames_hz);
     let mut line = format!("valid={}", u8::from(valid));
     for (name, x) in POSE.iter().zip(frame.pose) {
-        // Seventeen digits give the same number back.
+        // Seventeen digits reproduce a 64-bit number exactly.
         let _ = if valid { write!(line, " {name}={x:.16e}") } else { write!(line, " {name}=nan") };
     }
     line + &state(frame, frame_once.age_s())
 }
 
-/// The newest state: `status?`.
+/// Answer to `status?`: the newest status.
 pub fn status(frame_once: &EncodedFrame, frames_hz: f64) -> String {
     let frame = frame_once.frame();
     let names: Vec<_> = frame.status.names().collect();
@@ -37,7 +38,10 @@ pub fn status(frame_once: &EncodedFrame, frames_hz: f64) -> String {
     )
 }
 
-/// What the daemon says of itself: `descriptor?`.
+/// Answer to `descriptor?`: the descriptor of the daemon.
+///
+/// # Errors
+/// The descriptor cannot be serialized.
 pub fn descriptor(descriptor: &Descriptor) -> serde_json::Result<Vec<u8>> {
     Ok(format!("{{\"descriptor\":{}}}\n", serde_json::to_string(descriptor)?).into_bytes())
 }

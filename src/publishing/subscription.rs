@@ -1,8 +1,9 @@
-//! Leased subscriptions to datagrams. Pure: datagrams and the time in, answers and the list out.
+//! Leased subscriptions to datagrams. Pure: datagrams and times in, answers and the list of subscribers out.
 //!
-//! A datagram's source can be forged. So nothing is sent to it, and nothing kept of it, before it has
-//! shown that it hears: it must repeat a nonce, which is a keyed hash of its address. Until then an answer
-//! is at most twice as long as the request, so that nobody gains by sending it somewhere else.
+//! The source address of a datagram can be forged. Therefore the daemon stores nothing about an address and
+//! sends no frames to it until the address has proved that it receives: the client must repeat a nonce, which
+//! is a keyed hash of its address. Before this proof an answer is at most twice as long as the request, so
+//! that an attacker gains nothing by directing answers at a third party.
 
 use std::hash::{BuildHasher, RandomState};
 use std::net::SocketAddr;
@@ -14,25 +15,25 @@ use trifacet_wire::stream::{Delivery, SubscriptionRequest};
 use super::target::Subscriber;
 use crate::config::Network;
 
-/// A nonce is good for between one and two of these.
+/// Period of a nonce in seconds. A nonce is valid for between one and two periods.
 const NONCE_S: i64 = 60;
 
-/// What comes of a datagram.
+/// The result of a datagram.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[must_use]
 pub struct Outcome {
-    /// To be sent back.
+    /// Answer to send back.
     pub answer: Option<String>,
-    /// The list of subscribers is another one.
+    /// The list of subscribers has changed.
     pub changed: bool,
-    /// Something was asked that is not granted.
+    /// The request was refused.
     pub refused: bool,
 }
 
-/// Who is subscribed, and until when.
+/// The subscribers and the ends of their leases.
 #[derive(Debug)]
 pub struct Subscriptions {
-    /// Random at the daemon's start.
+    /// Random, drawn when the daemon starts.
     key: RandomState,
     session: u32,
     most: usize,
@@ -48,36 +49,36 @@ struct Lease {
 }
 
 impl Subscriptions {
-    /// Nobody yet, of at most `most`, who must be of these networks.
+    /// An empty list for at most `most` subscribers from the networks in `allow`.
     pub fn new(session: u32, most: usize, allow: Vec<Network>) -> Self {
         Self { key: RandomState::new(), session, most, allow, leases: Vec::new() }
     }
 
-    /// Everyone who is subscribed.
+    /// The current subscribers.
     pub fn subscribers(&self) -> Arc<[Subscriber]> {
         self.leases.iter().map(|lease| lease.to).collect()
     }
 
-    /// When the next lease ends.
+    /// The end of the lease that ends first.
     pub fn next_end(&self) -> Option<Mono> {
         self.leases.iter().map(|lease| lease.ends).min()
     }
 
-    /// Ends the leases that are over; says whether there was one.
+    /// Removes expired leases. Returns whether there was one.
     pub fn expire(&mut self, now: Mono) -> bool {
         let before = self.leases.len();
         self.leases.retain(|lease| lease.ends > now);
         self.leases.len() < before
     }
 
-    /// Takes a datagram.
+    /// Handles a datagram.
     pub fn datagram(&mut self, from: SocketAddr, bytes: &[u8], now: Mono) -> Outcome {
         let Some(ask) = SubscriptionRequest::parse(bytes) else {
             return Outcome { refused: true, ..Outcome::default() };
         };
         let allowed = self.allow.iter().any(|network| network.contains(from.ip()));
         let mut outcome = match ask {
-            _ if !allowed => refusal("you are not in [publishing] allow"),
+            _ if !allowed => refusal("address not in [publishing] allow"),
             Err(why) => refusal(&why),
             Ok(ask) => {
                 let (SubscriptionRequest::Subscribe { nonce: Some(said), .. }
@@ -91,14 +92,14 @@ impl Subscriptions {
                 return self.grant(from, ask, said, now);
             }
         };
-        // Not shown to hear: no more than twice of what came.
+        // The address has not proved that it receives: at most twice the length of the request.
         if let Some(answer) = &mut outcome.answer {
             answer.truncate(2 * bytes.len());
         }
         outcome
     }
 
-    /// Asks to say it again with the nonce; or nothing, if that were too long an answer.
+    /// Asks the client to repeat the request with the nonce. No answer if that would be too long.
     fn challenge(&self, from: SocketAddr, bytes: &[u8], now: Mono) -> Outcome {
         let answer = format!("challenge nonce={:016x}", self.nonce(from, now));
         Outcome { answer: (answer.len() <= 2 * bytes.len()).then_some(answer), ..Outcome::default() }
@@ -115,7 +116,7 @@ impl Subscriptions {
         let changed = match own {
             Some(own) => std::mem::replace(&mut self.leases[own], lease).to != lease.to,
             None if self.leases.len() >= self.most => {
-                return refusal(&format!("the daemon has {} subscribers already, all it may", self.most));
+                return refusal(&format!("the daemon already has {} subscribers, the maximum", self.most));
             }
             None => {
                 self.leases.push(lease);
@@ -126,14 +127,14 @@ impl Subscriptions {
         granted(format!("ok lease_s={lease_s} divider={divider} session={:08x}", self.session), changed)
     }
 
-    /// Whether this nonce was told to this address not long ago, or is the one of its subscription.
+    /// Whether this nonce was sent to this address recently, or belongs to its subscription.
     fn genuine(&self, from: SocketAddr, said: u64, now: Mono) -> bool {
         let earlier = now + -NONCE_S * NS_PER_S;
         let of_lease = || self.leases.iter().any(|l| l.to.address == from && l.nonce == said);
         said == self.nonce(from, now) || said == self.nonce(from, earlier) || of_lease()
     }
 
-    /// SipHash with a random key: who does not hear it cannot guess it.
+    /// SipHash with a random key: only a receiver at this address can know the value.
     fn nonce(&self, of: SocketAddr, now: Mono) -> u64 {
         self.key.hash_one((of, now.0.div_euclid(NONCE_S * NS_PER_S)))
     }
@@ -163,7 +164,7 @@ mod tests {
         ([127, 0, 0, 1], port).into()
     }
 
-    /// Asks, and asks again with the nonce.
+    /// Subscribes: sends the request, then repeats it with the nonce.
     fn subscribe(all: &mut Subscriptions, from: SocketAddr, ask: &str, now: Mono) -> (String, Outcome) {
         let challenge = all.datagram(from, ask.as_bytes(), now).answer.unwrap();
         let nonce = challenge.strip_prefix("challenge ").unwrap().to_owned();
@@ -180,7 +181,7 @@ mod tests {
         let delivery = Delivery { divider: 4, big_endian: false, held: true };
         assert_eq!(&*all.subscribers(), [Subscriber { address: client(1), delivery }]);
         assert_eq!(all.next_end(), Some(Mono(10 * S)));
-        // For as long as it is renewed, however old its nonce.
+        // A subscription lasts as long as it is renewed, whatever the age of its nonce.
         for t in (9..900).step_by(9) {
             assert!(!all.expire(Mono(t * S)));
             let renewed = all.datagram(client(1), format!("{ask} {nonce}").as_bytes(), Mono(t * S));
@@ -240,7 +241,7 @@ mod tests {
     }
 
     proptest! {
-        /// Without the nonce, nothing that is asked changes anything or is answered at length.
+        /// Without the nonce, no request changes the list or gets an answer of more than twice its length.
         #[test]
         fn no_amplification(
             bytes in prop_oneof![

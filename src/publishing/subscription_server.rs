@@ -1,5 +1,5 @@
-//! The task behind [`Subscriptions`]: the socket that takes requests, on the main thread. The fast side
-//! sends frames from the same socket.
+//! The task that accepts subscriptions to datagrams, on the main thread. It owns [`Subscriptions`] and the
+//! socket for requests. The fast side sends frames from the same socket.
 
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
@@ -16,18 +16,20 @@ use super::subscription::Subscriptions;
 use super::target::{Subscriber, Subscribers};
 use crate::exit::Failure;
 
-/// Longer requests are none.
+/// Longest request in bytes. The rest of a longer datagram is cut off.
 const LONGEST: usize = 512;
 
-/// The open port, still without anyone.
+/// The open port, before the first request.
 #[derive(Debug)]
 pub struct SubscriptionServer {
     socket: UdpSocket,
     list: watch::Sender<Arc<[Subscriber]>>,
 }
 
-/// Opens the port and logs the address; gives the fast side's end of it too. Fails with
-/// [`crate::exit::IN_USE`] if someone else has the port.
+/// Opens the port and logs its address. Also returns the sending end for the fast side.
+///
+/// # Errors
+/// The socket cannot be opened; with [`crate::exit::IN_USE`] if another process uses the port.
 pub fn open(address: SocketAddr) -> Result<(SubscriptionServer, Subscribers), Failure> {
     let open = || {
         let socket = UdpSocket::bind(address)?;
@@ -38,18 +40,21 @@ pub fn open(address: SocketAddr) -> Result<(SubscriptionServer, Subscribers), Fa
     let (socket, sending) =
         open().map_err(|e| Failure::port(format_args!("open {address} for UDP subscriptions"), &e))?;
     let address = socket.local_addr().unwrap_or(address);
-    tracing::info!(%address, "UDP subscriptions are taken");
+    tracing::info!(%address, "accepting UDP subscriptions");
     let (list, newest) = watch::channel([].into());
     Ok((SubscriptionServer { socket, list }, Subscribers::new(sending, newest)))
 }
 
 impl SubscriptionServer {
-    /// Those who subscribe at present.
+    /// The current subscribers.
     pub fn subscribers(&self) -> watch::Receiver<Arc<[Subscriber]>> {
         self.list.subscribe()
     }
 
-    /// Takes requests until `stop`. Fails if the runtime does not take the socket.
+    /// Serves requests until `stop`.
+    ///
+    /// # Errors
+    /// The runtime does not accept the socket.
     pub async fn run(
         self,
         mut subscriptions: Subscriptions,
@@ -74,13 +79,13 @@ impl SubscriptionServer {
                             counters.udp_refused.inc();
                         }
                         if let Some(answer) = outcome.answer {
-                            // One that gets lost is asked for again.
+                            // The client repeats its request if the answer is lost.
                             let _ = socket.try_send_to(answer.as_bytes(), from);
                         }
                         outcome.changed
                     }
                     Err(e) => {
-                        tracing::warn!("cannot take a UDP subscription: {e}");
+                        tracing::warn!("cannot receive a UDP subscription: {e}");
                         sleep(Duration::from_millis(100)).await;
                         false
                     }

@@ -1,4 +1,4 @@
-//! Where datagrams go, and in which form. On the fast side.
+//! Sends frames as datagrams to fixed targets and to subscribers, on the fast side.
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
@@ -17,16 +17,16 @@ use trifacet_wire::stream::Delivery;
 use crate::config::UdpTarget;
 use crate::exit::{self, Failure};
 
-/// A receiver that has subscribed.
+/// A receiver of datagrams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Subscriber {
-    /// From where it subscribed.
+    /// The address to which datagrams are sent.
     pub address: SocketAddr,
-    /// What it asked for.
+    /// Divider, byte order and held pose.
     pub delivery: Delivery,
 }
 
-/// The subscribers, as the main thread hands them over.
+/// The fast side's end of the subscription server: its socket and the current list of subscribers.
 #[derive(Debug)]
 pub struct Subscribers {
     link: Link,
@@ -34,7 +34,7 @@ pub struct Subscribers {
     current: Arc<[Subscriber]>,
 }
 
-/// Everyone who gets datagrams.
+/// All receivers of datagrams.
 #[derive(Debug)]
 pub struct Targets {
     fixed: Vec<Target>,
@@ -48,22 +48,22 @@ struct Target {
     link: Link,
 }
 
-/// A socket, and whether it works.
+/// A socket and its state.
 #[derive(Debug)]
 struct Link {
     socket: UdpSocket,
-    /// The last sending failed: says once that, and once that it works again.
+    /// The last send failed. Each change of this flag is logged once.
     failing: bool,
 }
 
 impl Subscribers {
-    /// The subscribers of a list that changes, to whom frames go from the socket to which they spoke.
+    /// Subscribers from a list that changes. Frames are sent from `socket`, which received the requests.
     pub fn new(socket: UdpSocket, newest: watch::Receiver<Arc<[Subscriber]>>) -> Self {
         Self { link: Link { socket, failing: false }, newest, current: [].into() }
     }
 
     fn send(&mut self, forms: &mut Forms<'_>, counters: &Counters) {
-        // A look at an atomic; only a change takes the lock. That the other side has ended changes nothing.
+        // This check only reads an atomic; the lock is taken on a change. A closed channel changes nothing.
         if self.newest.has_changed().unwrap_or(false) {
             self.current = Arc::clone(&self.newest.borrow_and_update());
         }
@@ -74,13 +74,17 @@ impl Subscribers {
 }
 
 impl Targets {
-    /// Opens a socket for each target. Fails if one cannot be had.
+    /// Opens a socket for each target.
+    ///
+    /// # Errors
+    /// A socket cannot be opened or configured.
     pub fn open(fixed: &[UdpTarget], subscribers: Option<Subscribers>) -> Result<Self, Failure> {
         let fixed = fixed.iter().map(Target::open).collect::<Result<_, _>>()?;
         Ok(Self { fixed, subscribers, hold: Hold::default() })
     }
 
-    /// Sends a frame to all who want it. Never waits; what the network does not take is counted.
+    /// Sends a frame to all targets and subscribers that are due for it. Never waits: what the network does
+    /// not accept is counted in `counters`.
     pub fn send(&mut self, frame: &PoseFrame, counters: &Counters) {
         let mut forms = Forms::new(frame, self.hold.next(frame));
         for Target { to, link } in &mut self.fixed {
@@ -92,7 +96,7 @@ impl Targets {
     }
 }
 
-/// A frame in every form that is asked for; each is made once.
+/// The encodings of one frame. Each is made once, when a receiver first needs it.
 struct Forms<'a> {
     frame: &'a PoseFrame,
     held: Option<PoseFrame>,
@@ -116,8 +120,8 @@ impl<'a> Forms<'a> {
 }
 
 impl Target {
-    /// A socket per target, left unconnected: so the refusal of one that nobody listens to stays unseen,
-    /// and starting the listener later just works.
+    /// Opens a socket for this target. It stays unconnected: a refusal by a host without a listener then
+    /// causes no error, and a listener that starts later receives datagrams.
     fn open(target: &UdpTarget) -> Result<Self, Failure> {
         let UdpTarget { address, divider, big_endian, held, .. } = *target;
         let socket = open(target).map_err(|e| {
@@ -178,11 +182,11 @@ impl Link {
         match (self.failing, failure) {
             (false, Some(e)) => {
                 self.failing = true;
-                tracing::warn!(target = %address, "datagrams are not sent (udp_dropped counts them): {e}");
+                tracing::warn!(target = %address, "cannot send datagrams (counted in udp_dropped): {e}");
             }
             (true, None) => {
                 self.failing = false;
-                tracing::info!(target = %address, "datagrams are sent again");
+                tracing::info!(target = %address, "sending datagrams again");
             }
             _ => {}
         }

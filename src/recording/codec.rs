@@ -1,4 +1,4 @@
-//! Entries to messages, and back. Pure.
+//! Encodes entries as messages, and decodes them. Pure.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -16,56 +16,56 @@ use super::message::{self, Time, Unknown};
 use super::{Entry, Keyframe, Topic};
 use crate::config::{CalibrationContext, ConfigError, Tables, parse};
 
-/// The version of this program: the state of another one may have another form.
+/// Version of this program. The state of another version may have another format.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// Keyframes after which configuration and source are written again: damage where they stand costs no more of the
-/// replay than that.
+/// Keyframes after which configuration and source are written again. Damage to them then costs no more of the
+/// replay than this.
 pub(super) const AGAIN: u32 = 10;
 
-/// Stands before each message: plain CDR, little-endian.
+/// Encapsulation header of each message: plain CDR, little-endian.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
-/// What cannot be written. Nothing that happens; but no reason to end a measurement.
+/// Why an entry cannot be encoded. Not expected to happen, and no reason to end a measurement.
 #[derive(Debug, thiserror::Error)]
 pub enum EncodeError {
-    /// No CDR.
+    /// Encoding as CDR failed.
     #[error("a message cannot be encoded: {0}")]
     Cdr(#[from] cdr_encoding::Error),
-    /// No state.
+    /// Encoding of the state failed.
     #[error("the state of the estimation cannot be encoded: {0}")]
     State(#[from] postcard::Error),
-    /// No TOML.
+    /// Encoding as TOML failed.
     #[error("the configuration cannot be written: {0}")]
     Config(#[from] toml::ser::Error),
 }
 
-/// A message that makes no sense.
+/// Why a message cannot be decoded.
 #[derive(Debug, thiserror::Error)]
 pub enum DecodeError {
-    /// Shorter than it must be, or not CDR of this byte order.
+    /// Too short, or not CDR of this byte order.
     #[error("the message on {topic} cannot be read: {reason}")]
     Cdr {
-        /// Of which topic.
+        /// Topic of the message.
         topic: &'static str,
-        /// What is wrong.
+        /// The error.
         reason: String,
     },
-    /// A number that means nothing.
-    #[error("the message on {topic} cannot be understood: {unknown}")]
+    /// A number without a meaning in its field.
+    #[error("the message on {topic} has an invalid value: {unknown}")]
     Unknown {
-        /// Of which topic.
+        /// Topic of the message.
         topic: &'static str,
-        /// What.
+        /// The number.
         unknown: Unknown,
     },
-    /// The configuration is not one of this program.
+    /// The configuration is not valid for this program.
     #[error("the configuration in the recording cannot be used: {0}")]
     Config(ConfigError),
     /// A keyframe without a configuration before it.
-    #[error("a keyframe comes before the configuration that it rests on")]
+    #[error("a keyframe comes before its configuration")]
     Order,
-    /// The state was written by another version. What the decoder knows of meaning and source still holds.
+    /// The state was written by another version. Configuration and source in the decoder stay valid.
     #[error("the state was recorded by version {0}, and this is {VERSION}")]
     Version(String),
     /// The state is damaged.
@@ -73,57 +73,57 @@ pub enum DecodeError {
     State(postcard::Error),
 }
 
-/// A message on its way to the file.
+/// An encoded message.
 #[derive(Clone, Copy, Debug)]
 pub struct Encoded<'a> {
-    /// Where.
+    /// Its topic.
     pub topic: Topic,
-    /// When, nanoseconds of UTC since 1970.
+    /// Its time, nanoseconds of UTC since 1970.
     pub time_ns: i64,
-    /// The message.
+    /// Its bytes.
     pub data: &'a [u8],
 }
 
-/// Turns entries into messages.
+/// Encodes entries as messages.
 #[derive(Clone, Debug)]
 pub struct Encoder {
-    /// UTC minus monotonic time, by the last frame.
+    /// UTC minus monotonic time, from the last frame.
     offset_ns: i64,
-    /// The last moment that was told.
+    /// Time of the latest entry.
     latest: Mono,
     context: Option<Arc<CalibrationContext>>,
     source: Option<Arc<Identity>>,
-    /// Keyframes since those were forgotten.
+    /// Keyframes since configuration and source were written.
     keyframes: u32,
     bytes: Vec<u8>,
 }
 
 impl Encoder {
-    /// An encoder that knows the time by both clocks, until frames tell it better.
+    /// An encoder with a reading of both clocks, which is used until the first frame.
     pub fn new((latest, utc_ns): Reading) -> Self {
         let offset_ns = utc_ns - latest.0;
         Self { offset_ns, latest, context: None, source: None, keyframes: 0, bytes: Vec::new() }
     }
 
-    /// The time by both clocks, for entries that come before the frame that tells it.
+    /// Sets the reading of both clocks, for entries before the first frame.
     pub fn clocks(&mut self, (time, utc_ns): Reading) {
         (self.offset_ns, self.latest) = (utc_ns - time.0, time);
     }
 
-    /// A new file begins: configuration and source are written again.
+    /// Prepares for a new file: configuration and source are written again.
     pub fn restart(&mut self) {
         (self.context, self.source, self.keyframes) = (None, None, 0);
     }
 
-    /// UTC of the last moment that was told, nanoseconds since 1970.
+    /// Time of the latest entry in UTC, nanoseconds since 1970.
     pub fn now_ns(&self) -> i64 {
         self.latest.0 + self.offset_ns
     }
 
-    /// Gives the messages of an entry, in order.
+    /// Passes the messages of an entry to `put`, in order.
     ///
     /// # Errors
-    /// What cannot be encoded, and whatever `put` says.
+    /// The entry cannot be encoded, or `put` fails.
     pub fn encode<E: From<EncodeError>>(
         &mut self,
         entry: &Entry,
@@ -157,7 +157,7 @@ impl Encoder {
         }
     }
 
-    /// Gives the message that says what is missing here.
+    /// Passes the message that entries are missing here to `put`.
     ///
     /// # Errors
     /// As [`Encoder::encode`].
@@ -198,7 +198,7 @@ impl Encoder {
         self.put(Topic::Keyframe, &message, put)
     }
 
-    /// The stamp of a moment.
+    /// The UTC stamp of a monotonic time.
     fn at(&mut self, time: Mono) -> Time {
         self.latest = time;
         Time::new(self.now_ns())
@@ -229,7 +229,7 @@ fn config(stamp: Time, context: &CalibrationContext) -> Result<message::Config, 
     })
 }
 
-/// Turns messages into entries, in the order of the file.
+/// Decodes messages to entries, in the order of the file.
 #[derive(Clone, Debug, Default)]
 pub struct Decoder {
     context: Option<Arc<CalibrationContext>>,
@@ -247,16 +247,16 @@ impl Decoder {
         self.source.as_ref()
     }
 
-    /// Configuration and source are not those in force: keyframes make no sense before they come again.
+    /// Discards configuration and source. Keyframes cannot be used until both are read again.
     pub fn forget(&mut self) {
         *self = Self::default();
     }
 
-    /// Takes the next message; gives an entry, if it is one by itself. Of a frame, the covariance is not
-    /// restored: a replay computes it again.
+    /// Decodes the next message. Returns an entry unless the message is only context for others. The
+    /// covariance of a frame is not restored: a replay computes it again.
     ///
     /// # Errors
-    /// The message makes no sense. Those after it may.
+    /// The message is invalid. Later messages may be valid.
     pub fn decode(&mut self, topic: Topic, data: &[u8]) -> Result<Option<Entry>, DecodeError> {
         let unknown = |unknown| DecodeError::Unknown { topic: topic.name(), unknown };
         Ok(match topic {
@@ -312,13 +312,13 @@ fn context(message: message::Config) -> Result<CalibrationContext, DecodeError> 
     Ok(CalibrationContext { config, tables })
 }
 
-/// The message in these bytes.
+/// Decodes a message.
 ///
 /// # Errors
-/// It is another one.
+/// The bytes are not a message of this type.
 pub fn read<T: DeserializeOwned>(topic: Topic, data: &[u8]) -> Result<T, DecodeError> {
     let bad = |reason: String| DecodeError::Cdr { topic: topic.name(), reason };
-    let body = data.strip_prefix(&ENCAPSULATION).ok_or_else(|| bad("it is not little-endian CDR".into()))?;
+    let body = data.strip_prefix(&ENCAPSULATION).ok_or_else(|| bad("not little-endian CDR".into()))?;
     let (message, used) =
         cdr_encoding::from_bytes::<T, LittleEndian>(body).map_err(|e| bad(e.to_string()))?;
     if used < body.len() { Err(bad(format!("{} bytes too many", body.len() - used))) } else { Ok(message) }

@@ -1,4 +1,4 @@
-//! The thread that waits for the disk, so that nothing else has to.
+//! The thread that waits for the disk, so that no other thread has to.
 
 use std::fs::{self, File};
 use std::io;
@@ -7,49 +7,49 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, mpsc};
 use std::thread::JoinHandle;
 
-/// What is to be done on the disk.
+/// A job for the disk thread.
 enum Job {
     Sync(Arc<File>, PathBuf),
     Close(Arc<File>, PathBuf),
 }
 
-/// What came of it.
+/// Result of a job.
 pub struct Done {
-    /// The file, by the name that it had when this was asked.
+    /// Path of the file when the job was submitted.
     pub path: PathBuf,
-    /// It was to be finished. Else it was brought to the disk, and goes on.
+    /// The job was to finish the file. Otherwise it was to synchronize it.
     pub close: bool,
-    /// Its name now and its size in bytes, or what is wrong.
+    /// The path now and the size in bytes, or the reason for the failure.
     pub result: Result<(PathBuf, u64), String>,
 }
 
-/// The thread.
+/// The disk thread and its queue.
 pub struct Disk {
     jobs: Option<mpsc::Sender<Job>>,
     done: mpsc::Receiver<Done>,
     thread: Option<JoinHandle<()>>,
-    /// Whether a file is being brought to the disk, and how many are being finished.
+    /// A synchronization is in progress; files that are being finished.
     syncing: bool,
     closing: u32,
 }
 
 impl Disk {
-    /// Starts it.
+    /// Starts the thread.
     ///
     /// # Errors
-    /// No thread can be had.
+    /// The thread cannot be started.
     pub fn start() -> io::Result<Self> {
         let (jobs, todo) = mpsc::channel();
         let (tell, done) = mpsc::channel();
         let work = move || {
-            // Who does not listen any more does not need it.
+            // A closed channel means that the results are not needed any more.
             let _ = todo.into_iter().try_for_each(|job| tell.send(work(job)));
         };
         let thread = std::thread::Builder::new().name("disk".into()).spawn(work)?;
         Ok(Self { jobs: Some(jobs), done, thread: Some(thread), syncing: false, closing: 0 })
     }
 
-    /// What came of a job since the last time.
+    /// The next result, if there is one.
     pub fn done(&mut self) -> Option<Done> {
         let done = self.done.try_recv().ok()?;
         if done.close {
@@ -65,7 +65,7 @@ impl Disk {
         self.closing > 0
     }
 
-    /// Waits for all that is still to be done; nothing can be asked of it after that.
+    /// Waits until all jobs are done. Later jobs are ignored.
     pub fn wait(&mut self) {
         self.jobs = None;
         if let Some(thread) = self.thread.take() {
@@ -73,15 +73,15 @@ impl Disk {
         }
     }
 
-    /// Brings a file to the disk, and looks whether it is still where it should be.
+    /// Synchronizes a file to disk, and checks that it still has this path.
     pub fn sync(&mut self, file: &Arc<File>, path: &Path) {
-        // One that has not yet come back will not be made faster by another.
+        // One synchronization at a time: a second one would not be faster.
         if !std::mem::replace(&mut self.syncing, true) {
             self.give(Job::Sync(Arc::clone(file), path.to_owned()));
         }
     }
 
-    /// Brings a file to the disk, and gives it the name of one that is finished.
+    /// Synchronizes a file to disk, and renames it to its finished name.
     pub fn close(&mut self, file: Arc<File>, path: PathBuf) {
         self.closing += 1;
         self.give(Job::Close(file, path));
@@ -89,7 +89,7 @@ impl Disk {
 
     fn give(&self, job: Job) {
         if let Some(jobs) = &self.jobs {
-            // It lives as long as this.
+            // The thread runs as long as `jobs` exists.
             let _ = jobs.send(job);
         }
     }
@@ -115,17 +115,17 @@ fn work(job: Job) -> Done {
     Done { path, close, result }
 }
 
-/// The data on the disk, in the file that people will find; gives its size.
+/// Synchronizes the data, and checks that `path` still leads to the file. Returns its size in bytes.
 fn sync(file: &File, path: &Path) -> Result<u64, String> {
-    let failed = |e: io::Error| format!("cannot bring {} to the disk: {e}", path.display());
+    let failed = |e: io::Error| format!("cannot sync {} to disk: {e}", path.display());
     file.sync_data().map_err(failed)?;
     if !leads_to(path, file).map_err(failed)? {
-        return Err(format!("{} is gone: it, or its folder, was moved or deleted", path.display()));
+        return Err(format!("{} is missing: the file or its folder was moved or deleted", path.display()));
     }
     file.metadata().map(|it| it.len()).map_err(failed)
 }
 
-/// First the data, then the name that says they are all there.
+/// Synchronizes the data first, then gives the file the name that marks it as complete.
 fn close(file: &File, path: &Path) -> Result<(PathBuf, u64), String> {
     let bytes = sync(file, path)?;
     let finished = path.with_extension("");
@@ -136,10 +136,10 @@ fn close(file: &File, path: &Path) -> Result<(PathBuf, u64), String> {
     Ok((finished, bytes))
 }
 
-/// Whether this path leads to this very file.
+/// Whether this path leads to this file.
 ///
 /// # Errors
-/// The system does not say.
+/// The system cannot read the metadata of the path or of the file.
 pub fn leads_to(path: &Path, file: &File) -> io::Result<bool> {
     let there = match fs::metadata(path) {
         Err(e) if matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => {
@@ -167,12 +167,12 @@ mod tests {
     #[test]
     fn a_disk_that_fails_late_is_told_with_the_file() {
         let mut disk = Disk::start().unwrap();
-        // What has no disk behind it cannot be brought there.
+        // A device file cannot be synchronized.
         let path = Path::new("/dev/null");
         disk.sync(&Arc::new(File::open(path).unwrap()), path);
         let done = wait(&mut disk);
         let reason = done.result.unwrap_err();
-        assert!(!done.close && done.path == path && reason.contains("cannot bring /dev/null"), "{reason}");
+        assert!(!done.close && done.path == path && reason.contains("cannot sync /dev/null"), "{reason}");
     }
 
     #[test]
@@ -183,11 +183,11 @@ mod tests {
         let file = Arc::new(File::create(&path).unwrap());
         file.set_len(7).unwrap();
         fs::rename(&path, &away).unwrap();
-        File::create(&path).unwrap(); // somebody else's, of the same name
+        File::create(&path).unwrap(); // a different file of the same name
         disk.close(Arc::clone(&file), path.clone());
         assert!(disk.closing());
         let reason = wait(&mut disk).result.unwrap_err();
-        assert!(!disk.closing() && path.exists() && reason.contains("is gone"), "{reason}");
+        assert!(!disk.closing() && path.exists() && reason.contains("is missing"), "{reason}");
         fs::rename(&away, &path).unwrap();
         disk.close(file, path.clone());
         assert_eq!(wait(&mut disk).result.unwrap(), (path.with_extension(""), 7));

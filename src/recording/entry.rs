@@ -1,4 +1,4 @@
-//! What is recorded, and the way it takes from the fast side.
+//! Recorded events, and the channel from the fast side to the recorder.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -15,58 +15,58 @@ use trifacet_wire::{LockState, PoseFrame};
 
 use crate::config::CalibrationContext;
 
-/// Entries that may wait for the recorder, which may wait for a disk: 6 s at 10 kHz. Takes memory only
-/// while they wait.
+/// Entries that can wait while the recorder waits for a disk: 6 s at 10 kHz. Memory is used only for entries
+/// that are waiting.
 const QUEUE: usize = 128 * 1024;
 
-/// One thing that happened, in the order in which estimation saw it.
+/// A recorded event, in the order in which estimation processed it.
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "nothing is allocated for a sample")]
 pub enum Entry {
-    /// All that is needed to go on from here.
+    /// The state from which a replay can start.
     Keyframe(Box<Keyframe>),
-    /// A sample, just before estimation took it.
+    /// A sample, just before estimation processes it.
     Sample {
         /// The raw codes.
         scan: Scan,
-        /// What the channel map made of them.
+        /// The sample that the channel map computed from them.
         sample: Sample,
-        /// What estimation knew of the loop.
+        /// State of the loop as estimation knew it.
         steering: LoopState,
     },
-    /// Estimation was to say that no samples come.
+    /// Estimation reported that there are no samples.
     Silence {
-        /// When.
+        /// Time of the report.
         time: Mono,
-        /// What it knew of the loop.
+        /// State of the loop as estimation knew it.
         steering: LoopState,
-        /// Why the source went down, if that was the moment.
+        /// Why the source went down, if it did at this time.
         why: Option<String>,
     },
-    /// What was published of the sample or the silence before.
+    /// The frame published for the preceding sample or silence.
     Frame {
         /// The frame.
         frame: PoseFrame,
-        /// The moment that is `time_ns` in the frame.
+        /// The monotonic time of `time_ns` in the frame.
         time: Mono,
-        /// Covariance of the pose in the user's frame, m and rad; with a pose.
+        /// Covariance of the pose in the user's frame, m and rad, if there is a pose.
         covariance: Option<Matrix6<f64>>,
     },
     /// The lock state changed.
     Lock {
-        /// When.
+        /// Time of the change.
         time: Mono,
         /// State before.
         before: LockState,
         /// State after.
         after: LockState,
-        /// Why.
+        /// Cause of the change.
         cause: Cow<'static, str>,
     },
 }
 
 impl Entry {
-    /// When it happened. A keyframe stands between two moments.
+    /// Time of the event. A keyframe lies between two events.
     pub fn time(&self) -> Option<Mono> {
         match self {
             Entry::Keyframe(_) => None,
@@ -76,25 +76,25 @@ impl Entry {
     }
 }
 
-/// The state of channel map and estimation between two samples: what comes after it can be replayed without
-/// what was before.
+/// The state of channel map and estimation between two samples. What follows can be replayed without what
+/// precedes.
 #[derive(Clone, Debug)]
 pub struct Keyframe {
     /// Configuration and correction tables in force.
     pub context: Arc<CalibrationContext>,
-    /// The source, if one has come up.
+    /// The source, if one is up.
     pub source: Option<Arc<Identity>>,
-    /// The scan before: the channel map interpolates from it.
+    /// The previous scan: the channel map interpolates from it.
     pub last: Option<Scan>,
-    /// What estimation remembers.
+    /// State of the estimation.
     pub memory: EstimatorState,
 }
 
-/// Where the fast side hands over what happens. Costs a look at a flag while nobody wants it.
+/// The fast side's end of the channel. While nothing is recorded, it only reads a flag.
 #[derive(Clone, Debug, Default)]
 pub struct RecordSender(Option<Queue>);
 
-/// A tap that leads somewhere.
+/// A queue to a recorder.
 #[derive(Clone, Debug)]
 struct Queue {
     to: mpsc::Sender<Entry>,
@@ -106,17 +106,17 @@ struct Queue {
 /// The recorder's end of a [`RecordSender`].
 #[derive(Debug)]
 pub struct RecordReceiver {
-    /// What came, in order. To be asked with `try_recv` now and then: a receiver that sleeps costs whoever
-    /// wakes it a call of the system.
+    /// Entries in order. To be polled with `try_recv`: waking a sleeping receiver would cost the sender a
+    /// system call.
     pub entries: mpsc::Receiver<Entry>,
-    /// Whether entries are wanted.
+    /// Whether entries are to be sent.
     pub open: Arc<AtomicBool>,
-    /// Whether a keyframe is wanted before its time: a file can begin, and the one before end, only there.
+    /// Whether a keyframe is requested before its time. Files begin and end at keyframes.
     pub keyframe: Arc<AtomicBool>,
 }
 
 impl RecordSender {
-    /// A sender, closed for now, and its other end. What does not fit is counted.
+    /// A sender, initially closed, and its receiver. Entries that do not fit are counted.
     pub fn new(counters: Arc<Counters>) -> (Self, RecordReceiver) {
         let (to, entries) = mpsc::channel(QUEUE);
         let (open, keyframe) = <(Arc<AtomicBool>, Arc<AtomicBool>)>::default();
@@ -124,19 +124,19 @@ impl RecordSender {
         (Self(Some(queue)), RecordReceiver { entries, open, keyframe })
     }
 
-    /// Whether entries are wanted.
+    /// Whether entries are to be sent.
     pub fn open(&self) -> bool {
         self.0.as_ref().is_some_and(|queue| queue.open.load(Ordering::Relaxed))
     }
 
-    /// Whether a keyframe is wanted before its time: said once.
+    /// Whether a keyframe is requested before its time. Clears the request.
     pub fn wants_keyframe(&self) -> bool {
         self.0.as_ref().is_some_and(|queue| {
             queue.keyframe.load(Ordering::Relaxed) && queue.keyframe.swap(false, Ordering::Relaxed)
         })
     }
 
-    /// Hands an entry over, if it is wanted; false if it was and there was no room. Never waits.
+    /// Sends an entry if the recorder is open. Returns false if the queue was full. Never waits.
     pub fn put(&self, entry: impl FnOnce() -> Entry) -> bool {
         let Some(queue) = self.0.as_ref().filter(|_| self.open()) else { return true };
         let fits = queue.to.try_send(entry()).is_ok();

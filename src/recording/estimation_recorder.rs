@@ -1,4 +1,4 @@
-//! What estimation says for the record.
+//! Records the inputs of the estimation.
 
 use std::sync::Arc;
 
@@ -11,44 +11,44 @@ use super::{Entry, Keyframe, RecordSender};
 use crate::acquisition::SourceError;
 use crate::config::CalibrationContext;
 
-/// Time between two keyframes: what is lost at most behind a damaged place.
+/// Interval of keyframes: at most this much is lost after a damaged part.
 const KEYFRAME_NS: i64 = NS_PER_S;
 
-/// Puts what estimation is given on record, with all that a replay needs.
+/// Records the inputs of the estimation, with keyframes for a replay.
 #[derive(Clone, Debug)]
 pub struct EstimationRecorder {
     records: RecordSender,
     context: Arc<CalibrationContext>,
     source: Option<Arc<Identity>>,
     last: Option<Scan>,
-    /// When the next keyframe is due; none while nobody records.
+    /// Time of the next keyframe; `None` while nothing is recorded.
     due: Option<Mono>,
 }
 
 impl EstimationRecorder {
-    /// For samples that mean this.
+    /// A recorder for samples of this configuration.
     pub fn new(records: RecordSender, context: Arc<CalibrationContext>) -> Self {
         Self { records, context, source: None, last: None, due: None }
     }
 
-    /// A source is up.
+    /// Notes that a source is up.
     pub fn source(&mut self, source: Arc<Identity>) {
         (self.source, self.last, self.due) = (Some(source), None, None);
     }
 
-    /// From the next sample on they mean something else.
+    /// Notes that the configuration changes with the next sample.
     pub fn context(&mut self, context: Arc<CalibrationContext>) {
         (self.context, self.due) = (context, None);
     }
 
-    /// A sample that estimation is about to take; `memory` is what it remembers of those before.
+    /// Records a sample before estimation processes it. `memory` is the state of the estimation before it.
     pub fn sample(&mut self, sample: &Sample, scan: Scan, steering: &LoopState, memory: &EstimatorState) {
         self.keyframe(scan.time, memory);
         self.put(|| Entry::Sample { scan, sample: *sample, steering: *steering });
         self.last = Some(scan);
     }
 
-    /// Estimation is about to say that nothing comes.
+    /// Records that estimation is about to report silence.
     pub fn silence(
         &mut self,
         time: Mono,
@@ -74,7 +74,7 @@ impl EstimationRecorder {
         }
     }
 
-    /// After a loss, nothing makes sense before the next keyframe.
+    /// Sends an entry. After a loss, entries cannot be replayed before the next keyframe, which is then due.
     fn put(&mut self, entry: impl FnOnce() -> Entry) {
         if !self.records.put(entry) {
             self.due = None;

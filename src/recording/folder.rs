@@ -1,4 +1,4 @@
-//! The folder of the recordings: names, room, and what is deleted.
+//! The folder of the recordings: file names, free space, deletion of old files.
 
 use std::fs::{self, File, OpenOptions};
 use std::io;
@@ -8,31 +8,31 @@ use std::path::{Path, PathBuf};
 use jiff::Timestamp;
 use rustix::fs::{Access, access, statvfs};
 
-/// Stands behind the name of a file that is not finished.
+/// Extension of an unfinished file.
 pub const UNFINISHED: &str = "part";
-/// Permissions of a file, less those that the umask takes.
+/// Permissions of a file, before the umask.
 const MODE: u32 = 0o640;
 
-/// A folder of recordings. Files of others in it are left alone.
+/// A folder of recordings. Other files in it are left alone.
 #[derive(Clone, Debug)]
 pub struct Folder(pub PathBuf);
 
-/// A recording.
+/// A recording in the folder.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Recording {
-    /// Its path: the oldest sorts first.
+    /// Its path. Paths sort by the start time.
     pub path: PathBuf,
-    /// Its size.
+    /// Its size in bytes.
     pub bytes: u64,
 }
 
 impl Recording {
-    /// Whether it is not finished.
+    /// Whether it is unfinished.
     pub fn unfinished(&self) -> bool {
         self.path.extension().is_some_and(|extension| extension == UNFINISHED)
     }
 
-    /// Whether it is being written, by this process or another. What cannot be known counts as that.
+    /// Whether a process is writing it, this one or another. If that cannot be determined: true.
     pub fn in_use(&self) -> bool {
         let locked = |file: File| file.try_lock().is_err();
         self.unfinished() && OpenOptions::new().write(true).open(&self.path).map_or(true, locked)
@@ -40,10 +40,10 @@ impl Recording {
 }
 
 impl Folder {
-    /// Makes the folder, if only itself is missing.
+    /// Creates the folder if it does not exist. Its parent must exist.
     ///
     /// # Errors
-    /// It cannot be made.
+    /// The folder cannot be created.
     pub fn make(&self) -> io::Result<()> {
         match fs::create_dir(&self.0) {
             Err(e) if e.kind() == io::ErrorKind::AlreadyExists => Ok(()),
@@ -51,45 +51,45 @@ impl Folder {
         }
     }
 
-    /// Whether recordings can be made here, as far as can be seen without making any; or why not.
+    /// Checks whether recordings can be written here, without creating anything.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// A description of what prevents it: not a folder, no parent, or no permission.
     pub fn usable(&self) -> Result<(), String> {
         let parent = self.0.parent().filter(|parent| !parent.as_os_str().is_empty());
         let parent = parent.unwrap_or(Path::new("."));
         let there = match fs::metadata(&self.0) {
             Ok(it) if it.is_dir() => &self.0,
-            Ok(_) => return Err("it is no folder".into()),
+            Ok(_) => return Err("it is not a folder".into()),
             Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e.to_string()),
             Err(_) if !parent.is_dir() => {
                 return Err(format!(
-                    "there is no folder {}, and only the last one is made",
+                    "folder {} does not exist, and only the last folder of the path is created",
                     parent.display()
                 ));
             }
             Err(_) => parent,
         };
         let may = access(there, Access::WRITE_OK | Access::EXEC_OK);
-        may.map_err(|e| format!("cannot write in {}: {}", there.display(), io::Error::from(e)))
+        may.map_err(|e| format!("cannot write to {}: {}", there.display(), io::Error::from(e)))
     }
 
-    /// A new file for what begins at this moment, UTC. As long as it is open it is locked: nobody who asks
-    /// [`Recording::in_use`] takes it for left over.
+    /// Creates the file of a recording that begins at this time, UTC. The file is locked while it is open, so
+    /// that [`Recording::in_use`] is true for it.
     ///
     /// # Errors
-    /// It cannot be made.
+    /// The file cannot be created.
     pub fn create(&self, mut time_ns: i64) -> io::Result<(File, PathBuf)> {
         loop {
             let path = self.0.join(name(time_ns));
-            // Also finished files are not to be written over.
+            // A finished file of the same name must not be overwritten either.
             if !path.exists() {
                 let unfinished = unfinished(&path);
                 match OpenOptions::new().write(true).create_new(true).mode(MODE).open(&unfinished) {
                     Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {}
                     Err(e) => return Err(e),
                     Ok(file) => {
-                        // A file system without locks has none that is free either: nothing there is left over.
+                        // Without locks on this file system `in_use` is true for every unfinished file.
                         let _ = file.try_lock();
                         return Ok((file, unfinished));
                     }
@@ -99,17 +99,17 @@ impl Folder {
         }
     }
 
-    /// Bytes that may still be written, here or where the folder would be made.
+    /// Free space for recordings in bytes. If the folder does not exist, that of its nearest existing parent.
     ///
     /// # Errors
-    /// The system does not say.
+    /// The system cannot determine the free space.
     pub fn free(&self) -> io::Result<u64> {
         let there = self.0.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new("."));
         let room = statvfs(there)?;
         Ok(room.f_bavail.saturating_mul(room.f_frsize))
     }
 
-    /// All recordings, the oldest first.
+    /// All recordings, oldest first.
     ///
     /// # Errors
     /// The folder cannot be read.
@@ -118,7 +118,7 @@ impl Folder {
         for entry in fs::read_dir(&self.0)? {
             let entry = entry?;
             let ours = entry.file_name().to_str().is_some_and(is_ours);
-            // One that is renamed meanwhile is no recording any more, or another one.
+            // A file that was renamed after it was listed has no metadata under its old name.
             if let Some(found) = entry.metadata().ok().filter(|found| ours && found.is_file()) {
                 recordings.push(Recording { path: entry.path(), bytes: found.len() });
             }
@@ -127,8 +127,8 @@ impl Folder {
         Ok(recordings)
     }
 
-    /// Deletes the oldest recordings until all of them take so many bytes less than the budget, but none that
-    /// is being written. Gives those that are deleted.
+    /// Deletes the oldest recordings until `wanted` bytes are left within `budget` bytes. Files in use are
+    /// kept. Returns the deleted recordings.
     ///
     /// # Errors
     /// The folder cannot be read.
@@ -148,11 +148,11 @@ impl Folder {
                     taken -= recording.bytes;
                     deleted.push(recording);
                 }
-                // Finished or deleted by somebody else meanwhile.
+                // It has been renamed or deleted since it was listed.
                 Err(e) if e.kind() == io::ErrorKind::NotFound => {}
                 Err(e) => tracing::warn!(
                     file = %recording.path.display(),
-                    "an old recording cannot be deleted, to keep recording.budget_gb: {e}"
+                    "cannot delete an old recording to stay within recording.budget_gb: {e}"
                 ),
             }
         }
@@ -160,13 +160,13 @@ impl Folder {
     }
 }
 
-/// The name of a recording that begins at this moment: `trifacet-20260102T030405.678Z.mcap`.
+/// The file name of a recording that begins at this time: `trifacet-20260102T030405.678Z.mcap`.
 fn name(time_ns: i64) -> String {
     let time = Timestamp::from_nanosecond(time_ns.into()).unwrap_or(Timestamp::UNIX_EPOCH);
     format!("trifacet-{}.mcap", time.strftime("%Y%m%dT%H%M%S.%3fZ"))
 }
 
-/// The same file before it is finished.
+/// The path of the same recording before it is finished.
 fn unfinished(path: &Path) -> PathBuf {
     let mut path = path.as_os_str().to_owned();
     path.push(".");
@@ -174,7 +174,7 @@ fn unfinished(path: &Path) -> PathBuf {
     path.into()
 }
 
-/// Whether this is the name of a recording, finished or not.
+/// Whether this is the file name of a recording, finished or not.
 fn is_ours(name: &str) -> bool {
     let pattern = b"trifacet-00000000T000000.000Z.mcap";
     let name = name.strip_suffix(UNFINISHED).and_then(|name| name.strip_suffix('.')).unwrap_or(name);
@@ -213,7 +213,7 @@ mod tests {
             open.push(file);
         }
         let (_open, other) = folder.create(0).unwrap();
-        assert!(other.to_str().unwrap().contains("000000.001Z"), "no file is written over");
+        assert!(other.to_str().unwrap().contains("000000.001Z"), "no file is overwritten");
         assert!(folder.make_room(350, 100).unwrap().is_empty(), "all but one are being written");
         open.drain(1..);
         let deleted = folder.make_room(350, 100).unwrap();

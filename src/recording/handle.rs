@@ -1,4 +1,4 @@
-//! What the rest of the house sees of the recorder, and may ask of it.
+//! The interface of the recorder: its commands and its state.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -10,14 +10,14 @@ use tokio::sync::{mpsc, oneshot};
 use crate::config::RecordingMode;
 use crate::exit::Failure;
 
-/// What may be asked of the recorder.
+/// A command to the recorder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RecorderCommand {
-    /// To record from now on, with what is in the ring.
+    /// Record from now on, including the contents of the ring.
     Start,
-    /// To end the recording.
+    /// End the recording.
     Stop,
-    /// To do as if there were a fault.
+    /// Act as if a fault had occurred.
     Trigger,
 }
 
@@ -26,7 +26,7 @@ impl RecorderCommand {
     pub const ALL: [RecorderCommand; 3] =
         [RecorderCommand::Start, RecorderCommand::Stop, RecorderCommand::Trigger];
 
-    /// The command as a word.
+    /// Name of the command.
     pub fn name(self) -> &'static str {
         match self {
             RecorderCommand::Start => "start",
@@ -36,21 +36,21 @@ impl RecorderCommand {
     }
 }
 
-/// A command with the way back: done, or why not.
+/// A command with the channel for its result.
 pub type Asked = (RecorderCommand, oneshot::Sender<Result<(), Failure>>);
 
-/// What holds at present.
+/// State of the recorder.
 #[derive(Debug)]
 pub struct State {
-    /// By the configuration.
+    /// Mode from the configuration.
     pub mode: RecordingMode,
-    /// Data are lost at present: what the frames say.
+    /// Data are being lost. Frames carry this as `RECORDING_FAULT`.
     pub fault: Arc<AtomicBool>,
     /// A file is being written.
     pub recording: AtomicBool,
-    /// Room on the file system of the recordings, bytes; `u64::MAX` while it is not known.
+    /// Free space on the file system of the recordings in bytes; `u64::MAX` if unknown.
     pub free: AtomicU64,
-    /// What the ring takes, bytes.
+    /// Memory used by the ring, bytes.
     pub ring: AtomicU64,
     words: Mutex<Words>,
 }
@@ -62,7 +62,7 @@ struct Words {
 }
 
 impl State {
-    /// Of a recorder that does nothing yet.
+    /// The initial state.
     pub fn new(mode: RecordingMode) -> Self {
         Self {
             mode,
@@ -74,24 +74,24 @@ impl State {
         }
     }
 
-    /// Says which file is being written.
+    /// Sets the file that is being written.
     pub fn file(&self, file: Option<PathBuf>) {
         self.recording.store(file.is_some(), Ordering::Relaxed);
         self.words().file = file;
     }
 
-    /// Says why data are lost.
+    /// Sets the reason for which data are being lost.
     pub fn fault(&self, why: Option<String>) {
         self.fault.store(why.is_some(), Ordering::Relaxed);
         self.words().fault = why;
     }
 
-    /// Room on the file system of the recordings, bytes, if it is known.
+    /// Free space on the file system of the recordings in bytes, if known.
     pub fn free(&self) -> Option<u64> {
         Some(self.free.load(Ordering::Relaxed)).filter(|free| *free < u64::MAX)
     }
 
-    /// For people.
+    /// The state in JSON.
     pub fn tell(&self) -> Value {
         let words = self.words();
         json!({
@@ -109,11 +109,11 @@ impl State {
     }
 }
 
-/// The way to the recorder.
+/// Access to the recorder.
 #[derive(Clone, Debug)]
 pub struct Handle {
-    /// What holds at present.
+    /// State of the recorder.
     pub state: Arc<State>,
-    /// Where wishes go.
+    /// Sends commands to the recorder.
     pub wishes: mpsc::Sender<Asked>,
 }

@@ -1,4 +1,4 @@
-//! The messages of the file: the fields of `msg/*.msg`, in their order.
+//! Messages of a recording: the fields of `msg/*.msg`, in the same order.
 
 use serde::{Deserialize, Serialize};
 use trifacet_core::centering::LoopState;
@@ -8,7 +8,7 @@ use trifacet_optics::Pose;
 use trifacet_wire::channel::{Converter, Role};
 use trifacet_wire::{LockState, PoseFrame, Status};
 
-/// `builtin_interfaces/Time`, UTC.
+/// `builtin_interfaces/Time`: a time in UTC.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Time {
     sec: i32,
@@ -22,16 +22,16 @@ impl Time {
     }
 }
 
-/// What cannot be.
+/// A number without a meaning in its field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0} is no {1}")]
+#[error("{0} is not a {1}")]
 pub struct Unknown(u8, &'static str);
 
 fn lock(number: u8) -> Result<LockState, Unknown> {
     LockState::ALL.get(usize::from(number)).copied().ok_or(Unknown(number, "lock state"))
 }
 
-/// None is NaN.
+/// `None` becomes NaN.
 fn pair(known: Option<[f64; 2]>) -> [f64; 2] {
     known.unwrap_or([f64::NAN; 2])
 }
@@ -68,7 +68,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Of a frame whose `time_ns` is this moment.
+    /// The message of a frame, with the monotonic time of its `time_ns`.
     pub fn new(frame: &PoseFrame, time: Mono) -> Self {
         Self {
             stamp: Time::new(frame.time_ns),
@@ -96,7 +96,10 @@ impl Frame {
         }
     }
 
-    /// The frame, and the moment.
+    /// The frame, and the monotonic time of its `time_ns`.
+    ///
+    /// # Errors
+    /// The lock state is not a valid number.
     pub fn read(&self) -> Result<(PoseFrame, Mono), Unknown> {
         let frame = PoseFrame {
             session: self.session,
@@ -144,7 +147,7 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// Of a sample that estimation is about to take.
+    /// The message of a sample that estimation is about to process.
     pub fn new(stamp: Time, scan: &Scan, sample: &Taken, steering: &LoopState) -> Self {
         Self {
             stamp,
@@ -164,13 +167,16 @@ impl Sample {
         }
     }
 
-    /// The scan, what was made of it, and what estimation knew of the loop.
+    /// The scan, the sample computed from it, and the state of the loop as estimation knew it.
+    ///
+    /// # Errors
+    /// The lock state or the state of a PSD is not a valid number.
     pub fn read(&self) -> Result<(Scan, Taken, LoopState), Unknown> {
         let psd = |number| match number {
             0 => Ok(PsdState::Good),
             1 => Ok(PsdState::Low),
             2 => Ok(PsdState::Clipped),
-            _ => Err(Unknown(number, "state of a PSD")),
+            _ => Err(Unknown(number, "PSD state")),
         };
         let [a, b, c] = self.psds;
         let scan = Scan {
@@ -208,14 +214,17 @@ pub struct Silence {
 }
 
 impl Silence {
-    /// Of a moment without samples.
+    /// The message of a report that there are no samples.
     pub fn new(stamp: Time, time: Mono, steering: &LoopState, why: Option<&str>) -> Self {
         let commanded = pair(steering.position);
         let why = why.unwrap_or_default().to_owned();
         Self { stamp, monotonic_ns: time.0, lock: steering.lock as u8, commanded, why }
     }
 
-    /// When, what estimation knew of the loop, and why the source went down just then.
+    /// The time, the state of the loop as estimation knew it, and why the source went down, if it did then.
+    ///
+    /// # Errors
+    /// The lock state is not a valid number.
     pub fn read(self) -> Result<(Mono, LoopState, Option<String>), Unknown> {
         let steering = LoopState { lock: lock(self.lock)?, position: known(self.commanded) };
         Ok((Mono(self.monotonic_ns), steering, Some(self.why).filter(|why| !why.is_empty())))
@@ -233,13 +242,16 @@ pub struct Lock {
 }
 
 impl Lock {
-    /// Of a change.
+    /// The message of a change.
     pub fn new(stamp: Time, time: Mono, [before, after]: [LockState; 2], cause: &str) -> Self {
         let [before, after] = [before, after].map(|state| state as u8);
         Self { stamp, monotonic_ns: time.0, before, after, cause: cause.to_owned() }
     }
 
-    /// When, from what to what, and why.
+    /// Time, states before and after, and cause.
+    ///
+    /// # Errors
+    /// A lock state is not a valid number.
     pub fn read(self) -> Result<(Mono, [LockState; 2], String), Unknown> {
         Ok((Mono(self.monotonic_ns), [lock(self.before)?, lock(self.after)?], self.cause))
     }
@@ -248,15 +260,15 @@ impl Lock {
 /// `/trifacet/config`.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Config {
-    /// When it was written.
+    /// Time of writing.
     pub stamp: Time,
-    /// Of the program.
+    /// Version of the program.
     pub version: String,
-    /// As in the frames.
+    /// Identifier of the configuration, as in the frames.
     pub id: u32,
-    /// The configuration.
+    /// The configuration in TOML.
     pub toml: String,
-    /// Contents of the correction tables; empty: none.
+    /// Contents of the correction tables of PSD A, B and C; empty: no table.
     pub tables: (Vec<u8>, Vec<u8>, Vec<u8>),
 }
 
@@ -275,7 +287,7 @@ pub struct Source {
 }
 
 impl Source {
-    /// Of a source.
+    /// The message of a source.
     pub fn new(stamp: Time, identity: &Identity) -> Self {
         let Converter { bits, range_v } = identity.converter;
         Self {
@@ -308,24 +320,24 @@ impl Source {
 /// `/trifacet/keyframe`.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Keyframe {
-    /// When it was written.
+    /// Time of writing.
     pub stamp: Time,
-    /// Of the program that can read the state.
+    /// Version of the program that can read `state`.
     pub version: String,
-    /// Whether there is a source.
+    /// Whether a source is up.
     pub source: bool,
-    /// Last scan and memory.
+    /// Last scan and state of the estimation.
     pub state: Vec<u8>,
 }
 
 /// `/trifacet/gap`.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Gap {
-    /// When it ended.
+    /// End of the gap.
     pub stamp: Time,
-    /// How much is missing.
+    /// Number of missing entries; 0: unknown.
     pub entries: u64,
-    /// Why.
+    /// Cause of the gap.
     pub reason: String,
 }
 
@@ -340,10 +352,10 @@ pub struct PoseStamped {
 }
 
 impl PoseStamped {
-    /// Of the pose in a valid frame, with its covariance in m and rad of roll, pitch, yaw.
+    /// The message of a valid frame; `covariance` in m and rad, of roll, pitch and yaw.
     pub fn new(frame: &PoseFrame, covariance: &nalgebra::Matrix6<f64>) -> Self {
         let pose = Pose::from_array(frame.pose);
-        // ROS means small turns about the fixed axes, where we mean roll, pitch and yaw.
+        // ROS expects small rotations about the fixed axes; `covariance` is of roll, pitch and yaw.
         let mut axes = nalgebra::Matrix6::identity();
         axes.fixed_view_mut::<3, 3>(3, 3).copy_from(&pose.euler_axes());
         let turned = axes * covariance * axes.transpose();
@@ -358,14 +370,14 @@ impl PoseStamped {
     }
 }
 
-/// To 1 part in 8000: more than a covariance is good for, and a fifth less in the file, because it is the same
-/// from sample to sample.
+/// Rounds to 1 part in 8000. A covariance is less accurate than that, and the file becomes a fifth smaller,
+/// because the value stays the same from sample to sample.
 fn rounded(x: f64) -> f64 {
     const DROPPED: u32 = 0x7ff;
     f64::from(f32::from_bits((x as f32).to_bits().saturating_add(DROPPED / 2 + 1) & !DROPPED))
 }
 
-/// x, y, z, w.
+/// The rotation as a quaternion: x, y, z, w.
 fn quaternion(pose: &Pose) -> [f64; 4] {
     let q = nalgebra::UnitQuaternion::from_euler_angles(pose.roll, pose.pitch, pose.yaw);
     [q.i, q.j, q.k, q.w]

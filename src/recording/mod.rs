@@ -1,11 +1,14 @@
-//! The record of what went in and what came out, so that a measurement can be replayed.
+//! Records the inputs and outputs of the estimation, so that a measurement can be replayed.
 //!
-//! - [`entry`]: what is recorded, as the fast side hands it over without ever waiting.
-//! - [`estimation_recorder`]: what estimation says for the record, with a keyframe every second.
-//! - [`schema`], [`message`]: topics and messages, as tools for ROS 2 know them. [`codec`]: entries to messages and back.
-//! - [`reader`]: a file to entries, past every damage.
-//! - [`writer`]: messages to a file. [`ring`]: the last seconds in memory. [`folder`], `output`, `disk`: where files are.
-//! - [`recorder`]: the thread that does it. [`trigger`]: when. [`handle`]: what others see of it.
+//! - [`entry`]: the recorded events, and the channel over which the fast side passes them without waiting.
+//! - [`estimation_recorder`]: records the inputs of the estimation, with a keyframe every second.
+//! - [`schema`], [`message`]: topics and messages, with ROS 2 definitions.
+//! - [`codec`]: entries to messages and back.
+//! - [`reader`]: a file to entries, skipping damaged parts.
+//! - [`writer`]: messages to a file. [`ring`]: the last seconds in memory.
+//! - [`folder`], `output`, `disk`: the files.
+//! - [`recorder`]: the thread that writes. [`trigger`]: detects faults.
+//! - [`handle`]: the interface of the recorder.
 
 pub mod codec;
 mod disk;

@@ -1,4 +1,4 @@
-//! A file in the making.
+//! A recording that is being written.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -14,30 +14,30 @@ use super::disk::{Disk, leads_to};
 use super::folder::Folder;
 use super::writer::{RecordError, Writer};
 
-/// A recording in the making.
+/// A recording that is being written.
 pub struct Output {
     writer: Writer<Tail>,
     file: Arc<File>,
-    /// Where it stands until it is finished.
+    /// Its path until it is finished.
     pub path: PathBuf,
-    /// When it began.
+    /// Start of the recording, monotonic.
     pub since: Mono,
     written: Arc<AtomicU64>,
     failed: Arc<AtomicBool>,
     told: AtomicU64,
-    /// Bytes of it that make whole chunks, and those before the first message.
+    /// Bytes up to the last complete chunk, and bytes before the first message.
     whole: u64,
     head: u64,
-    /// Entries behind that: lost if it ends here.
+    /// Entries after the last complete chunk: lost if the file ends here.
     torn: u64,
-    /// There is a sample or a frame in it.
+    /// The file contains a sample or a frame.
     any: bool,
-    /// Configuration and source that were written last, without their stamps.
+    /// Last written configuration and source, without their stamps.
     standing: [Vec<u8>; 2],
     keyframes: u32,
 }
 
-/// Where the bytes go. After an error, nowhere: what follows a torn chunk would hide it.
+/// Writes to the file. After an error it writes nothing: data after an incomplete chunk could not be found.
 struct Tail {
     file: Arc<File>,
     written: Arc<AtomicU64>,
@@ -67,10 +67,12 @@ impl Write for Tail {
 }
 
 impl Output {
-    /// Begins a file at this moment, UTC.
+    /// Begins a file.
+    ///
+    /// `time_ns` is its start in UTC, `since` the current monotonic time.
     ///
     /// # Errors
-    /// It cannot be made.
+    /// The file cannot be created or its header cannot be written.
     pub fn begin(
         folder: &Folder,
         time_ns: i64,
@@ -102,21 +104,21 @@ impl Output {
         })
     }
 
-    /// Bytes since this was last asked.
+    /// Bytes written since the last call.
     pub fn news(&self) -> u64 {
         let bytes = self.bytes();
         bytes - self.told.swap(bytes, Ordering::Relaxed)
     }
 
-    /// Bytes so far.
+    /// Bytes written so far.
     pub fn bytes(&self) -> u64 {
         self.written.load(Ordering::Relaxed)
     }
 
-    /// Takes a message; false if it says again what stands already, and not long before.
+    /// Writes a message. Returns false if it repeats a recent configuration or source, which is not written.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The message cannot be written.
     pub fn put(&mut self, message: Encoded<'_>) -> Result<bool, RecordError> {
         self.any |= matches!(message.topic, Topic::Sample | Topic::Frame);
         self.torn +=
@@ -127,7 +129,7 @@ impl Output {
             _ => None,
         };
         if let Some(standing) = standing {
-            // Behind the encapsulation and the stamp.
+            // Skip the encapsulation and the stamp.
             let text = message.data.get(12..).unwrap_or_default();
             if standing == text {
                 return Ok(false);
@@ -142,31 +144,31 @@ impl Output {
         Ok(true)
     }
 
-    /// Hands over to the system what there is.
+    /// Ends the chunk and writes it to the file.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The chunk cannot be written.
     pub fn flush(&mut self) -> Result<(), RecordError> {
         self.writer.flush()?;
         (self.whole, self.torn) = (self.bytes(), 0);
         Ok(())
     }
 
-    /// Entries that are lost if it ends here.
+    /// Entries that would be lost if the file ended here.
     pub fn torn(&self) -> u64 {
         self.torn
     }
 
-    /// Asks for it to be on the disk.
+    /// Has the file synchronized to disk by the disk thread.
     pub fn sync(&self, disk: &mut Disk) {
         disk.sync(&self.file, &self.path);
     }
 
-    /// Writes the index, and gives the file its name as soon as it is on the disk. False if there is nothing
-    /// in it: then it is not kept.
+    /// Writes the index. The disk thread then renames the file once it is on disk. Returns false if the file
+    /// contains no sample and no frame: it is removed.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The index cannot be written.
     pub fn finish(self, disk: &mut Disk) -> Result<bool, RecordError> {
         let Self { writer, file, path, whole, any, .. } = self;
         if let Err(e) = writer.finish() {
@@ -181,11 +183,12 @@ impl Output {
         Ok(any)
     }
 
-    /// Leaves it unfinished, cut to what is whole; gives where it is, if it is there and anything is in it.
+    /// Leaves the file unfinished, cut after the last complete chunk. Returns its path, if the file
+    /// is still there and contains data.
     pub fn abandon(self) -> Option<PathBuf> {
         let Self { writer, file, path, whole, head, failed, .. } = self;
         failed.store(true, Ordering::Relaxed);
-        drop(writer); // it would finish the file
+        drop(writer); // dropping it would finish the file; `failed` keeps it from writing
         if whole > head {
             cut(&file, whole);
             Some(path).filter(|path| leads_to(path, &file).is_ok_and(|it_does| it_does))
@@ -196,13 +199,13 @@ impl Output {
     }
 }
 
-/// Cuts off what is torn. Where that is not possible either, whoever reads it finds it torn.
+/// Cuts off an incomplete chunk. If that fails, a reader detects the incomplete end.
 fn cut(file: &File, whole: u64) {
     let _ = file.set_len(whole);
 }
 
 fn remove(path: &Path) {
-    // It has nothing in it; if it cannot be removed, it does no harm.
+    // The file contains no data: if it cannot be removed, it does no harm.
     let _ = fs::remove_file(path);
 }
 

@@ -1,15 +1,16 @@
-//! The recorder: a thread that takes what the senders give, and writes it as the configuration and people want.
+//! The recorder: a thread that writes the entries to files, according to configuration, commands and faults.
 //!
 //! ```text
-//!  records ─> drain ─┬─(recording)─> file ─> disk thread: fdatasync each second
-//!                └─(on-fault)──> ring ──(fault)──> file
+//!  entries ─> drain ─┬─(recording)─> file ─> disk thread: fdatasync each second
+//!                    └─(on-fault)──> ring ──(fault)──> file
 //! ```
 //!
-//! A file begins at a keyframe, and ends at the next one's: where it ends, the next file or the ring goes on with
-//! that very keyframe, and nothing is lost in between. Where that is to be soon, a keyframe is asked for.
+//! A file begins at a keyframe and ends at a keyframe. The next file or the ring begins with the keyframe at
+//! which a file ends, so that nothing is lost in between. Before a file begins or ends, the recorder requests
+//! a keyframe.
 //!
-//! Nothing that happens to it reaches the measurement: what cannot be written is lost, counted, told in
-//! the log, in every frame (RECORDING_FAULT), and in the next file.
+//! A failure of the recorder does not affect the measurement. What cannot be written is lost and counted. The
+//! loss is reported in the log, in every frame (RECORDING_FAULT), and in the next file.
 
 mod commands;
 mod faults;
@@ -42,15 +43,15 @@ use super::trigger::Trigger;
 use crate::clock::{SystemClock, utc};
 use crate::config::{Compression, RecordingConfig, RecordingMode};
 
-/// How often the queue is looked at.
+/// Interval of polling the queue.
 const LOOK: Duration = Duration::from_millis(20);
-/// Most entries that are taken at a time: then comes everything else.
+/// Most entries processed in one pass of the main loop.
 const BATCH: usize = 8 * 1024;
-/// How often what there is is handed over to the system: what a killed daemon loses.
+/// Interval of writing the current chunk to the system: a killed daemon loses at most this.
 const FLUSH_NS: i64 = NS_PER_S / 2;
-/// How often the disk is asked for it, and a recording that failed is tried again.
+/// Interval of synchronizing to disk, and of retrying after a failure.
 const SECOND_NS: i64 = NS_PER_S;
-/// Room that there must be to begin a recording, bytes.
+/// Least free space for a new recording, bytes.
 const ROOM: u64 = 4 << 20;
 
 struct Recorder {
@@ -64,25 +65,25 @@ struct Recorder {
     counters: Arc<Counters>,
     encoder: Encoder,
     output: Option<Output>,
-    /// While it is on fault and no file is written, or while the file is still being filled from it.
+    /// Present in mode on-fault while no file is written, and while a file is being filled from it.
     ring: Option<Ring>,
     trigger: Option<Trigger>,
-    /// A recording is wanted.
+    /// A recording is to be written.
     wanted: bool,
-    /// Until then, if it began with a fault or somebody has ended it.
+    /// End of the recording, if a fault started it or a command ended it.
     until: Option<Mono>,
-    /// The last moment that was told.
+    /// Time of the latest entry.
     latest: Mono,
-    /// Somebody waits for the end of the file.
+    /// A command that waits for the end of the file.
     stopping: Option<Stopping>,
     fault: Option<Fault>,
-    /// What went wrong with something that is over, and until when the frames tell of it.
+    /// An error of a finished file or of the queue, and the time until which frames report it.
     mishap: Option<(Mono, String)>,
-    /// Entries that did not fit into the queue, so far.
+    /// Entries that did not fit into the queue so far.
     overflows: u64,
-    /// Entries that no file has been told of, and why they are missing.
+    /// Missing entries that no file reports yet, and the reason.
     untold: Option<(u64, String)>,
-    /// Nothing makes sense before the next keyframe.
+    /// Entries cannot be decoded before the next keyframe.
     fresh: bool,
     stop: Arc<AtomicBool>,
     flushed: Mono,
@@ -153,7 +154,7 @@ impl Recorder {
         self.hear_disk();
     }
 
-    /// Takes what is there; true at the end.
+    /// Processes waiting entries. Returns true at the end.
     fn drain(&mut self) -> bool {
         let open = self.wanted || self.ring.is_some();
         self.receiver.open.store(open, Ordering::Relaxed);
@@ -172,7 +173,7 @@ impl Recorder {
     fn take(&mut self, entry: &Entry, now: Mono) {
         self.latest = entry.time().unwrap_or(self.latest);
         if let Some(why) = self.trigger.as_mut().and_then(|trigger| trigger.see(entry)) {
-            // What goes wrong with it is told there.
+            // It logs and reports its errors itself.
             let _ = self.triggered(why);
         }
         if matches!(entry, Entry::Keyframe(_)) {
@@ -183,7 +184,7 @@ impl Recorder {
         let filling = self.filling();
         if let Some(ring) = &mut self.ring {
             if let Err(e) = ring.put(&mut self.encoder, entry, now, !filling) {
-                tracing::warn!("the ring of the recorder begins anew: {e}");
+                tracing::warn!("recorder ring cleared: {e}");
                 ring.clear();
             }
             return;
@@ -194,7 +195,7 @@ impl Recorder {
             return;
         }
         if self.fresh {
-            return; // nothing that could be understood
+            return; // cannot be decoded without a keyframe
         }
         let Self { encoder, output: Some(output), counters, .. } = self else { return };
         let done = encoder.encode(entry, |message| {
@@ -206,19 +207,19 @@ impl Recorder {
         }
     }
 
-    /// If nothing has told the encoder the time lately, it reads the clocks.
+    /// Reads the clocks for the encoder if no entry has given it the time recently.
     fn wake(&mut self) {
         if self.fresh {
             self.encoder = Encoder::new(utc::read_clocks());
         }
     }
 
-    /// The file is still being filled from the ring.
+    /// Whether a file is being filled from the ring.
     fn filling(&self) -> bool {
         self.ring.is_some() && self.output.is_some()
     }
 
-    /// What is to be done now and then.
+    /// Periodic work.
     fn mind(&mut self, now: Mono) {
         self.watch_overflows(now);
         if now - self.flushed >= FLUSH_NS {

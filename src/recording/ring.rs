@@ -1,4 +1,4 @@
-//! What happened lately, in memory: compressed stretches of a second, each of which begins at a keyframe.
+//! The last seconds in memory, in compressed segments of about a second. Each segment begins at a keyframe.
 
 use std::collections::VecDeque;
 
@@ -8,10 +8,10 @@ use super::codec::{Encoded, Encoder};
 use super::writer::{RecordError, Writer};
 use super::{Entry, Topic};
 
-/// Most that it takes, bytes: then it reaches less far back.
+/// Memory limit in bytes. Beyond it the oldest segments are dropped.
 const MOST: usize = 512 << 20;
 
-/// The last seconds.
+/// The last seconds of entries.
 pub struct Ring {
     keep_ns: i64,
     compression: Option<mcap::Compression>,
@@ -20,37 +20,38 @@ pub struct Ring {
     bytes: usize,
 }
 
-/// From one keyframe to the next.
+/// The entries from one keyframe to the next.
 struct Stretch {
-    /// When it began, UTC.
+    /// Start: nanoseconds of UTC since 1970.
     begin_ns: i64,
-    /// When it ended.
+    /// End.
     end: Mono,
     file: Vec<u8>,
 }
 
 impl Ring {
-    /// Keeps so many seconds.
+    /// A ring that keeps the last `keep_s` seconds.
     pub fn new(keep_s: f64, compression: Option<mcap::Compression>) -> Self {
         let keep_ns = (keep_s * NS_PER_S as f64) as i64;
         Self { keep_ns, compression, done: VecDeque::new(), open: None, bytes: 0 }
     }
 
-    /// Bytes of the stretches that are done.
+    /// Memory used by complete segments, bytes.
     pub fn bytes(&self) -> usize {
         self.bytes
     }
 
-    /// When what it holds begins: nanoseconds of UTC since 1970.
+    /// Start of the oldest segment: nanoseconds of UTC since 1970.
     pub fn begin_ns(&self) -> Option<i64> {
         let open = self.open.as_ref().map(|(begin_ns, _)| *begin_ns);
         self.done.front().map(|oldest| oldest.begin_ns).or(open)
     }
 
-    /// Takes an entry. `forget` what is older than was asked for; not while it is being emptied.
+    /// Adds an entry. With `forget`, drops segments that are too old; not to be set while the ring is
+    /// drained.
     ///
     /// # Errors
-    /// It cannot be encoded.
+    /// The entry cannot be encoded.
     pub fn put(
         &mut self,
         encoder: &mut Encoder,
@@ -70,19 +71,19 @@ impl Ring {
         encoder.encode(entry, |message| writer.put(message).map_err(RecordError::from))
     }
 
-    /// Says what is missing before what comes next.
+    /// Adds the message that entries are missing before the next one.
     ///
     /// # Errors
-    /// It cannot be encoded.
+    /// The message cannot be encoded.
     pub fn gap(&mut self, encoder: &mut Encoder, entries: u64, why: &str) -> Result<(), RecordError> {
         let Some((_, writer)) = &mut self.open else { return Ok(()) };
         encoder.gap(entries, why, |message| writer.put(message).map_err(RecordError::from))
     }
 
-    /// Ends the stretch in the making.
+    /// Completes the open segment.
     ///
     /// # Errors
-    /// It cannot be encoded.
+    /// The end of the segment cannot be encoded.
     pub fn close(&mut self, now: Mono) -> Result<(), RecordError> {
         if let Some((begin_ns, writer)) = self.open.take() {
             let file = writer.finish()?;
@@ -106,16 +107,16 @@ impl Ring {
         Some(stretch)
     }
 
-    /// Forgets everything.
+    /// Drops all entries.
     pub fn clear(&mut self) {
         (self.open, self.bytes) = (None, 0);
         self.done.clear();
     }
 
-    /// Gives the messages of the oldest stretch and forgets it; false if there is none.
+    /// Passes the messages of the oldest segment to `put` and drops it. Returns false if there is no segment.
     ///
     /// # Errors
-    /// What `put` says.
+    /// `put` fails, or the segment cannot be read.
     pub fn drain(
         &mut self,
         mut put: impl FnMut(Encoded<'_>) -> Result<(), RecordError>,

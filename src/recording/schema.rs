@@ -1,16 +1,16 @@
-//! Topics, and the definitions of their messages in the language of ROS 2: every file carries them, so that
-//! tools which know nothing of this program can decode it.
+//! Topics, and the ROS 2 definitions of their messages. Every file contains the definitions, so that other
+//! tools can decode it.
 
-/// A topic, in the order of their ids.
+/// A topic. The order is that of the ids.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Topic {
-    /// Valid poses, as ROS has them.
+    /// Valid poses as a ROS message.
     Pose,
     /// Frames of the stream.
     Frame,
-    /// Samples with their codes.
+    /// Samples with their raw codes.
     Sample,
-    /// That no samples came.
+    /// Reports that there are no samples.
     Silence,
     /// Changes of the lock state.
     Lock,
@@ -20,11 +20,11 @@ pub enum Topic {
     Source,
     /// State of the estimation.
     Keyframe,
-    /// What was lost on the way to the file.
+    /// Reports of entries lost on the way to the file.
     Gap,
 }
 
-/// Stands before each definition that another one needs.
+/// Precedes each definition that another one needs.
 const SEPARATOR: &str =
     "================================================================================\nMSG: ";
 
@@ -53,7 +53,7 @@ impl Topic {
         Topic::Gap,
     ];
 
-    /// Its name: `/trifacet/pose`.
+    /// Name: `/trifacet/pose`.
     pub fn name(self) -> &'static str {
         match self {
             Topic::Pose => "/trifacet/pose",
@@ -68,12 +68,12 @@ impl Topic {
         }
     }
 
-    /// The topic of a name.
+    /// The topic with this name.
     pub fn of(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|topic| topic.name() == name)
     }
 
-    /// The type of its messages: `geometry_msgs/msg/PoseWithCovarianceStamped`.
+    /// Type of the messages: `geometry_msgs/msg/PoseWithCovarianceStamped`.
     pub fn schema(self) -> &'static str {
         match self {
             Topic::Pose => "geometry_msgs/msg/PoseWithCovarianceStamped",
@@ -88,7 +88,7 @@ impl Topic {
         }
     }
 
-    /// The definition of that type, and of those that it needs.
+    /// Definition of the type, followed by those that it needs.
     pub fn definition(self) -> String {
         let (own, needed) = match self {
             Topic::Pose => {

@@ -1,29 +1,29 @@
-//! When something goes wrong. Pure.
+//! Detects the beginning of a fault. Pure.
 
 use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_wire::{LockState, PoseFrame, Status};
 
 use super::Entry;
 
-/// Looks for the beginnings of faults. While one lasts, it is no news.
+/// Detects the beginning of faults. A fault that lasts triggers once.
 #[derive(Clone, Debug)]
 pub struct Trigger {
     calm_ns: i64,
-    /// Since when nothing has been wrong; none before the first frame.
+    /// Start of the current time without faults; `None` before the first frame and during a fault.
     calm: Option<Mono>,
-    /// Everything was well for long enough once: a start is no fault.
+    /// There was once enough time without faults. Before that, faults belong to the start and do not count.
     armed: bool,
-    /// Something was wrong with the last frame.
+    /// The last frame had a fault.
     wrong: bool,
 }
 
 impl Trigger {
-    /// Nothing counts before so many seconds without fault.
+    /// A trigger that needs `calm_s` seconds without faults before the first fault counts.
     pub fn new(calm_s: f64) -> Self {
         Self { calm_ns: (calm_s * NS_PER_S as f64) as i64, calm: None, armed: false, wrong: false }
     }
 
-    /// Takes every entry in turn; says what goes wrong when it begins.
+    /// Takes every entry in turn. Returns the cause when a fault begins.
     pub fn see(&mut self, entry: &Entry) -> Option<&'static str> {
         match entry {
             Entry::Frame { frame, time, .. } => {
@@ -67,14 +67,14 @@ mod tests {
     fn each_fault_triggers_when_it_begins_and_the_start_is_none() {
         let good = |second| frame(second, Status::POSE_VALID, 0);
         let mut trigger = Trigger::new(3.0);
-        assert_eq!(trigger.see(&frame(0, Status::default(), 0)), None, "nothing was fine before");
+        assert_eq!(trigger.see(&frame(0, Status::default(), 0)), None, "no time without faults before");
         assert_eq!(trigger.see(&good(1)), None);
-        assert_eq!(trigger.see(&frame(2, Status::default(), 0)), None, "not for long enough");
+        assert_eq!(trigger.see(&frame(2, Status::default(), 0)), None, "not long enough");
         for second in 3..=6 {
             assert_eq!(trigger.see(&good(second)), None);
         }
         assert_eq!(trigger.see(&frame(7, Status::SOURCE_DOWN, 0)), Some("the source is down"));
-        assert_eq!(trigger.see(&frame(8, Status::default(), 0)), None, "it lasts");
+        assert_eq!(trigger.see(&frame(8, Status::default(), 0)), None, "the same fault");
         assert_eq!(trigger.see(&good(9)), None);
         assert_eq!(trigger.see(&frame(10, Status::POSE_VALID, 2)), Some("samples were lost"), "another one");
         let lock = |before| Entry::Lock {

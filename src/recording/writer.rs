@@ -1,4 +1,4 @@
-//! Messages to MCAP: chunk after chunk, so that a torn end costs no more than the last one.
+//! Writes messages to an MCAP file in chunks, so that an incomplete end costs at most the last chunk.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -13,21 +13,21 @@ use super::codec::{EncodeError, Encoded, VERSION};
 /// Size of a chunk before compression, bytes: a third of a second at 10 kHz.
 const CHUNK: u64 = 2 << 20;
 
-/// What cannot be recorded.
+/// Why a message cannot be recorded.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
     /// It cannot be encoded.
     #[error("{0}")]
     Encode(#[from] EncodeError),
-    /// The system does not take it.
+    /// The system reports an error.
     #[error("{0}")]
     Io(#[from] std::io::Error),
-    /// It cannot be written.
+    /// It cannot be written as MCAP.
     #[error("{0}")]
     File(McapError),
 }
 
-/// What the system says is the reason, whatever was being written.
+/// An error of the system is reported as such, whatever was being written.
 impl From<McapError> for RecordError {
     fn from(e: McapError) -> Self {
         match e {
@@ -37,7 +37,7 @@ impl From<McapError> for RecordError {
     }
 }
 
-/// Writes one file, or what will be one.
+/// Writes one file, or one segment of the ring.
 pub struct Writer<W: Write> {
     mcap: mcap::Writer<NoSeek<W>>,
     channels: [u16; Topic::ALL.len()],
@@ -45,7 +45,7 @@ pub struct Writer<W: Write> {
 }
 
 impl<W: Write> Writer<W> {
-    /// Begins, with the definitions of all messages.
+    /// Begins with the definitions of all messages.
     ///
     /// # Errors
     /// `to` cannot be written.
@@ -57,7 +57,7 @@ impl<W: Write> Writer<W> {
             .compression_level(1)
             .compression_threads(0)
             .chunk_size(Some(CHUNK))
-            // Seeking back to fill in the size of a chunk would leave a file that ends in a chunk of size zero.
+            // Seeking back to fill in the size of a chunk would leave a chunk of size zero after a crash.
             .disable_seeking(true)
             .create(NoSeek::new(to))?;
         let mut channels = [0; _];
@@ -68,10 +68,10 @@ impl<W: Write> Writer<W> {
         Ok(Self { mcap, channels, sequences: [0; _] })
     }
 
-    /// Takes a message.
+    /// Writes a message.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The message cannot be written.
     pub fn put(&mut self, message: Encoded<'_>) -> Result<(), McapError> {
         let topic = message.topic as usize;
         let log_time = u64::try_from(message.time_ns).unwrap_or(0);
@@ -85,15 +85,15 @@ impl<W: Write> Writer<W> {
     /// Ends the chunk and writes it.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The chunk cannot be written.
     pub fn flush(&mut self) -> Result<(), McapError> {
         self.mcap.flush()
     }
 
-    /// Writes what is left, and the index.
+    /// Writes the last chunk and the index.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// They cannot be written.
     pub fn finish(mut self) -> Result<W, McapError> {
         self.mcap.finish()?;
         Ok(self.mcap.into_inner().into_inner())

@@ -1,4 +1,4 @@
-//! What came out, beside what was published then.
+//! Compares the reports of a replay with the recorded frames.
 
 use trifacet_core::estimation::PoseReport;
 use trifacet_core::stamp::Stamp;
@@ -8,63 +8,63 @@ use trifacet_wire::{PoseFrame, Status};
 use crate::publishing::columns::{Columns, Value};
 use crate::recording::Entry;
 
-/// Bits that do not come from the samples: from the clock, the recorder, and the replay itself.
+/// Status bits that do not depend on the samples: they come from the clock, the recorder, and the replay.
 const OF_THE_MOMENT: u32 = Status::CLOCK_UNSYNCED.0 | Status::RECORDING_FAULT.0 | Status::REPLAYED.0;
-/// What two frames are first told apart by.
+/// Columns by which a difference is described first.
 const TELLING: [&str; 7] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "yaw_rad", "status"];
 
-/// How many frames are the same, and how the first other one differs.
+/// Number of identical frames, and the first difference.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Comparison {
-    /// Frames that are the same, bit by bit.
+    /// Frames that are identical bit by bit.
     pub same: u64,
     /// Frames that differ.
     pub other: u64,
-    /// Reports without a frame on record.
+    /// Reports without a recorded frame.
     pub unrecorded: u64,
-    /// Frames on record before which nothing came out: at the start, or behind a hole.
+    /// Recorded frames without a report: at the start, or after a gap.
     pub unrepeated: u64,
-    /// The first that differs.
+    /// The first difference.
     pub first: Option<Difference>,
-    /// A report waits for its frame.
+    /// A report is waiting for its frame.
     waits: bool,
 }
 
-/// A frame that came out differently.
+/// A difference between a recorded frame and its report.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
-    /// When, nanoseconds of UTC since 1970.
+    /// Time of the frame, nanoseconds of UTC since 1970.
     pub time_ns: i64,
     /// Index of the converter's sample.
     pub index: u64,
-    /// What differs, by the name of its column.
+    /// Name of the column that differs.
     pub column: &'static str,
-    /// What was published.
+    /// The recorded value.
     pub then: Value,
-    /// What came out.
+    /// The value of the replay.
     pub now: Value,
 }
 
-/// A frame on record, and what came out.
+/// A recorded frame, and the frame of the replay.
 #[derive(Clone, Copy, Debug)]
 pub struct Pair<'a> {
-    /// As it was published.
+    /// As published.
     pub then: &'a PoseFrame,
-    /// As it would be published now: at the same moment, in the same session, as the same number.
+    /// From the replay, with the same time, session and sequence number.
     pub now: PoseFrame,
     same: bool,
 }
 
 impl Pair<'_> {
-    /// Whether they are the same, bit by bit.
+    /// Whether both are identical bit by bit.
     pub fn same(&self) -> bool {
         self.same
     }
 }
 
 impl Comparison {
-    /// Takes an entry and [what came out last](super::Engine::report); gives the pair when the entry is the frame of
-    /// that.
+    /// Takes an entry and the [last report of the engine](super::Engine::report). Returns a pair if the entry
+    /// is the frame of this report.
     pub fn take<'a>(&mut self, entry: &'a Entry, report: Option<&PoseReport>) -> Option<Pair<'a>> {
         match entry {
             Entry::Frame { frame, time, .. } => {
@@ -87,7 +87,7 @@ impl Comparison {
         }
     }
 
-    /// Something is missing on record.
+    /// Notes a gap in the recording.
     pub fn hole(&mut self) {
         self.unrecorded += u64::from(std::mem::take(&mut self.waits));
     }
@@ -104,7 +104,7 @@ impl Comparison {
     }
 }
 
-/// Whether a frame is of this report, not of one that is missing on record.
+/// Whether a frame belongs to this report, and not to one that is missing in the recording.
 fn of(report: &PoseReport, frame: &PoseFrame, time: Mono) -> bool {
     report.index == frame.sample_index || report.time == time
 }
@@ -125,7 +125,7 @@ fn pair<'a>(then: &'a PoseFrame, time: Mono, report: &PoseReport) -> Pair<'a> {
     Pair { then, same: report.time == time && equal(then, &now), now }
 }
 
-/// Whether two frames are equal bit by bit; what is not a number is the same nothing.
+/// Whether two frames are equal bit by bit, including NaN.
 fn equal(a: &PoseFrame, b: &PoseFrame) -> bool {
     let doubles = |f: &PoseFrame| f.pose.map(f64::to_bits);
     let singles = |f: &PoseFrame| {
@@ -152,11 +152,11 @@ fn difference(pair: &Pair<'_>) -> Difference {
     let mut different: Vec<_> = all.filter(|(_, then, now)| !alike(then, now)).collect();
     different
         .sort_by_key(|(column, ..)| TELLING.iter().position(|name| name == column).unwrap_or(usize::MAX));
-    // With every column alike, only the moment can differ.
+    // If all columns are equal, only the monotonic time can differ.
     let (column, then, now) = different.into_iter().next().unwrap_or((
         "time_ns",
         Value::Integer(pair.then.time_ns),
-        Value::Text("another moment".into()),
+        Value::Text("another time".into()),
     ));
     let PoseFrame { time_ns, sample_index: index, .. } = *pair.then;
     Difference { time_ns, index, column, then, now }

@@ -1,4 +1,4 @@
-//! Entries of a recording to reports. Pure.
+//! Computes reports from the entries of a recording. Pure.
 
 use std::sync::Arc;
 
@@ -12,20 +12,20 @@ use crate::config::CalibrationContext;
 use crate::exit::{self, Failure};
 use crate::recording::{Entry, Keyframe};
 
-/// Channel map and estimation as they were, or with another configuration.
+/// Channel map and estimation, with the recorded or another configuration.
 ///
-/// It begins at the first keyframe. From there it goes on by itself, and takes the state of a later keyframe
-/// only where that is not its own: where the source came up again, where samples and poses began to mean
-/// something else, or where the record has a hole.
+/// The engine starts at the first keyframe and then continues by itself. It takes the state of a later
+/// keyframe only if that differs from its own: after a restart of the source, after a change of the
+/// configuration, or after a gap in the recording.
 #[derive(Debug, Default)]
 pub struct Engine {
-    /// What samples and poses shall mean, whatever they meant then.
+    /// Configuration to use instead of the recorded ones.
     other: Option<Arc<CalibrationContext>>,
     state: Option<State>,
     report: Option<PoseReport>,
-    /// How often the state of a keyframe was taken.
+    /// Number of keyframes whose state was taken.
     pub taken_up: u64,
-    /// Samples and silences before the first keyframe, or without a source: nothing can be said of them.
+    /// Samples and silences that cannot be processed: before the first keyframe, or without a source.
     pub passed_over: u64,
 }
 
@@ -34,31 +34,31 @@ struct State {
     context: Arc<CalibrationContext>,
     source: Option<Arc<Identity>>,
     last: Option<Scan>,
-    /// The sample of that scan.
+    /// The sample computed from `last`.
     sample: Option<Sample>,
     measurement: Measurement,
 }
 
 impl Engine {
-    /// With the configurations that were in force then, so that the same reports come out.
+    /// An engine that uses the recorded configurations and reproduces the recorded reports.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// With this configuration throughout.
+    /// An engine that uses this configuration throughout.
     pub fn with(context: CalibrationContext) -> Self {
         Self { other: Some(Arc::new(context)), ..Self::default() }
     }
 
-    /// Whether the same reports must come out.
+    /// Whether the recorded reports are reproduced.
     pub fn repeats(&self) -> bool {
         self.other.is_none()
     }
 
-    /// Takes the next entry.
+    /// Processes the next entry.
     ///
     /// # Errors
-    /// The configuration and the source of a keyframe do not go together.
+    /// Configuration and source of a keyframe are incompatible.
     pub fn take(&mut self, entry: &Entry) -> Result<(), Failure> {
         match entry {
             Entry::Keyframe(keyframe) => self.keyframe(keyframe)?,
@@ -72,20 +72,21 @@ impl Engine {
         Ok(())
     }
 
-    /// What came out of the last sample or silence, if it gave something, in the user's frame.
+    /// The report of the last sample or silence, if there is one, in the user's frame.
     pub fn report(&self) -> Option<&PoseReport> {
         self.report.as_ref()
     }
 
-    /// Something is missing on record: nothing can be said before the next keyframe.
+    /// Notes a gap in the recording: nothing can be computed before the next keyframe.
     pub fn hole(&mut self) {
         (self.state, self.report) = (None, None);
     }
 
-    /// Begins without what estimation remembered then, where that cannot be read; goes on if it has begun.
+    /// Starts without the recorded state of the estimation, if that cannot be read. If already started,
+    /// continues.
     ///
     /// # Errors
-    /// The configuration and the source do not go together.
+    /// Configuration and source are incompatible.
     pub fn cold(
         &mut self,
         context: &Arc<CalibrationContext>,
@@ -102,19 +103,19 @@ impl Engine {
         Ok(())
     }
 
-    /// The state between the last sample and the next, to go on from; none before the first keyframe.
+    /// The state between the last sample and the next; `None` before the first keyframe.
     pub fn now(&self) -> Option<Keyframe> {
         let State { context, source, last, measurement, .. } = self.state.as_ref()?;
         let (context, memory) = (Arc::clone(context), measurement.estimation.memory().clone());
         Some(Keyframe { context, source: source.clone(), last: *last, memory })
     }
 
-    /// Estimation as it is between the last sample and the next; none before the first keyframe.
+    /// The estimation between the last sample and the next; `None` before the first keyframe.
     pub fn estimation(&self) -> Option<&Estimation> {
         self.state.as_ref().map(|state| &state.measurement.estimation)
     }
 
-    /// What the channel map made of the last scan.
+    /// The sample that the channel map computed from the last scan.
     pub fn sample_now(&self) -> Option<Sample> {
         self.state.as_ref()?.sample
     }
@@ -123,7 +124,7 @@ impl Engine {
         match (&mut self.state, &self.other) {
             (Some(state), None) if state.is(keyframe) => {}
             (Some(state), Some(_)) if state.source == keyframe.source => {
-                // The settings stay; what was before a hole, or before the source came up, is not told again.
+                // Keep the settings, and drop only the history before the gap or the restart of the source.
                 if state.last != keyframe.last {
                     self.taken_up += 1;
                     state.interrupt(keyframe)?;
@@ -140,7 +141,7 @@ impl Engine {
     fn sample(&mut self, scan: &Scan, then: &Sample, steering: &LoopState) -> Option<PoseReport> {
         let last = self.state.as_ref().and_then(|state| state.last);
         if last.is_some_and(|last| !then.follows(last.index)) {
-            self.hole(); // that nobody told of: a file that was cut, or put together
+            self.hole(); // without a recorded reason: the file was cut or joined
         }
         let state = self.state.as_mut().filter(|state| state.source.is_some());
         self.passed_over += u64::from(state.is_none());
@@ -148,7 +149,7 @@ impl Engine {
         let mut sample = measurement.mapping.sample(scan)?;
         *last = Some(*scan);
         if then.lost != scan.lost && self.other.is_none() {
-            // Estimation had no room for the scan before: it is not on record, but was interpolated from.
+            // Estimation had no room for the previous scan: it is not recorded, but was used to interpolate.
             sample = *then;
         }
         sample.lost = then.lost;
@@ -175,7 +176,7 @@ impl State {
         Ok(Self { context, source, last, sample: None, measurement })
     }
 
-    /// Whether this is the state of the keyframe.
+    /// Whether this state equals that of the keyframe.
     fn is(&self, keyframe: &Keyframe) -> bool {
         let same = |a: &Arc<CalibrationContext>, b| Arc::ptr_eq(a, b) || a == b;
         same(&self.context, &keyframe.context)
@@ -195,7 +196,7 @@ impl State {
     }
 }
 
-/// A memory to be compared: what is not a number must be the same nothing.
+/// A state as bytes for comparison, so that NaN equals NaN.
 fn bytes(memory: &EstimatorState) -> Option<Vec<u8>> {
     postcard::to_stdvec(memory).ok()
 }

@@ -1,4 +1,4 @@
-//! What a recording says at its beginning, before anything of it is replayed.
+//! The beginning of a recording, read before it is replayed.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -17,16 +17,16 @@ use crate::recording::{Entry, Reader};
 /// The first configuration and the first frame of a recording.
 #[derive(Clone, Debug)]
 pub struct RecordingHeader {
-    /// What poses mean.
+    /// First configuration and tables.
     pub context: Arc<CalibrationContext>,
     /// The source, if one was up.
     pub source: Option<Arc<Identity>>,
-    /// The moment of the first frame, and its nanoseconds of UTC since 1970.
+    /// Time of the first frame: monotonic, and UTC in nanoseconds since 1970.
     pub first: (Mono, i64),
 }
 
 impl RecordingHeader {
-    /// That of the recording that is the source, if one is.
+    /// The header of the recording that is the source of this configuration; `None` for other sources.
     ///
     /// # Errors
     /// As [`RecordingHeader::of`].
@@ -35,10 +35,10 @@ impl RecordingHeader {
         replayed.then(|| Self::of(&config.replay.file)).transpose()
     }
 
-    /// Reads as far as it must. Blocks.
+    /// Reads a file up to its first configuration and frame. Blocks.
     ///
     /// # Errors
-    /// [`exit::CONFIG`]: it cannot be read, or there is nothing in it that could be replayed.
+    /// [`exit::CONFIG`]: the file cannot be read, or contains no configuration or no frame.
     pub fn of(file: &Path) -> Result<Self, Failure> {
         let wrong = |why: String| Failure::new(exit::CONFIG, format!("replay.file: {why}"));
         let mut reader = Reader::open(file, Reader::REPLAY).map_err(|e| wrong(e.to_string()))?;
@@ -61,15 +61,16 @@ impl RecordingHeader {
             }
         }
         let lacks = if configured.is_none() { "configuration" } else { "frame" };
-        Err(wrong(format!("no {lacks} is in {}, so nothing can be replayed", file.display())))
+        Err(wrong(format!("{} contains no {lacks}, so it cannot be replayed", file.display())))
     }
 
-    /// Samples per second, as they were recorded.
+    /// Sample rate of the recording in Hz.
     pub fn rate_hz(&self) -> f64 {
         self.source.as_ref().map_or(self.context.config.acquisition.rate_hz, |source| source.rate_hz)
     }
 
-    /// The configuration that holds while it is replayed: what poses mean stands in the recording, and nothing steers.
+    /// The configuration during a replay: everything that poses depend on is from the recording, and there is
+    /// no steering.
     pub fn holding(&self, config: &Config) -> Config {
         let Config { head, channels, estimation, frames, .. } = self.context.config.clone();
         let mut config = Config { head, channels, estimation, frames, ..config.clone() };
@@ -78,7 +79,7 @@ impl RecordingHeader {
         config
     }
 
-    /// For whoever gets the stream.
+    /// The description of the replay for receivers of the stream.
     pub fn told(&self, config: &ReplayConfig) -> Replayed {
         let ReplayConfig { file, speed, repeat } = config;
         let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();

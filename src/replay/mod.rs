@@ -1,10 +1,13 @@
-//! The same samples through the same code, once more.
+//! Replays recordings: the recorded samples pass through the same code again.
 //!
-//! - [`engine`]: what was on record goes in, reports come out; pure.
-//! - [`read_ahead`]: files, read ahead.
-//! - [`task`]: a daemon whose source is a recording. [`header`]: what that says before all; [`playback`]: its entries,
-//!   as often as they are wanted; [`pace`]: when they are due; `player`: that they come then; [`republisher`]: what is told.
-//! - [`comparison`]: whether they are what was published then, bit by bit, or by how much they differ.
+//! - [`engine`]: entries in, reports out; pure.
+//! - [`read_ahead`]: reads files ahead in a thread.
+//! - [`comparison`]: compares the reports with the recorded frames, bit by bit.
+//! - [`task`]: the task of a daemon whose source is a recording.
+//! - [`header`]: first configuration and first frame of a recording.
+//! - [`playback`]: the entries of a recording, repeated if wanted.
+//! - [`pace`]: converts recorded time to present time. `player`: processes entries when they are due.
+//! - [`republisher`]: publishes the reports.
 
 pub mod comparison;
 pub mod engine;

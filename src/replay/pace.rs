@@ -1,36 +1,36 @@
-//! Recorded time and present time. Pure.
+//! Converts recorded time to present time. Pure.
 
 use std::time::Duration;
 
 use trifacet_core::time::{Mono, NS_PER_S};
 
-/// The shortest silence that counts, as of a source.
+/// The shortest silence that is reported, as for a source.
 const SILENCE: Duration = Duration::from_millis(20);
-/// Time that goes back by more is that of another recording, or of another boot.
+/// A larger step back in time means another recording, or another boot of the machine.
 const BACK_NS: i64 = NS_PER_S;
 
-/// Which present moment belongs to a recorded one.
+/// Relation of recorded time to present time.
 #[derive(Clone, Copy, Debug)]
 pub struct Pace {
     speed: f64,
-    /// A recorded moment, and the present one that belongs to it.
+    /// A recorded time, and the present time that corresponds to it.
     anchor: (Mono, Mono),
-    /// The latest recorded moment that was asked for.
+    /// The latest recorded time so far.
     latest: Option<Mono>,
 }
 
 impl Pace {
-    /// So many times as fast as recorded; the first moment that is asked for is the present one.
+    /// Replays at `speed` times the recorded speed. `then` corresponds to `now`.
     pub fn new(speed: f64, then: Mono, now: Mono) -> Self {
         Self { speed, anchor: (then, now), latest: None }
     }
 
-    /// The next moment that is asked for is the present one.
+    /// The next recorded time will correspond to the present.
     pub fn anew(&mut self) {
         self.latest = None;
     }
 
-    /// When it is the turn of what was recorded then. Where its time goes back, it is now.
+    /// The time at which an entry recorded at `then` is due. After a step back in recorded time: now.
     pub fn due(&mut self, then: Mono, now: Mono) -> Mono {
         if self.latest.is_none_or(|latest| then.0 < latest.0.saturating_sub(BACK_NS)) {
             (self.anchor, self.latest) = ((then, now), Some(then));
@@ -39,20 +39,20 @@ impl Pace {
         self.present(then)
     }
 
-    /// The present moment of a recorded one.
+    /// The present time that corresponds to a recorded time.
     pub fn present(&self, then: Mono) -> Mono {
         let (recorded, present) = self.anchor;
         let since = then.0.saturating_sub(recorded.0) as f64 / self.speed;
         Mono(present.0.saturating_add(since as i64))
     }
 
-    /// The recorded moment of a present one.
+    /// The recorded time that corresponds to a present time.
     pub fn recorded(&self, now: Mono) -> Mono {
         let (recorded, present) = self.anchor;
         Mono(recorded.0.saturating_add(((now - present) as f64 * self.speed) as i64))
     }
 
-    /// How long nothing may be due before that is silence, nanoseconds of the present: 20 ms, or five periods.
+    /// Present time without an entry that counts as silence, nanoseconds: 20 ms, or five periods if longer.
     pub fn patience_ns(&self, rate_hz: f64) -> i64 {
         let periods_ns = 5.0 * NS_PER_S as f64 / (rate_hz * self.speed);
         (SILENCE.as_nanos() as i64).max(periods_ns as i64)
@@ -72,7 +72,7 @@ mod tests {
         assert_eq!(pace.due(then, now), now);
         assert_eq!(pace.due(then + NS_PER_S, now), now + NS_PER_S / 2);
         assert_eq!(pace.recorded(now + NS_PER_S / 2), then + NS_PER_S);
-        // A silence is stamped a little later than the sample that ended it.
+        // A silence has a slightly later time than the sample that ended it.
         assert_eq!(pace.due(then + (NS_PER_S - MS), now), now + (NS_PER_S - MS) / 2);
     }
 

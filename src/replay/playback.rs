@@ -1,4 +1,4 @@
-//! A file that is read ahead, piece by piece, and as often as it is wanted. Nothing here waits.
+//! The items of a file that is read ahead, repeated if wanted. Nothing here waits.
 
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, TryRecvError};
@@ -10,42 +10,42 @@ use crate::recording::reader::Read;
 #[derive(Debug)]
 pub struct Playback {
     file: PathBuf,
-    /// None behind the end.
+    /// `None` after the end.
     news: Option<Receiver<News>>,
     ready: std::vec::IntoIter<Read>,
 }
 
-/// What comes next.
+/// The next step of a playback.
 #[derive(Debug)]
 #[expect(clippy::large_enum_variant, reason = "reads are the rule")]
 pub enum Next {
-    /// This.
+    /// The next item.
     Read(Read),
-    /// It is not read yet.
+    /// The next item has not been read yet.
     Later,
-    /// That was the last; said once.
+    /// The end of the file. Returned once.
     End,
-    /// Nothing any more.
+    /// There is nothing more.
     Nothing,
 }
 
 impl Playback {
-    /// At the beginning of this file.
+    /// Starts at the beginning of this file.
     pub fn new(file: PathBuf) -> Self {
         Self { news: Some(read_ahead::read(vec![file.clone()])), file, ready: Vec::new().into_iter() }
     }
 
-    /// Back to the beginning.
+    /// Returns to the beginning.
     pub fn again(&mut self) {
         *self = Self::new(std::mem::take(&mut self.file));
     }
 
-    /// Whether nothing comes any more.
+    /// Whether the playback has ended.
     pub fn over(&self) -> bool {
         self.news.is_none()
     }
 
-    /// What comes next. A file that cannot be read any more gives nothing, which is logged.
+    /// The next step. If the file cannot be read, this is logged and the playback ends.
     pub fn take(&mut self) -> Next {
         loop {
             if let Some(read) = self.ready.next() {
@@ -56,7 +56,7 @@ impl Playback {
                 Ok(News::Read(reads, _)) => self.ready = reads.into_iter(),
                 Ok(News::End(..)) => {}
                 Ok(News::Failed(error)) => {
-                    tracing::error!(%error, "the recording cannot be read");
+                    tracing::error!(%error, "cannot read the recording");
                     self.news = None;
                 }
                 Err(TryRecvError::Empty) => return Next::Later,

@@ -1,4 +1,4 @@
-//! The entries of a recording as they are due, and what is said where none are.
+//! Processes the entries of a recording when they are due, and reports silence in between.
 
 use std::sync::Arc;
 
@@ -18,13 +18,13 @@ use crate::config::{CalibrationContext, ReplayConfig};
 use crate::recording::reader::Read;
 use crate::recording::{Entry, Keyframe};
 
-/// Most entries that are taken at a time: a pace that this machine cannot keep must not keep it from all else.
+/// Most entries per call: a speed that this machine cannot reach must not block the other tasks.
 const MOST: usize = 1024;
-/// How often it is said that nothing is due.
+/// Interval of reports of silence.
 const SILENCE_NS: i64 = 10_000_000;
-/// A file that is slow to read is not silence before that.
+/// A file that is read slowly counts as silence only after this time.
 const SLOW_NS: i64 = NS_PER_S / 2;
-/// How often it is logged, at most, that the recording begins again.
+/// Shortest interval of log lines about the restart of the recording.
 const LAPS_NS: i64 = 60 * NS_PER_S;
 
 pub(super) struct Player<C, Publish, Means> {
@@ -38,16 +38,16 @@ pub(super) struct Player<C, Publish, Means> {
     waits: Option<Entry>,
     engine: Engine,
     verdict: Comparison,
-    /// What is said while nothing is due.
+    /// Makes the reports of silence.
     quiet: Estimation,
     patience_ns: i64,
     steering: LoopState,
     context: Option<u32>,
-    /// A recorded moment and its UTC.
+    /// A recorded time and its UTC.
     utc: (Mono, i64),
-    /// When something was due last; none before the first.
+    /// Time of the last entry that was due; `None` before the first one.
     heard: Option<Mono>,
-    /// When the log was told that it begins again.
+    /// Time of the last log line about a restart.
     logged: Option<Mono>,
 }
 
@@ -58,7 +58,7 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
         let pace = Pace::new(config.speed, utc.0, now);
         quiet.source(beginning.source.as_ref().is_some_and(|source| source.simulated));
         let Replayed { file, recorded, speed, repeat } = beginning.told(&config);
-        tracing::info!(file, recorded, speed, repeat, "a recording is replayed");
+        tracing::info!(file, recorded, speed, repeat, "replaying a recording");
         Self {
             tape: Playback::new(config.file.clone()),
             config,
@@ -81,7 +81,7 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
     }
 
     pub(super) fn obey(&self, order: CenteringRequest) {
-        const WHY: &str = "a recording is replayed: nothing steers";
+        const WHY: &str = "a recording is replayed: there is no stage to steer";
         match order {
             CenteringRequest::Retune(_, done) => drop(done.send(())),
             CenteringRequest::Move(_, reply) | CenteringRequest::Search(reply) => drop(reply.send(Err(WHY))),
@@ -89,12 +89,12 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
         }
     }
 
-    /// The last report that was told.
+    /// The last report published.
     pub(super) fn last(&self) -> Option<PoseReport> {
         self.teller.last
     }
 
-    /// Takes all that is due, and says so if that is nothing.
+    /// Processes all entries that are due, and reports silence if there are none.
     pub(super) fn play(&mut self) {
         let now = self.clock.now();
         for _ in 0..MOST {
@@ -108,7 +108,7 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
         self.silence(now);
     }
 
-    /// When it is the turn of an entry; now, if it belongs to the one before.
+    /// The time at which an entry is due. Entries that belong to the previous one are due now.
     fn due(&mut self, entry: &Entry, now: Mono) -> Mono {
         let time = match entry {
             Entry::Sample { scan, .. } => scan.time,
@@ -119,13 +119,13 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
         self.pace.due(time, now)
     }
 
-    /// The next entry, if it is there yet.
+    /// The next entry, if it has been read.
     fn next(&mut self) -> Option<Entry> {
         loop {
             match self.tape.take() {
                 Next::Read(Read::Entry(entry)) => return Some(entry),
                 Next::Read(Read::Gap { entries, reason }) => {
-                    tracing::warn!(entries, reason, "not recorded");
+                    tracing::warn!(entries, reason, "the recording has a gap");
                     self.lose();
                 }
                 Next::Read(Read::Damage(damage)) => {
@@ -134,9 +134,9 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
                 }
                 Next::Read(Read::Foreign { context, source, why }) => {
                     if let Err(failure) = self.engine.cold(&context, source.as_ref()) {
-                        tracing::error!(%failure, "the recording cannot be replayed");
+                        tracing::error!(%failure, "cannot replay the recording");
                     } else {
-                        tracing::warn!(why, "poses are not those of the recording bit by bit");
+                        tracing::warn!(why, "poses are not identical bit by bit to those of the recording");
                     }
                     self.go_on_with(&context);
                 }
@@ -146,12 +146,12 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
         }
     }
 
-    /// The recording is at its end, for good or for now.
+    /// Handles the end of the recording: ends or starts again.
     fn lap(&mut self) {
         let Comparison { same: identical, other: different, .. } = self.verdict;
         (self.engine, self.verdict) = (Engine::new(), Comparison::default());
         self.counters.replay_ends.inc();
-        // One without a single sample would begin again for ever.
+        // A recording without a single sample would start again without end.
         if !(self.config.repeat && self.heard.is_some()) {
             tracing::info!(identical, different, "the recording is at its end");
             return;
@@ -168,7 +168,7 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
         }
     }
 
-    /// Nothing can be said before the next keyframe.
+    /// Handles a gap: nothing can be computed before the next keyframe.
     fn lose(&mut self) {
         self.engine.hole();
         self.verdict.hole();
@@ -178,7 +178,7 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
     fn take(&mut self, entry: &Entry, now: Mono) {
         let passed_over = self.engine.passed_over;
         if let Err(failure) = self.engine.take(entry) {
-            tracing::error!(%failure, "the recording cannot be replayed");
+            tracing::error!(%failure, "cannot replay the recording");
             return self.lose();
         }
         if self.engine.passed_over == passed_over {
@@ -198,7 +198,7 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
         let different = self.verdict.other;
         let pair = self.verdict.take(entry, self.engine.report()).is_some();
         if different == 0 && self.verdict.other == 1 {
-            tracing::warn!(first = ?self.verdict.first, "poses are not those of the recording");
+            tracing::warn!(first = ?self.verdict.first, "poses differ from those of the recording");
         }
         if let Entry::Frame { frame, .. } = entry
             && let Some(report) = self.engine.report().copied().filter(|_| pair)
@@ -208,7 +208,7 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
         }
     }
 
-    /// As the tasks count it whose work this was.
+    /// Counts an entry as the tasks that a replay replaces would.
     fn count(&self, entry: &Entry) {
         let counters = &self.counters;
         match entry {
@@ -222,7 +222,7 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
         }
     }
 
-    /// Takes over what a keyframe says of configuration and source.
+    /// Takes over configuration and source of a keyframe.
     fn go_on_with(&mut self, context: &CalibrationContext) {
         let id = context.id();
         if self.context.replace(id) != Some(id) {
@@ -236,7 +236,7 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
         }
     }
 
-    /// In a hole, and behind the end, no samples come, and that is said.
+    /// Reports silence in a gap and after the end.
     fn silence(&mut self, now: Mono) {
         let heard = match self.heard {
             Some(heard) => heard,

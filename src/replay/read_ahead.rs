@@ -1,4 +1,4 @@
-//! Files, read in a thread of their own: one core unpacks and decodes while the other solves.
+//! Reads files in a thread, so that one core decompresses and decodes while another one solves.
 
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -6,23 +6,23 @@ use std::thread;
 
 use crate::recording::reader::{Read, ReadError, Reader, Tally};
 
-/// Batches that may wait.
+/// Batches that can wait.
 const AHEAD: usize = 64;
-/// Things in a batch: few enough to stay in the cache, and below the size for which memory is mapped anew.
+/// Items in a batch: few enough for the cache, and below the size from which memory is mapped anew.
 const BATCH: usize = 128;
 
-/// What comes from the files.
+/// A message from the reading thread.
 #[derive(Debug)]
 pub enum News {
-    /// What was read next, and how many bytes of all files were read.
+    /// The next items, and the bytes read from all files so far.
     Read(Vec<Read>, u64),
-    /// A file is at its end; what was in it.
+    /// The end of a file, with counts of its contents.
     End(PathBuf, Box<Tally>),
-    /// A file cannot be read; nothing comes after this.
+    /// A file cannot be read. This is the last message.
     Failed(ReadError),
 }
 
-/// The news of these files, one file after the other.
+/// Reads these files one after the other.
 pub fn read(files: Vec<PathBuf>) -> Receiver<News> {
     let (to, news) = sync_channel(AHEAD);
     thread::spawn(move || {
@@ -35,7 +35,7 @@ pub fn read(files: Vec<PathBuf>) -> Receiver<News> {
                         return;
                     }
                 }
-                Ok(None) => return, // nobody listens any more
+                Ok(None) => return, // the receiver is closed
                 Err(error) => return drop(to.send(News::Failed(error))),
             }
         }

@@ -1,4 +1,4 @@
-//! What comes out of a recording, told at present: with what is missing behind a hole.
+//! Publishes the reports of a replay, and adds the samples that are missing in a gap of the recording.
 
 use std::sync::Arc;
 
@@ -8,18 +8,18 @@ use trifacet_core::telemetry::Counters;
 use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::{PoseFrame, Status};
 
-/// A report with the time at which its signals were taken, nanoseconds of UTC since 1970.
+/// A report with the recorded time of its signals, nanoseconds of UTC since 1970.
 #[derive(Clone, Copy, Debug)]
 pub struct Republished {
-    /// `time` is the present moment in which it was due.
+    /// Its `time` is the present time at which it was due.
     pub report: PoseReport,
-    /// As it was recorded.
+    /// The recorded time.
     pub time_ns: i64,
-    /// Whether that was UTC.
+    /// Whether the recorded time was synchronized to UTC.
     pub synced: bool,
 }
 
-/// Tells reports, and remembers the last.
+/// Publishes reports and keeps the last one.
 #[derive(Debug)]
 pub struct Republisher<C, Publish> {
     clock: C,
@@ -27,33 +27,33 @@ pub struct Republisher<C, Publish> {
     counters: Arc<Counters>,
     /// The last report.
     pub last: Option<PoseReport>,
-    /// When it was told; at the start, when that was.
+    /// Time of publishing it; initially the start.
     pub told: Mono,
-    /// The session in which the last report of a sample was recorded.
+    /// Session in which the last report of a sample was recorded.
     session: Option<u32>,
-    /// Something is missing since then.
+    /// There has been a gap since then.
     hole: bool,
 }
 
 impl<C: Clock, Publish: FnMut(&Republished)> Republisher<C, Publish> {
-    /// Nothing was told yet.
+    /// A republisher that has published nothing yet.
     pub fn new(clock: C, publish: Publish, counters: Arc<Counters>) -> Self {
         let told = clock.now();
         Self { clock, publish, counters, last: None, told, session: None, hole: false }
     }
 
-    /// Something is missing from here to the next report of a sample: one hole, however often that is found.
+    /// Notes a gap up to the next report of a sample. Several calls for the same gap count once.
     pub fn hole(&mut self) {
         let known = std::mem::replace(&mut self.hole, true);
         self.counters.replay_holes.add(u64::from(!known));
     }
 
-    /// What comes next does not follow on what was before.
+    /// Notes that the next report does not continue the previous ones.
     pub fn anew(&mut self) {
         (self.session, self.hole) = (None, false);
     }
 
-    /// Tells a report, whose time is that of the present, as the frame was told.
+    /// Publishes a report of a recorded frame. The time of `report` is the present time.
     pub fn recorded(&mut self, report: &PoseReport, frame: &PoseFrame) {
         let mut report = *report;
         let missing = self.missing(&report, frame.session);
@@ -68,13 +68,13 @@ impl<C: Clock, Publish: FnMut(&Republished)> Republisher<C, Publish> {
         self.tell(&report, frame.time_ns, !frame.status.has(Status::CLOCK_UNSYNCED));
     }
 
-    /// Tells that no samples come.
+    /// Publishes a report that there are no samples.
     pub fn silence(&mut self, report: &PoseReport, time_ns: i64) {
         let index = self.last.map_or(0, |last| last.index);
         self.tell(&PoseReport { index, ..*report }, time_ns, true);
     }
 
-    /// What is known of the loop, whose state then was `steering`.
+    /// The state of the loop; `steering` is its recorded state.
     pub fn view(&self, steering: &LoopState) -> LoopView {
         let sampled = self.last.filter(|report| !report.status.has(Status::SOURCE_DOWN));
         LoopView {
@@ -88,7 +88,7 @@ impl<C: Clock, Publish: FnMut(&Republished)> Republisher<C, Publish> {
         }
     }
 
-    /// Samples that are missing before the first report behind a hole, by their index.
+    /// Samples missing before the first report after a gap, from their index.
     fn missing(&self, report: &PoseReport, session: u32) -> u32 {
         let before = self.last.filter(|_| self.hole && self.session == Some(session));
         let Some(before) = before.filter(|_| report.averaged > 0) else { return 0 };

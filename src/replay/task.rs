@@ -1,5 +1,5 @@
-//! The task of a daemon that replays: in place of acquisition, centering and estimation. Nothing steers here: what the
-//! loop did then comes with the samples.
+//! The task of a daemon that replays a recording, in place of acquisition, centering and estimation. There is
+//! no steering: the recorded state of the loop comes with the samples.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,30 +17,30 @@ use crate::config::{CalibrationContext, ReplayConfig};
 use crate::control::FastLink;
 use crate::estimation::EstimationRequest;
 
-/// How often is looked whether something is due: a timer of the runtime is not finer.
+/// Interval of checking for due entries: the resolution of timers of the runtime.
 const TICK: Duration = Duration::from_millis(1);
 
-/// Where things go.
+/// Connections of the task.
 #[derive(Debug)]
 pub struct ReplayLinks<Publish, Means> {
-    /// Questions and orders from outside of the fast side.
+    /// Requests from outside the fast side.
     pub control: FastLink,
-    /// Every report, in the user's frame.
+    /// Receives every report, in the user's frame.
     pub publish: Publish,
-    /// What poses mean from the next report on.
+    /// Receives the configuration that applies from the next report on.
     pub means: Means,
 }
 
-/// What is replayed, and how.
+/// The recording to replay.
 #[derive(Debug)]
 pub struct Recording {
-    /// Where it is, and its pace.
+    /// File, speed and repetition.
     pub config: ReplayConfig,
-    /// What it says at its beginning.
+    /// Beginning of the recording.
     pub beginning: RecordingHeader,
-    /// That of the beginning: it says what there is to say while nothing is due.
+    /// Estimation with the first configuration. It makes the reports of silence.
     pub estimation: Estimation,
-    /// Counts what is replayed, as if it came from a source.
+    /// Counters; replayed entries count as if they came from a source.
     pub counters: Arc<Counters>,
 }
 
@@ -59,7 +59,7 @@ pub async fn run<C: Clock>(
             biased;
             () = stop.cancelled() => break,
             Some(question) = questions.recv() => match question {
-                // Who does not wait for the answer any more does not need it.
+                // A closed channel means that the caller does not wait any more.
                 EstimationRequest::Last(reply) => drop(reply.send(player.last())),
                 EstimationRequest::Mean(_, reply) => drop(reply),
             },

@@ -1,4 +1,4 @@
-//! What the sim puts on record comes out again.
+//! Recordings of the closed-loop simulation are reproduced bit by bit.
 
 use super::{Comparison, Engine};
 use crate::closed_loop_sim::ClosedLoopSim;
@@ -9,7 +9,7 @@ fn config(text: &str) -> Config {
     parse(text, None).unwrap()
 }
 
-/// What the twin puts on record in so many scans.
+/// Entries that the twin records in this number of scans.
 fn recorded(config: &Config, scans: u64) -> Vec<Entry> {
     let (mut sim, mut receiver) = ClosedLoopSim::recorded(config).unwrap();
     let mut entries = Vec::new();
@@ -65,7 +65,7 @@ fn every_frame_comes_out_as_it_was() {
         let (engine, verdict) = replayed(&entries);
         assert_eq!((verdict.same, verdict.other), (frames(&entries), 0), "{text}: {:?}", verdict.first);
         assert_eq!((verdict.unrecorded, verdict.unrepeated), (0, 0));
-        assert_eq!((engine.taken_up, engine.passed_over), (1, 0), "{text}: it goes on by itself");
+        assert_eq!((engine.taken_up, engine.passed_over), (1, 0), "{text}: no further keyframe is needed");
     }
 }
 

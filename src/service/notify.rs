@@ -1,5 +1,5 @@
-//! What systemd is told of a service (`sd_notify(3)`): a line, or some, in a datagram to the socket that it
-//! names. Without systemd there is no socket, and nothing is told.
+//! Messages of a service to systemd (`sd_notify(3)`): datagrams with one or more lines, to the socket that
+//! systemd names. Without systemd there is no socket, and nothing is sent.
 
 use std::cell::{Cell, RefCell};
 use std::ffi::OsStr;
@@ -13,7 +13,7 @@ use trifacet_core::time::Clock;
 
 use crate::clock::SystemClock;
 
-/// The way to systemd.
+/// Sends messages to systemd.
 #[derive(Debug, Default)]
 pub struct Notify {
     socket: Option<UnixDatagram>,
@@ -24,7 +24,7 @@ pub struct Notify {
 }
 
 impl Notify {
-    /// The way that the environment names (`NOTIFY_SOCKET`, `WATCHDOG_USEC`, `WATCHDOG_PID`), if it does.
+    /// Uses the environment (`NOTIFY_SOCKET`, `WATCHDOG_USEC`, `WATCHDOG_PID`). Without it, sends nothing.
     pub fn from_environment() -> Self {
         let Some(name) = std::env::var_os("NOTIFY_SOCKET").filter(|name| !name.is_empty()) else {
             return Self::default();
@@ -38,26 +38,26 @@ impl Notify {
         Self { watchdog: usec.map(Duration::from_micros), socket, ..Self::default() }
     }
 
-    /// How often systemd wants to hear that all is alive.
+    /// Interval within which systemd expects `WATCHDOG=1`.
     pub fn watchdog(&self) -> Option<Duration> {
         self.watchdog
     }
 
-    /// There are frames. Told once.
+    /// Reports that there are frames. Sent once.
     pub fn ready(&self) {
         if !self.ready.replace(true) {
             self.send("READY=1");
         }
     }
 
-    /// Every task makes heartbeats.
+    /// Reports that every task has a heartbeat.
     pub fn alive(&self) {
         if self.watchdog.is_some() {
             self.send("WATCHDOG=1");
         }
     }
 
-    /// One line of how things are. Told when it has changed.
+    /// Sends a line of status if it has changed.
     pub fn status(&self, line: &str) {
         if *self.status.borrow() != line && !self.ending.get() {
             line.clone_into(&mut self.status.borrow_mut());
@@ -65,7 +65,7 @@ impl Notify {
         }
     }
 
-    /// The configuration is being read again; [`Notify::reloaded`] ends it.
+    /// Reports that the configuration is being read again, until [`Notify::reloaded`].
     pub fn reloading(&self) {
         if self.ready.get() {
             let now_us = SystemClock.now().0 / 1000;
@@ -73,14 +73,14 @@ impl Notify {
         }
     }
 
-    /// It has been read, with whatever result.
+    /// Reports that it has been read, whatever the result.
     pub fn reloaded(&self) {
         if self.ready.get() {
             self.send("READY=1");
         }
     }
 
-    /// The daemon ends.
+    /// Reports that the daemon is stopping.
     pub fn stopping(&self) {
         self.send("STOPPING=1\nSTATUS=stopping");
         self.ending.set(true);
@@ -90,12 +90,12 @@ impl Notify {
         if let Some(socket) = &self.socket
             && let Err(error) = socket.send(text.as_bytes())
         {
-            tracing::warn!(%error, text, "systemd did not take a message");
+            tracing::warn!(%error, text, "cannot send a message to systemd");
         }
     }
 }
 
-/// A socket in the file system, or in the abstract namespace (`@name`). Sending never waits.
+/// Connects to a socket in the file system, or in the abstract namespace (`@name`). Sending never waits.
 fn connect(name: &OsStr) -> io::Result<UnixDatagram> {
     let address = match name.as_bytes() {
         [b'@', name @ ..] => SocketAddr::from_abstract_name(name)?,
@@ -124,7 +124,7 @@ mod tests {
         let notify = Notify { socket: Some(socket), ..Notify::default() };
         notify.reloading();
         notify.alive();
-        assert_eq!(heard(), None, "not ready, and nobody asked for a watchdog");
+        assert_eq!(heard(), None, "not ready, and no watchdog is configured");
         notify.ready();
         notify.ready();
         notify.status("a");

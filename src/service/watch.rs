@@ -1,22 +1,22 @@
-//! Which tasks make no heartbeats. Time is counted in looks, not read from a clock: after the whole process, or
-//! the machine, stood still, there is one look, and nobody is blamed.
+//! Detects tasks without heartbeats. Time is counted in checks, not read from a clock: if the whole process
+//! or the machine stood still, only one check is missing, and no task is reported.
 
 use trifacet_core::telemetry::heartbeat::{Heartbeats, Task};
 
-/// What was seen of each task.
+/// Observed heartbeats of each task.
 #[derive(Debug, Default)]
 pub struct Watch {
-    /// Heartbeats at the last look.
+    /// Heartbeats at the last check.
     seen: [u64; 3],
-    /// Looks since then without a turn.
+    /// Checks since the last heartbeat.
     silent: [u32; 3],
-    /// Heartbeats when all had turned last.
+    /// Heartbeats when [`Watch::all_turned`] was true last.
     fed: [u64; 3],
 }
 
 impl Watch {
-    /// Looks at the tasks. One that made no turn for `tell` looks is marked and told of, and again when it
-    /// goes on.
+    /// Checks the tasks. A task without a heartbeat for `tell` checks is marked as stalled and logged. When
+    /// it continues, this is logged too.
     pub fn look(&mut self, heartbeats: &Heartbeats, tell: u32) {
         for (i, task) in Task::ALL.into_iter().enumerate() {
             let turn = heartbeats.of(task);
@@ -33,13 +33,13 @@ impl Watch {
                 let within = heartbeats.of(task).inside();
                 tracing::error!(%task, within_a_turn = within, "a task of the fast side stalls");
             } else if before && !now {
-                tracing::warn!(%task, "the task goes on");
+                tracing::warn!(%task, "the task continues");
             }
         }
     }
 
-    /// The tasks without a turn for so many looks. If one of them is within a turn it is the one: the others
-    /// wait for it.
+    /// Tasks without a heartbeat for `looks` checks. If one of them is being polled, only that one: it blocks
+    /// the thread, and the others wait for it.
     pub fn stalled(&self, heartbeats: &Heartbeats, looks: u32) -> Vec<Task> {
         let silent = || Task::ALL.into_iter().zip(self.silent).filter(|(_, n)| *n >= looks).map(|(t, _)| t);
         match silent().find(|task| heartbeats.of(*task).inside()) {
@@ -48,7 +48,7 @@ impl Watch {
         }
     }
 
-    /// Whether every task that lives has made a turn since this was true last.
+    /// Whether every running task has had a heartbeat since this was true last.
     pub fn all_turned(&mut self, heartbeats: &Heartbeats) -> bool {
         let all = Task::ALL.into_iter().zip(self.fed).all(|(task, fed)| {
             let turn = heartbeats.of(task);
@@ -76,7 +76,7 @@ mod tests {
         }
     }
 
-    /// Some turns of a task that has nothing to do.
+    /// Polls an idle task this number of times.
     fn turn(turn: &Heartbeat, times: usize) {
         let mut task = std::pin::pin!(counted(std::future::pending(), turn));
         for _ in 0..times {

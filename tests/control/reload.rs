@@ -52,7 +52,7 @@ fn what_needs_a_restart_is_refused_by_name_and_the_rest_is_taken() {
         assert_eq!(code, i32::from(exit::DATA), "{errors}");
         assert_eq!(answer["changed"], changed);
         assert_eq!(answer["refused"], json!(["head.psd_distance_mm", "publishing.tcp_clients"]));
-        assert!(errors.contains("head.psd_distance_mm") && errors.contains("needs a restart"), "{errors}");
+        assert!(errors.contains("head.psd_distance_mm") && errors.contains("need a restart"), "{errors}");
     }
 }
 
@@ -64,7 +64,7 @@ fn a_wrong_file_changes_nothing() {
     assert_eq!(code, i32::from(exit::CONFIG));
     assert!(errors.contains("lab.toml:") && errors.contains("centering.ki_per_s = -5"), "{errors}");
     daemon.signal(Signal::HUP);
-    let line = daemon.says("nothing is changed");
+    let line = daemon.says("configuration unchanged");
     assert_eq!(line["level"], "WARN", "{line}");
     assert_eq!(daemon.told(&["status"])["loop"]["kp"], 0.1);
     std::fs::remove_file(daemon.file()).unwrap();

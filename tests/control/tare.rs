@@ -76,7 +76,7 @@ fn without_a_valid_pose_there_is_no_tare() {
     let before = daemon.frame_with(|frame| !frame.status.has(Status::SOURCE_DOWN));
     let (code, answer, errors) = daemon.ctl(&["tare", "--save"]);
     assert_eq!(code, i32::from(exit::DATA), "{answer}");
-    assert!(errors.contains("PSD_A_LOW") && errors.contains("as it was"), "{errors}");
+    assert!(errors.contains("PSD_A_LOW") && errors.contains("tare unchanged"), "{errors}");
     assert!(!daemon.text().contains("tare"));
     assert_eq!(daemon.frame().config, before.config);
     let (code, _, errors) = daemon.ctl(&["tare", "--poses", "10001"]);

@@ -155,7 +155,7 @@ fn a_task_that_stalls_blocks_or_ends_ends_the_daemon_with_its_name() {
             assert_eq!(daemon.end().code(), Some(70), "{what} {task}");
             let told = match what {
                 "end" => format!("task {task} ended by itself"),
-                _ => format!("task {task} stalls: no turn for 500 ms"),
+                _ => format!("task {task} stalls: no heartbeat for 500 ms"),
             };
             let error = |line: &&serde_json::Value| {
                 line["level"] == "ERROR" && line["message"].as_str().is_some_and(|m| m.contains(&told))

@@ -45,14 +45,14 @@ fn is_named_before_the_end(what: &str) {
         let folder = tempfile::tempdir().unwrap();
         let (mut daemon, _, at) = daemon(folder.path());
         drill(folder.path(), what, task);
-        let name = format!("task {task} stands still");
+        let name = format!("task {task} stalled");
         let named = |ready: &Value| reasons(ready).iter().filter(|why| why.starts_with(&name)).count();
         until(at, &name, |ready| named(ready) == 3);
         let health = get(at, "/healthz");
         assert!(health.code == 503 && health.body.starts_with(&name), "{health:?}");
         nothing_stays_green(at);
         assert_eq!(daemon.end().code(), Some(70), "{what} {task}");
-        assert!(daemon.said(&format!("task {task} stalls: no turn for 4000 ms")), "{:#?}", daemon.log);
+        assert!(daemon.said(&format!("task {task} stalls: no heartbeat for 4000 ms")), "{:#?}", daemon.log);
     }
 }
 

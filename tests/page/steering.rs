@@ -75,7 +75,7 @@ fn nobody_steers_without_leave_and_the_token() {
     assert_eq!(post(at, &headers(TOKEN), order).0, 200);
     stream.until("off", |frame| frame.lock == LockState::Off);
     daemon.ends_in_order(rustix::process::Signal::TERM);
-    assert!(daemon.said("an order with a wrong token"));
+    assert!(daemon.said("a command with a wrong token"));
     let peers: Vec<_> = daemon.log.iter().filter_map(|line| line["peer"].as_str()).collect();
     assert!(peers.iter().filter(|peer| peer.starts_with("127.0.0.1:")).count() >= 1, "{peers:?}");
     assert!(daemon.said("loop off") && !daemon.said(TOKEN), "the log: {:#?}", daemon.log);

@@ -144,10 +144,8 @@ fn a_task_that_stalls_is_named_before_the_daemon_ends() {
     let output = std::process::Command::new(env!("CARGO_BIN_EXE_trifacet")).args(ctl).output().unwrap();
     assert!(output.status.success(), "{output:?}");
     let verdict = |text: &str| format!("notes.some(([, text]) => text.startsWith('{text}'))");
-    page.until(&verdict("Pose valid, beam not locked (held): task centering stands still since "));
-    page.until(
-        "document.querySelector('#faults li').innerText.includes('Fault: task centering stands still')",
-    );
+    page.until(&verdict("Pose valid, beam not locked (held): task centering stalled since "));
+    page.until("document.querySelector('#faults li').innerText.includes('Fault: task centering stalled')");
     assert_eq!(page.eval("document.body.classList.contains('stale')"), false, "poses come");
     page.until(&verdict("No connection"));
 }

@@ -67,7 +67,9 @@ fn files_follow_each_other_without_a_gap_and_the_oldest_go() {
         "{:#?}",
         daemon.log
     );
-    assert!(daemon.log.iter().any(|line| line.to_string().contains("deleted, to keep recording.budget_gb")));
+    assert!(
+        daemon.log.iter().any(|line| line.to_string().contains("deleted to stay within recording.budget_gb"))
+    );
     let contents: Vec<Content> = files.iter().map(|file| Content::read(file)).collect();
     for pair in contents.windows(2) {
         let [before, after] = pair else { unreachable!() };
@@ -116,7 +118,7 @@ fn a_file_with_nothing_in_it_is_not_kept() {
     daemon.stop();
     // Now and then a sample comes just between.
     assert!(
-        daemon.log.iter().any(|line| line.to_string().contains("nothing was recorded")),
+        daemon.log.iter().any(|line| line.to_string().contains("no samples received")),
         "{:#?}",
         daemon.log
     );
@@ -141,7 +143,11 @@ fn two_daemons_in_one_folder_leave_the_files_of_each_other_alone() {
     second.says("recorded");
     second.says("recording");
     second.stop();
-    assert!(!second.log.iter().any(|line| line.to_string().contains("not finished")), "{:#?}", second.log);
+    assert!(
+        !second.log.iter().any(|line| line.to_string().contains("unfinished recording")),
+        "{:#?}",
+        second.log
+    );
     let stream = first.stop();
     let content = Content::read(&recordings(&first.folder())[0]);
     assert!(content.whole && !first.log.iter().any(|line| line["level"] == "ERROR"), "{:#?}", first.log);
@@ -205,7 +211,7 @@ fn check_says_what_is_recorded_and_where_it_cannot_be() {
     );
     std::fs::write(home.path().join("taken"), "").unwrap();
     let told = check("mode = \"always\"\nfolder = \"taken\"");
-    assert!(told.contains("it is no folder"), "{told}");
+    assert!(told.contains("it is not a folder"), "{told}");
     assert!(check("").contains("off until"));
 }
 

@@ -169,7 +169,7 @@ fn what_is_no_recording_is_refused_before_the_daemon_runs() {
         ("no.mcap", "No such file"),
         ("text.mcap", "not an MCAP file"),
         ("empty.mcap", "not an MCAP file"),
-        ("head.mcap", "nothing can be replayed"),
+        ("head.mcap", "so it cannot be replayed"),
         ("fifo.mcap", "not a regular file"),
         ("/dev/zero", "not a regular file"),
         (".", "not a regular file"),

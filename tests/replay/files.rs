@@ -144,7 +144,7 @@ fn a_damaged_index_costs_no_data_and_that_is_said() {
     let end = bad.windows(9).rposition(|w| *w == [0x0f, 4, 0, 0, 0, 0, 0, 0, 0]).unwrap();
     bad[end + 13] = 0xee;
     let bad = lab.write("bad.mcap", &bad);
-    let told = "the index behind the data is damaged";
+    let told = "the index after the data is damaged";
     let info = on(&["info"], &bad);
     assert!(info.code == 65 && info.out.contains(told) && !info.out.contains("a second"), "{}", info.out);
     let done = on(&["replay"], &bad);

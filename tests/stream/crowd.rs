@@ -59,7 +59,7 @@ async fn of_64_clients_at_1_khz_one_stalls_and_the_others_lose_nothing() {
     extra.write_all(b"pose?\n").await.unwrap();
     let mut refusal = String::new();
     timeout(PATIENCE, extra.read_to_string(&mut refusal)).await.unwrap().unwrap();
-    assert!(refusal.starts_with("error: the daemon serves 64 TCP clients already"), "{refusal}");
+    assert!(refusal.starts_with("error: the daemon already serves 64 TCP clients"), "{refusal}");
     let mut refused = 0;
     while let Some(reader) = readers.join_next().await {
         let reader = reader.unwrap();

@@ -60,7 +60,7 @@ impl Daemon {
 
     /// Where receivers subscribe. To be asked once.
     pub(crate) fn subscriptions(&self) -> SocketAddr {
-        self.address("UDP subscriptions are taken")
+        self.address("accepting UDP subscriptions")
     }
 }
 

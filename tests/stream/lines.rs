@@ -68,7 +68,7 @@ fn value<'a>(line: &'a str, key: &str) -> &'a str {
 async fn queries_get_the_newest_pose_in_a_line_and_never_an_old_one_as_valid() {
     let server = start(Limits::default()).await;
     let mut talk = Talk::to(server.address).await;
-    assert!(talk.ask("pose?").await.starts_with("error: no frame was made yet"));
+    assert!(talk.ask("pose?").await.starts_with("error: no frame has been made yet"));
     publish(&server, &mut talk, posed(7)).await;
     let line = talk.ask("POSE?\r").await;
     assert!(line.is_ascii());
@@ -186,7 +186,7 @@ async fn who_says_nothing_whole_is_sent_away_and_a_stream_may_be_silent() {
     stream.say("stream format=json\n").await;
     half.say("strea").await;
     for talk in [&mut half, &mut none] {
-        assert!(talk.hear().await.unwrap().starts_with("error: no whole line for 0.3 s"));
+        assert!(talk.hear().await.unwrap().starts_with("error: no complete line for 0.3 s"));
         assert_eq!(talk.hear().await, None);
     }
     // A heartbeat a second later: it is still served.

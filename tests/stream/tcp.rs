@@ -110,7 +110,7 @@ async fn garbage_is_answered_and_then_sent_away_and_costs_the_others_nothing() {
     let lines: Vec<&str> = text.lines().collect();
     assert_eq!(lines.len(), 100);
     assert!(lines.iter().all(|line| line.starts_with("error: ") && line.is_ascii()), "{text}");
-    assert!(lines[99].contains("100 lines that are no commands"), "{}", lines[99]);
+    assert!(lines[99].contains("100 lines without a valid command"), "{}", lines[99]);
 
     let mut endless = TcpStream::connect(server.address).await.unwrap();
     endless.write_all(&vec![b'x'; 100_000]).await.unwrap();

@@ -1,4 +1,4 @@
-//! The nearest response to the mean of windows, with its deviations.
+//! Least-squares fit of a response to the mean of windows, with its uncertainties.
 
 use nalgebra::{Matrix4, Vector4};
 use trifacet_core::steering::Xy;
@@ -6,11 +6,11 @@ use trifacet_core::steering::Xy;
 use super::numeric::{Line, golden, least, middle, middle_and_spread};
 use super::{Response, Windows, shape};
 
-/// A lag is there if the fit without one is worse by so many deviations.
+/// A lag is significant if the fit without one is worse by this many standard deviations.
 const LAG_SIGMAS: f64 = 3.0;
-/// So many lags are tried before the best one is looked for in between.
+/// Number of lags of the coarse search.
 const LAGS: u32 = 50;
-/// Width of a numerical derivative, in periods.
+/// Step of a numerical derivative, in periods.
 const NARROW: f64 = 1e-3;
 
 /// A fit to the mean of windows.
@@ -19,10 +19,10 @@ pub(super) struct Fit {
     times: Vec<f64>,
     period: f64,
     step: f64,
-    /// Without their drift, metres.
+    /// The windows without their drift, metres.
     windows: Vec<Vec<Xy>>,
     mean: Vec<Xy>,
-    /// Variance of a single value, metres^2.
+    /// Variance of a single value, metres squared.
     noise: f64,
     pub(super) movement: Xy,
     delay: f64,
@@ -30,7 +30,7 @@ pub(super) struct Fit {
 }
 
 impl Fit {
-    /// A fit to some of the windows, of whose values at each time `center` is taken.
+    /// Fits some of the windows. `center` gives the average of their values at each time.
     pub(super) fn new(from: &Windows, which: &[usize], center: impl Fn(Vec<f64>) -> f64) -> Option<Self> {
         let (n, count) = (from.times.len(), which.len());
         if n < 8 || count < 4 {
@@ -40,7 +40,7 @@ impl Fit {
         let windows: Vec<_> = which.iter().map(|i| line.taken_out(&from.offsets[*i])).collect();
         let at = |i: usize, k: usize| center(windows.iter().map(|window| window[i][k]).collect());
         let mean: Vec<Xy> = (0..n).map(|i| [at(i, 0), at(i, 1)]).collect();
-        // A few windows that are quite different say nothing of the noise.
+        // The median: a few deviating windows must not affect the estimate of the noise.
         let scatter = middle(windows.iter().map(|w| distance(w, &mean)).collect());
         let noise = scatter / (2 * (n - 2)) as f64;
         let mut fit = Self {
@@ -61,13 +61,13 @@ impl Fit {
         (movement[0].hypot(movement[1]) > 0.0).then_some(fit)
     }
 
-    /// The model at the times of the samples, without its drift, for unit movement.
+    /// The model at the times of the samples, without drift, for unit movement.
     fn model(&self, delay: f64, lag: f64) -> Vec<f64> {
         let raw: Vec<_> = self.times.iter().map(|t| shape(*t, delay, lag)).collect();
         self.line.taken_out_of(&raw)
     }
 
-    /// What is left of the mean, and the movement that leaves the least.
+    /// Sum of squared residuals of the mean, and the movement that minimizes it.
     fn cost(&self, delay: f64, lag: f64) -> (f64, Xy) {
         let model = self.model(delay, lag);
         let size: f64 = model.iter().map(|m| m * m).sum();
@@ -82,8 +82,8 @@ impl Fit {
         (all - (dot[0] * dot[0] + dot[1] * dot[1]) / size, dot.map(|d| d / size))
     }
 
-    /// Looks for the delay and the lag that leave the least. The valley between them is narrow and bent:
-    /// so the best delay is found for each of many lags, then the lag between the best two.
+    /// Searches for the delay and the lag with the least cost. The valley of the cost is narrow and curved.
+    /// Therefore the best delay is found for each of many lags, and then the lag between the best two.
     fn search(&mut self) {
         let last = self.times[self.times.len() - 1];
         let (shortest, longest) = (self.period / 20.0, (last / 3.0).max(self.period));
@@ -94,8 +94,8 @@ impl Fit {
         let (_, k) = golden([(best - 1.0).max(0.0), (best + 1.0).min(f64::from(LAGS))], cost);
         let (cost, delay) = self.best_delay(lag(k));
         (self.delay, self.lag) = (delay, lag(k));
-        // Without a lag the beam has moved by a sample, and not by the one before it: the delay may be
-        // anything in between. The longest one is the careful one.
+        // Without a lag the movement lies between two samples, and the delay may be anything in between. The
+        // longest delay is the cautious choice.
         let from_zero = self.times.iter().copied().filter(|t| *t > 0.0 && *t <= last / 2.0);
         let jump = from_zero.map(|t| (self.cost(t, 0.0).0, t)).min_by(|a, b| a.0.total_cmp(&b.0));
         if let Some((without, delay)) = jump
@@ -105,7 +105,7 @@ impl Fit {
         }
     }
 
-    /// What the best delay for a lag leaves, and that delay.
+    /// Least cost for a lag, and the delay that gives it.
     fn best_delay(&self, lag: f64) -> (f64, f64) {
         let most = self.times[self.times.len() - 1] / 2.0;
         let stride = (most / 100.0).max(self.period / 4.0);
@@ -115,14 +115,14 @@ impl Fit {
         golden([(best - stride).max(0.0), best + stride], cost)
     }
 
-    /// What is left of a window, or of the mean.
+    /// Residuals of a window, or of the mean.
     fn residual(&self, window: &[Xy]) -> Vec<Xy> {
         let model = self.model(self.delay, self.lag);
         let left = |(m, y): (&f64, &Xy)| [0, 1].map(|k| y[k] - self.movement[k] * m);
         model.iter().zip(window).map(left).collect()
     }
 
-    /// The derivative of the model by the delay (`[1, 0]`) or the lag.
+    /// Derivative of the model with respect to the delay (`[1, 0]`) or the lag (`[0, 1]`).
     fn slope(&self, [delay, lag]: [f64; 2]) -> Vec<f64> {
         let width = NARROW * self.period;
         let at = |by: f64| self.model(self.delay + delay * by, (self.lag + lag * by).max(0.0));
@@ -130,7 +130,7 @@ impl Fit {
         after.iter().zip(before).map(|(a, b)| (a - b) / width).collect()
     }
 
-    /// How much later each window is than the fit, seconds: by the area between them while the beam moves.
+    /// Delay of each window relative to the fit, seconds, from the area between them during the movement.
     pub(super) fn delays(&self) -> Vec<f64> {
         let [x, y] = self.movement;
         let scale = self.period_over_area() / (x * x + y * y);
@@ -141,7 +141,7 @@ impl Fit {
         self.windows.iter().map(of).collect()
     }
 
-    /// A delay by a period, over the area that it makes.
+    /// Ratio of a delay of one period to the area that it causes.
     fn period_over_area(&self) -> f64 {
         let half = self.period / 2.0;
         let (sooner, later) =
@@ -149,18 +149,18 @@ impl Fit {
         self.period / self.moving().map(|j| sooner[j] - later[j]).sum::<f64>()
     }
 
-    /// The samples at which the beam moves.
+    /// Indices of the samples during the movement.
     fn moving(&self) -> impl Iterator<Item = usize> {
         let end = self.delay + 6.0 * self.lag + 4.0 * self.period;
         (0..self.times.len()).filter(move |j| self.times[*j] > 0.0 && self.times[*j] <= end)
     }
 
-    /// The covariance of movement (x, y), delay and lag, from how the windows scatter: whatever makes
-    /// them scatter is in it.
+    /// Covariance of movement (x, y), delay and lag by the sandwich estimator: derived from the scatter of
+    /// the windows, whatever its cause.
     fn covariance(&self) -> Option<Matrix4<f64>> {
         let model = self.model(self.delay, self.lag);
         let (by_delay, by_lag) = match self.lag {
-            // No derivative: the deviation of the delay is another one, and of the lag there is none.
+            // No derivative. The uncertainty of the delay follows from the sampling, and there is no lag.
             0.0 => (vec![0.0; model.len()], vec![0.0; model.len()]),
             _ => (self.slope([1.0, 0.0]), self.slope([0.0, 1.0])),
         };
@@ -200,9 +200,9 @@ impl Fit {
         let by_noise = self.noise * self.moving().count() as f64 * (self.period_over_area() / size).powi(2);
         let left = self.residual(&self.mean);
         let worst = left.iter().map(|r| r[0].hypot(r[1])).fold(0.0, f64::max);
-        // Of many values the largest is some deviations off by chance.
+        // Among many values, the largest differs by several standard deviations by chance.
         let by_chance = 4.0 * (2.0 * self.noise / count as f64).sqrt();
-        // For people the mean is shown from zero up, not about the middle of its drift.
+        // For the plot the mean begins at zero instead of being centred about its drift.
         let start = self.line.of(&self.times, |t| shape(t, self.delay, self.lag));
         let shown =
             |(j, t): (usize, &f64)| (*t, [0, 1].map(|k| self.mean[j][k] + self.movement[k] * start[j]));

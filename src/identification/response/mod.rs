@@ -1,12 +1,12 @@
-//! From repeated steps of one axis to the response of the beam: how far, how late, how fast.
+//! Response of the beam to an axis, from repeated steps: gain, delay and lag.
 //!
-//! The response to a step of unit length, made on the sample at time zero, is taken as
-//! `g (1 - exp(-(t - delay) / lag))` from the delay on: a gain in each of two directions across the
-//! beam, a dead time and a first-order lag. A straight line in each window, which is the drift of the
-//! mirror, is taken out of data and model alike. The steps go forth and back in turn, so that what
-//! curves slowly cancels in the mean.
+//! The model of the response to a step of unit length, commanded on the sample at time zero, is
+//! `g (1 - exp(-(t - delay) / lag))` from the delay on: a gain in each of two directions perpendicular to the
+//! beam, a dead time and a first-order lag. A straight line in each window represents the drift of the
+//! mirror. It is removed from the data and from the model alike. The steps alternate in direction, so that
+//! slow curvature cancels in the mean.
 //!
-//! - `fit`: the nearest response to the mean of windows. `numeric`: what it computes with.
+//! - `fit`: least-squares fit to the mean of windows. `numeric`: its numerical methods.
 
 mod fit;
 mod numeric;
@@ -17,19 +17,19 @@ use fit::Fit;
 use numeric::{mean, middle, middle_and_spread};
 use trifacet_core::steering::Xy;
 
-/// Windows whose delay is off by so many deviations of all are left out: the machine slept.
+/// Windows whose delay differs by more than this many standard deviations are left out: the machine was late.
 const OUTLIER: f64 = 5.0;
-/// A step with less than this part of the usual movement was not followed.
+/// A step with less than this fraction of the usual movement was not followed.
 const FOLLOWED: f64 = 0.5;
 
-/// Windows around steps of one axis, all alike.
+/// Windows around the steps of one axis, all of the same length.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Windows {
-    /// When the samples of a window were taken, after the one on which the step was made; seconds.
+    /// Times of the samples of a window relative to the sample on which the step was commanded, seconds.
     pub times: Vec<f64>,
-    /// The offset of the beam at these times, metres, turned around where the step went back.
+    /// Offsets of the beam at these times, metres, with reversed sign for steps in negative direction.
     pub offsets: Vec<Vec<Xy>>,
-    /// Time between samples, seconds.
+    /// Sample period, seconds.
     pub period: f64,
     /// Length of the steps, metres.
     pub step: f64,
@@ -38,43 +38,43 @@ pub struct Windows {
 /// The response of the beam to one axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Response {
-    /// Movement of the beam, x and y, per movement of the axis; with its deviations.
+    /// Movement of the beam, x and y, per movement of the axis.
     pub gain: Xy,
-    /// One standard deviation of the gain.
+    /// Standard uncertainty of the gain.
     pub gain_sigma: Xy,
-    /// From the sample on which a command is computed to the start of its effect, seconds.
+    /// Time from the sample on which a command is computed to the beginning of its effect, seconds.
     pub delay: f64,
-    /// One standard deviation of the delay.
+    /// Standard uncertainty of the delay, seconds.
     pub delay_sigma: f64,
-    /// First-order lag, seconds; zero if it is too short to be seen at this rate.
+    /// First-order lag, seconds; zero if it is too short to be resolved at this sample rate.
     pub lag: f64,
-    /// One standard deviation of the lag.
+    /// Standard uncertainty of the lag, seconds.
     pub lag_sigma: f64,
-    /// One standard deviation of the delay from step to step, noise taken off, seconds. What happens
-    /// between two samples shows only in part if the lag is shorter than that.
+    /// Standard deviation of the delay from step to step, corrected for noise, seconds. Variation between two
+    /// samples is resolved only in part if the lag is shorter than a sample period.
     pub jitter: f64,
-    /// The largest difference between mean and fit, in parts of the movement, noise taken off.
+    /// Largest difference between mean and fit, as a fraction of the movement, corrected for noise.
     pub misfit: f64,
-    /// Steps that are in the mean.
+    /// Steps in the mean.
     pub used: usize,
-    /// Steps that were left out since their delay was another one.
+    /// Steps left out because of their delay.
     pub outliers: usize,
-    /// Steps that the beam did not follow, or only in part.
+    /// Steps that the beam did not follow, or followed only in part.
     pub unfollowed: usize,
     /// Movement of the beam per step, metres.
     pub movement: Xy,
-    /// The mean over all steps less the drift: time in seconds, beam movement per step in metres.
+    /// The mean over all steps without drift: time in seconds, movement of the beam per step in metres.
     pub mean: Vec<(f64, Xy)>,
 }
 
 impl Response {
-    /// The part of the movement that is done at a time.
+    /// Completed fraction of the movement at time `t`, seconds.
     pub fn shape(&self, t: f64) -> f64 {
         shape(t, self.delay, self.lag)
     }
 }
 
-/// Fits the response. `None` if the windows are too few or nothing moves in them that could be fitted.
+/// Fits the response. `None` if there are too few windows, or no movement in them.
 pub fn fit(windows: &Windows) -> Option<Response> {
     let all: Vec<usize> = (0..windows.offsets.len()).collect();
     let first = Fit::new(windows, &all, middle)?;
@@ -88,7 +88,7 @@ pub fn fit(windows: &Windows) -> Option<Response> {
     Some(Response { outliers, unfollowed, ..fit.response() })
 }
 
-/// How many steps the beam has not followed by the end of their windows, or only in part.
+/// Number of steps that the beam has not followed by the end of the window, or only in part.
 fn unfollowed(windows: &Windows, movement: Xy) -> usize {
     let usual = movement[0].powi(2) + movement[1].powi(2);
     let last = windows.times.last().copied().unwrap_or_default();
@@ -104,7 +104,7 @@ fn unfollowed(windows: &Windows, movement: Xy) -> usize {
     windows.offsets.iter().filter(moved).count()
 }
 
-/// The part of a movement that is done at `t`; a sample at the very moment of a jump has seen it.
+/// Completed fraction of a movement at `t`. A sample exactly at the time of a jump has the whole movement.
 fn shape(t: f64, delay: f64, lag: f64) -> f64 {
     let since = t - delay;
     if lag > 0.0 {

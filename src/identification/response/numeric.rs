@@ -1,8 +1,8 @@
-//! Straight lines, means, and where a function is least.
+//! Straight lines, averages, and minima of functions.
 
 use trifacet_core::steering::Xy;
 
-/// The straight lines over the times of a window.
+/// Orthonormal basis of the straight lines over the times of a window.
 pub(super) struct Line {
     constant: Vec<f64>,
     slope: Vec<f64>,
@@ -17,7 +17,7 @@ impl Line {
         Self { constant: vec![1.0 / n.sqrt(); times.len()], slope }
     }
 
-    /// The line nearest to a course of values.
+    /// The least-squares line through `y`.
     pub(super) fn nearest(&self, y: &[f64]) -> Vec<f64> {
         let dot = |q: &[f64]| q.iter().zip(y).map(|(q, y)| q * y).sum::<f64>();
         let (a, b) = (dot(&self.constant), dot(&self.slope));
@@ -38,13 +38,13 @@ impl Line {
     }
 }
 
-/// What has the least cost.
+/// The second element of the pair with the smallest first one.
 pub(super) fn least(of: impl Iterator<Item = (f64, f64)>) -> f64 {
     of.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |(_, x)| x)
 }
 
-/// The least value of a function in a range with one valley, and where it is, to a millionth of the
-/// range: the golden section.
+/// Minimum of a function with a single valley, and its position, to a millionth of the range, by
+/// golden-section search.
 pub(super) fn golden([mut low, mut high]: [f64; 2], f: impl Fn(f64) -> f64) -> (f64, f64) {
     const PART: f64 = 0.618_033_988_749_895;
     let inner = |low: f64, high: f64| [high - PART * (high - low), low + PART * (high - low)];
@@ -69,13 +69,14 @@ pub(super) fn mean(values: Vec<f64>) -> f64 {
     values.into_iter().sum::<f64>() / count
 }
 
-/// The median.
+/// Median. `values` must not be empty.
 pub(super) fn middle(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]
 }
 
-/// Median, and one standard deviation by the median of the distances from it.
+/// Median, and the standard deviation estimated from the median absolute deviation (factor 1.4826 for a
+/// normal distribution).
 pub(super) fn middle_and_spread(values: &[f64]) -> (f64, f64) {
     let usual = middle(values.to_vec());
     (usual, 1.4826 * middle(values.iter().map(|v| (v - usual).abs()).collect()))

@@ -7,16 +7,16 @@ use super::*;
 
 const STEP: f64 = 20e-6;
 
-/// What a loop is, for a recording at 1 kHz of 60 steps.
+/// Parameters of a loop, for a recording at 1 kHz of 60 steps.
 #[derive(Clone, Copy, Debug)]
 struct Truth {
     gain: Xy,
     delay: f64,
     lag: f64,
     noise: f64,
-    /// Of the mirror, metres and hertz.
+    /// Drift of the mirror: amplitude in metres and frequency in hertz.
     drift: (f64, f64),
-    /// Deviation of the delay, seconds.
+    /// Standard deviation of the delay, seconds.
     jitter: f64,
     seed: u64,
 }
@@ -83,7 +83,7 @@ fn the_stated_deviations_hold_on_average() {
         ];
         squares = std::array::from_fn(|i| squares[i] + off[i] * off[i] / 100.0);
     }
-    // 100 squared deviations: their mean is 1 to 0.14.
+    // 100 squared normalized errors: their mean is 1 with a standard deviation of 0.14.
     assert!(squares.iter().all(|s| (0.6..1.4).contains(s)), "{squares:?}");
 }
 

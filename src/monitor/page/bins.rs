@@ -1,5 +1,5 @@
-//! The past of the six axes, for strip charts: minimum, maximum and mean of every stretch of time, so that
-//! no sample is left out, however far back one looks. Pure.
+//! History of the six axes for strip charts: minimum, maximum and mean of each time interval (bin), so that
+//! every pose is represented in any zoom level. Pure.
 
 use std::collections::VecDeque;
 
@@ -8,21 +8,21 @@ use serde::{Serialize, Serializer};
 use trifacet_core::time::NS_PER_S;
 use trifacet_wire::PoseFrame;
 
-/// How long a stretch is, nanoseconds, and how many are kept: a minute, ten minutes, six hours.
+/// Length of a bin in nanoseconds and number of bins kept, for one minute, ten minutes and six hours.
 const LEVELS: [(i64, usize); 3] = [(FINE_NS, 3000), (NS_PER_S / 10, 6000), (NS_PER_S, 21_600)];
-/// The shortest stretch.
+/// Length of the shortest bins, nanoseconds.
 pub const FINE_NS: i64 = NS_PER_S / 50;
-/// A chart has at most about this many stretches: more than its pixels show.
+/// Approximate largest number of bins in a chart: more than its pixels can show.
 const SHOWN: i64 = 600;
-/// The longest past that can be asked for, seconds.
+/// Longest history that can be requested, seconds.
 pub const LONGEST_S: u32 = 21_600;
 
-/// What the six axes did during one stretch of time; metres and radians.
+/// Values of the six axes in one time interval; metres and radians.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bin {
-    /// Number of the stretch: its time since 1970 over its length.
+    /// Number of the bin: its time since 1970 divided by its length.
     pub k: i64,
-    /// Poses in it; at least one.
+    /// Number of poses; at least one.
     pub poses: u32,
     /// Smallest value of each axis.
     pub min: [f64; 6],
@@ -47,13 +47,13 @@ impl Bin {
         }
     }
 
-    /// The same as part of a stretch that is `factor` times as long.
+    /// The same values as part of a bin that is `factor` times as long.
     fn within(self, factor: i64) -> Self {
         Self { k: self.k.div_euclid(factor), ..self }
     }
 }
 
-/// `[k, poses, min, max, mean of tx, min, ...]`.
+/// A row `[k, poses, min, max, mean of tx, min, ...]`.
 impl Serialize for Bin {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut row = serializer.serialize_seq(Some(20))?;
@@ -61,35 +61,35 @@ impl Serialize for Bin {
         row.serialize_element(&self.poses)?;
         for axis in 0..6 {
             for x in [self.min[axis], self.max[axis], self.mean[axis]] {
-                row.serialize_element(&(x as f32))?; // 24 bits: no chart shows more
+                row.serialize_element(&(x as f32))?; // 24 bits are more than a chart can show
             }
         }
         row.end()
     }
 }
 
-/// A past, ready to be drawn.
+/// History for a chart.
 #[derive(Debug, PartialEq, Serialize)]
 pub struct History {
-    /// Length of a stretch.
+    /// Length of a bin.
     pub width_ms: i64,
-    /// The last fine stretch that is in it.
+    /// Number of the last short bin that is included.
     pub through: i64,
-    /// Oldest first; those without a pose are left out.
+    /// Bins, oldest first; bins without a pose are omitted.
     pub bins: Vec<Bin>,
 }
 
-/// Stretches of three lengths, the longer ones made of the shorter ones.
+/// Bins of three lengths. The longer ones are computed from the shortest.
 #[derive(Debug, Default)]
 pub struct Past {
     open: Option<Bin>,
     levels: [VecDeque<Bin>; LEVELS.len()],
-    /// Closed since somebody last took them.
+    /// Bins closed since the last call of [`Past::news`].
     news: Vec<Bin>,
 }
 
 impl Past {
-    /// Takes every frame in turn; those without a pose leave no trace.
+    /// Takes every frame in turn; frames without a pose are ignored.
     pub fn frame(&mut self, frame: &PoseFrame) {
         let k = frame.time_ns.div_euclid(FINE_NS);
         if let Some(open) = self.open.filter(|open| open.k != k) {
@@ -110,7 +110,7 @@ impl Past {
         for (level, (width_ns, most)) in self.levels.iter_mut().zip(LEVELS) {
             let bin = bin.within(width_ns / FINE_NS);
             if level.back().is_some_and(|last| last.k > bin.k) {
-                level.clear(); // the clock was set back: what was drawn lies in the future
+                level.clear(); // the clock was set back: these bins lie in the future
             }
             match level.back_mut().filter(|last| last.k == bin.k) {
                 Some(last) => last.add(&bin),
@@ -123,12 +123,12 @@ impl Past {
         self.news.push(*bin);
     }
 
-    /// The fine stretches that were closed since the last time.
+    /// The short bins closed since the last call.
     pub fn news(&mut self) -> Vec<Bin> {
         std::mem::take(&mut self.news)
     }
 
-    /// The last so many seconds.
+    /// The history of the last `span_s` seconds.
     pub fn history(&self, span_s: u32) -> History {
         let span_ns = i64::from(span_s.clamp(1, LONGEST_S)) * NS_PER_S;
         let fits = |level: &&(i64, usize)| span_ns <= level.0 * level.1 as i64;
@@ -157,7 +157,7 @@ mod tests {
         PoseFrame { time_ns, pose: [x; 6], ..PoseFrame::example() }
     }
 
-    /// Frames of a saw tooth, a spike among them, without poses from the fourth to the sixth second.
+    /// Frames of a saw tooth with a spike, and without poses from the fourth to the sixth second.
     fn past(seconds: i64, rate: i64) -> Past {
         let mut past = Past::default();
         for i in 0..seconds * rate {
@@ -185,7 +185,7 @@ mod tests {
         let most = all.bins.iter().flat_map(|bin| bin.max).fold(0.0, f64::max);
         assert!((most - 1e3).abs() < 1e-9, "{most}");
         let n: u32 = past.news().iter().map(|bin| bin.poses).sum();
-        assert_eq!(n, 98_000 - 20, "all but the open stretch");
+        assert_eq!(n, 98_000 - 20, "all but the open bin");
         assert!(past.news().is_empty());
     }
 

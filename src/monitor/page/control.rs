@@ -1,4 +1,4 @@
-//! `POST /control`: the few commands that the page may give, with the token.
+//! `POST /control`: the commands that the page can give, with the token.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -19,31 +19,32 @@ use crate::control::{self, Command, RunningConfig};
 use crate::monitor::view::View;
 use crate::recording::RecorderCommand;
 
-/// What a person with the token may do. There is none unless `monitor.control` is on.
+/// Control of the daemon from the page. Exists only if `monitor.control` is on.
 #[derive(Clone, Debug)]
 pub struct Controls {
-    /// Who has it, may.
+    /// Whoever presents this token may give commands.
     pub token: Token,
     /// The daemon.
     pub live: Arc<Mutex<RunningConfig>>,
 }
 
 impl Controls {
-    /// If the configuration allows it.
+    /// The controls, if the configuration enables them.
     pub fn of(config: &MonitorConfig, live: &Arc<Mutex<RunningConfig>>) -> Option<Self> {
         let token = config.token.clone().filter(|_| config.control)?;
         Some(Self { token, live: Arc::clone(live) })
     }
 }
 
-/// `{"command": "loop on"}`.
+/// A command from the page: `{"command": "loop on"}`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PageCommand {
     command: String,
 }
 
-/// Does what it says, if all is in order. As JSON it needs a header that no form of another site can set.
+/// Executes a command if the request is authorized. Its content type must be JSON, which a form of another
+/// site cannot send.
 pub async fn obey(
     State(view): State<Arc<View>>,
     ConnectInfo(peer): ConnectInfo<SocketAddr>,
@@ -53,21 +54,21 @@ pub async fn obey(
     let counters = &view.sources.counters;
     let Some(controls) = &view.sources.control else {
         counters.monitor_denied.inc();
-        return refusal(StatusCode::FORBIDDEN, "the page may only look: monitor.control is off");
+        return refusal(StatusCode::FORBIDDEN, "the page cannot send commands: monitor.control is off");
     };
     if !own_page(&headers) {
         counters.monitor_forbidden.inc();
-        return refusal(StatusCode::FORBIDDEN, "the page of another server may not steer");
+        return refusal(StatusCode::FORBIDDEN, "commands from the page of another server are refused");
     }
     if !bearer(&headers).is_some_and(|given| controls.token.is(given)) {
         counters.monitor_denied.inc();
-        // Who it was, and never what was given: that may be nearly right.
-        tracing::warn!(%peer, "monitor: an order with a wrong token");
-        return refusal(StatusCode::UNAUTHORIZED, "wrong token: it is monitor.token of the configuration");
+        // The given token is not logged: it may be nearly right.
+        tracing::warn!(%peer, "monitor: a command with a wrong token");
+        return refusal(StatusCode::UNAUTHORIZED, "wrong token: use monitor.token of the configuration");
     }
     let order = match order {
         Ok(Json(order)) => order,
-        // To tell JSON of another form from no JSON helps nobody.
+        // Clients need no distinction between invalid JSON and unexpected JSON.
         Err(e) if e.status() == StatusCode::UNPROCESSABLE_ENTITY => {
             return refusal(StatusCode::BAD_REQUEST, &e.body_text());
         }
@@ -80,13 +81,14 @@ pub async fn obey(
             Json(answer).into_response()
         }
         _ => {
-            let why = "allowed are: tare, tare clear, loop on, loop off, loop shadow, park, record start, record stop";
+            let why =
+                "allowed: tare, tare clear, loop on, loop off, loop shadow, park, record start, record stop";
             refusal(StatusCode::BAD_REQUEST, why)
         }
     }
 }
 
-/// As the page reads it.
+/// A refusal in the format that the page reads.
 pub fn refusal(code: StatusCode, why: &str) -> Response {
     (code, Json(json!({ "error": why }))).into_response()
 }
@@ -95,7 +97,7 @@ fn bearer(headers: &HeaderMap) -> Option<&str> {
     headers.get(header::AUTHORIZATION)?.to_str().ok()?.strip_prefix("Bearer ")
 }
 
-/// Nothing that writes into the configuration, and nothing that needs numbers.
+/// Whether the page may give this command: none that writes to the configuration, none with numbers.
 fn allowed(command: &Command) -> bool {
     matches!(
         command,

@@ -1,10 +1,11 @@
-//! The live page: what it is made of, and who gets it.
+//! The live page: its data and its files.
 //!
-//! - [`bins`], [`status_history`], [`spectrum`]: what becomes of every frame. Pure.
-//! - [`state`]: all that as one update, made once for all viewers, ten times a second.
-//! - [`viewer`]: a WebSocket for each of them. [`control`]: the few commands that the page may give.
+//! - [`bins`], [`status_history`], [`spectrum`]: evaluation of every frame. Pure.
+//! - [`state`]: makes one update for all viewers, ten times a second.
+//! - [`viewer`]: a WebSocket for each viewer. [`control`]: the commands that the page can give.
 //!
-//! The page itself stands in `assets`, and goes into the binary with the chart library (`build.rs`).
+//! The files of the page are in `assets`. They are compiled into the binary together with the chart library
+//! (`build.rs`).
 
 pub mod bins;
 pub mod control;
@@ -22,14 +23,14 @@ use axum::routing::{MethodRouter, get, post};
 
 use super::view::View;
 
-/// Scripts, sockets and pictures from here only. Charts write `style` elements and attributes.
+/// Scripts, sockets and images from this server only. The charts need `style` elements and attributes.
 const POLICY: &str = "default-src 'none'; script-src 'self'; connect-src 'self'; img-src 'self' data:; \
     style-src 'self' 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// Changes with every build that may have other assets: the browser asks whether it still holds.
+/// Changes with every build that may have other assets. Browsers revalidate their copies with it.
 const TAG: &str = concat!("\"", env!("CARGO_PKG_VERSION"), "-", env!("TRIFACET_PLOTLY"), "\"");
 
-/// Every path of the page.
+/// All paths of the page.
 pub fn routes() -> Router<Arc<View>> {
     Router::new()
         .route("/", asset("text/html; charset=utf-8", include_str!("assets/page.html")))
@@ -45,7 +46,7 @@ pub fn routes() -> Router<Arc<View>> {
         .route("/control", post(control::obey))
 }
 
-/// What answers with a part of the page.
+/// A handler that answers with a file of the page.
 fn asset<S: Clone + Send + Sync + 'static>(kind: &'static str, text: &'static str) -> MethodRouter<S> {
     let headers: [(HeaderName, &str); 5] = [
         (header::CONTENT_TYPE, kind),
@@ -57,7 +58,7 @@ fn asset<S: Clone + Send + Sync + 'static>(kind: &'static str, text: &'static st
     get(async move || (headers, text))
 }
 
-/// Compressed as it is: there is no browser that does not take that.
+/// The chart library, always compressed: every browser accepts gzip.
 async fn plotly(headers: HeaderMap) -> impl IntoResponse {
     use axum::http::StatusCode;
     let told: [(HeaderName, &str); 4] = [
@@ -72,8 +73,8 @@ async fn plotly(headers: HeaderMap) -> impl IntoResponse {
     (StatusCode::OK, told, &include_bytes!(concat!(env!("OUT_DIR"), "/plotly.js.gz"))[..])
 }
 
-/// Whether a request comes from this page, or from no page at all. Another server on this machine has
-/// pages, too; and this one has none by https.
+/// Whether a request comes from this page, or not from a page. Pages of other servers on this machine have
+/// another origin, and so have pages over https, since this server has none.
 fn own_page(headers: &HeaderMap) -> bool {
     let text = |name: HeaderName| headers.get(name)?.to_str().ok();
     let Some(origin) = text(header::ORIGIN) else { return !headers.contains_key(header::ORIGIN) };

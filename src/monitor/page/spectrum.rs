@@ -1,5 +1,8 @@
-//! Amplitude spectral density of the six axes, by Welch's method: Hann windows that overlap by half, each
-//! without its mean, averaged exponentially. From every pose at the full rate. Pure.
+//! Amplitude spectral density of the six axes by Welch's method: Hann windows with an overlap of one half,
+//! the mean of each removed, averaged exponentially, from every pose at the full rate. Pure.
+//!
+//! Source: Welch 1967, "The use of fast Fourier transform for the estimation of power spectra", IEEE Trans.
+//! Audio Electroacoust. 15.
 
 use std::f64::consts::PI;
 use std::fmt;
@@ -10,13 +13,13 @@ use rustfft::{Fft, FftPlanner};
 use serde::Serialize;
 use trifacet_wire::PoseFrame;
 
-/// A segment is at most so long: 0.8 s at 10 kHz.
+/// Longest segment: 0.8 s at 10 kHz.
 const LONGEST: usize = 8192;
-/// The shortest: at the lowest rates it takes as long as it takes.
+/// Shortest segment. At the lowest rates it lasts longer than a second.
 const SHORTEST: usize = 64;
-/// Segments that the average is over, in effect.
+/// Effective number of segments in the average.
 const AVERAGED: f64 = 16.0;
-/// Lines that are shown of a decade, where there are more.
+/// Most lines shown per decade.
 const PER_DECADE: f64 = 100.0;
 
 /// Collects segments and averages their spectra.
@@ -24,34 +27,34 @@ pub struct Welch {
     rate_hz: f64,
     fft: Arc<dyn Fft<f64>>,
     window: Vec<f64>,
-    /// The poses of the present segment.
+    /// Poses of the current segment.
     segment: Vec<[f64; 6]>,
-    /// Mean power density by line, unit^2/Hz.
+    /// Mean power density per line, unit^2/Hz.
     density: [Vec<f64>; 6],
     segments: u32,
-    /// Time of the last pose that is in it, UTC.
+    /// Time of the last pose in the average, UTC.
     until_ns: i64,
-    /// Of the frame before.
+    /// Sequence number of the previous frame.
     sequence: u64,
 }
 
-/// What is shown of it.
+/// The spectrum as shown on the page.
 #[derive(Clone, Debug, Serialize)]
 pub struct Spectrum {
-    /// Segments so far: with few, it is rough.
+    /// Segments so far. With few segments the spectrum is noisy.
     pub segments: u32,
-    /// Time of the last pose that is in it, milliseconds of UTC since 1970.
+    /// Time of the last pose in the average, milliseconds of UTC since 1970.
     pub until_ms: f64,
-    /// Distance of lines before any were put together, Hz.
+    /// Distance of adjacent lines before they are combined, Hz.
     pub resolution_hz: f64,
     /// Frequencies, Hz.
     pub hz: Vec<f32>,
-    /// Amplitude density by axis: m/sqrt(Hz), rad/sqrt(Hz).
+    /// Amplitude spectral density per axis: m/sqrt(Hz), rad/sqrt(Hz).
     pub asd: [Vec<f32>; 6],
 }
 
 impl Welch {
-    /// For so many poses a second: segments of about a second.
+    /// An average for `rate_hz` poses per second, with segments of about a second.
     pub fn new(rate_hz: f64) -> Self {
         let n = (rate_hz.max(1.0) as usize).next_power_of_two().clamp(SHORTEST, LONGEST);
         let window = (0..n).map(|i| 0.5 - 0.5 * (2.0 * PI * i as f64 / n as f64).cos()).collect();
@@ -67,12 +70,12 @@ impl Welch {
         }
     }
 
-    /// The rate that it is for.
+    /// Rate of the poses, Hz.
     pub fn rate_hz(&self) -> f64 {
         self.rate_hz
     }
 
-    /// Takes every frame in turn. A segment with a hole in it is no segment.
+    /// Takes every frame in turn. A segment with a gap is discarded.
     pub fn frame(&mut self, frame: &PoseFrame) {
         let whole = frame.lost == 0 && frame.sequence == self.sequence + 1;
         self.sequence = frame.sequence;
@@ -114,7 +117,7 @@ impl Welch {
         }
     }
 
-    /// The average so far; none before the first segment.
+    /// The average so far; `None` before the first segment.
     pub fn spectrum(&self) -> Option<Spectrum> {
         if self.segments == 0 {
             return None;
@@ -129,7 +132,7 @@ impl Welch {
         };
         let mut line = 1;
         while line < self.density[0].len() {
-            // Powers add up; where lines are dense, their mean power is shown.
+            // Combined lines show their mean power density.
             let next = (line as f64 * 10f64.powf(1.0 / PER_DECADE)).floor() as usize;
             let next = next.clamp(line + 1, self.density[0].len());
             shown.hz.push(((line + next - 1) as f64 / 2.0 * resolution_hz) as f32);
@@ -185,10 +188,10 @@ mod tests {
                 .max_by(|a, b| welch.density[1][*a].total_cmp(&welch.density[1][*b]));
             assert!((peak.unwrap() as f64 * width - f_hz).abs() <= width);
             if f_hz / width > 80.0 {
-                continue; // neighbours are put together there
+                continue; // adjacent lines are combined there
             }
-            // Its peak as shown: Hann has an equivalent noise bandwidth of 1.5 lines, and loses at most
-            // 1.42 dB between two lines.
+            // The peak as shown. Hann windows have an equivalent noise bandwidth of 1.5 lines, and a loss of
+            // at most 1.42 dB between two lines (Harris 1978, Proc. IEEE 66).
             let shown = welch.spectrum().unwrap();
             let top = shown.asd[1].iter().copied().fold(0.0, f32::max);
             let full = 3e-6 / (2.0 * 1.5 * width).sqrt();
@@ -215,9 +218,9 @@ mod tests {
             samples += usize::from(axis == 0);
             if samples.is_multiple_of(1000) { f64::NAN } else { 1e-6 }
         });
-        assert!(welch.spectrum().is_none(), "no second without a hole");
+        assert!(welch.spectrum().is_none(), "every second has a gap");
         let welch = fed(1000.0, 20.0, |_, t| if t > 4.0 { f64::NAN } else { 1e-6 });
         let until_ms = welch.spectrum().unwrap().until_ms;
-        assert!((3400.0..=4000.0).contains(&until_ms), "old, and it says so: {until_ms}");
+        assert!((3400.0..=4000.0).contains(&until_ms), "time of the last pose: {until_ms}");
     }
 }

@@ -1,4 +1,4 @@
-//! All that the page shows, made of every frame. Pure.
+//! Data shown on the page, from all frames. Pure.
 
 use std::collections::BTreeMap;
 
@@ -12,21 +12,21 @@ use super::status_history::{Spell, StatusHistory};
 use crate::monitor::health::{Readiness, Standstill};
 use crate::publishing::columns::Columns;
 
-/// Updates from one with counters and spectrum to the next.
+/// Updates between two that include counters and spectrum.
 const RARELY: u64 = 10;
 
-/// What is kept for the page.
+/// Data kept for the page.
 #[derive(Debug, Default)]
 pub struct PageState {
     past: Past,
     history: StatusHistory,
     lately: Lately,
-    /// Made while somebody looks.
+    /// Present while there are viewers.
     welch: Option<Welch>,
     updates: u64,
 }
 
-/// Since the last update.
+/// Counts since the last update.
 #[derive(Debug, Default)]
 struct Lately {
     frames: u32,
@@ -35,14 +35,14 @@ struct Lately {
     delays_ns: Vec<u32>,
 }
 
-/// What changed since the update before.
+/// Changes since the previous update.
 #[derive(Debug, Serialize)]
 pub struct Update {
-    /// Counts updates: a viewer sees what it missed.
+    /// Number of the update, by which a viewer detects missing ones.
     number: u64,
-    /// The newest frame, named as in the stream.
+    /// The newest frame, with the names of the stream.
     frame: Option<Columns>,
-    /// What stands still.
+    /// The part of the daemon that stalls.
     dead: Option<Standstill>,
     ready: Readiness,
     lock_since_ms: f64,
@@ -51,7 +51,7 @@ pub struct Update {
     frames: u32,
     invalid: u32,
     lost: u64,
-    /// Median, 99th percentile and maximum of the time from a sample to its datagram.
+    /// Median, 99th percentile and maximum of the time from a sample to its datagram, microseconds.
     delay_us: Option<[f64; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     counters: Option<BTreeMap<&'static str, u64>>,
@@ -60,7 +60,7 @@ pub struct Update {
 }
 
 impl PageState {
-    /// Takes every frame in turn, `rate_hz` a second; `watched` if somebody looks.
+    /// Takes every frame in turn, with `rate_hz` frames per second. `watched`: there are viewers.
     pub fn frames(&mut self, batch: &[PoseFrame], rate_hz: f64, watched: bool) {
         if !watched {
             (self.welch, self.lately) = (None, Lately::default());
@@ -82,12 +82,12 @@ impl PageState {
         }
     }
 
-    /// The past that a chart begins with.
+    /// The history with which a chart begins.
     pub fn history(&self, span_s: u32) -> History {
         self.past.history(span_s)
     }
 
-    /// What is new.
+    /// Makes the next update.
     pub fn update(
         &mut self,
         newest: Option<&PoseFrame>,
@@ -121,7 +121,7 @@ impl Lately {
         self.frames += 1;
         self.invalid += u32::from(frame.pose[0].is_nan());
         self.lost += u64::from(frame.lost);
-        // Without samples a frame is of now.
+        // A frame without samples has no delay.
         if !frame.status.has(Status::SOURCE_DOWN) {
             self.delays_ns.push(frame.send_delay_ns);
         }

@@ -1,9 +1,9 @@
-//! What the frames complained of, since when, and until when. Pure.
+//! History of the status bits and of the lock state. Pure.
 
 use serde::Serialize;
 use trifacet_wire::{LockState, PoseFrame, Status};
 
-/// Every status bit that was ever set, and the lock state.
+/// The last period of each status bit, and the lock state.
 #[derive(Debug, Default)]
 pub struct StatusHistory {
     last: Option<(Status, LockState)>,
@@ -11,16 +11,16 @@ pub struct StatusHistory {
     bits: [Spell; Status::NAMES.len()],
 }
 
-/// The last time that a status bit was set, or is.
+/// The last period in which a status bit was or is set.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Spell {
     /// Number of the bit.
     pub bit: usize,
-    /// Time of the first frame with it, milliseconds of UTC since 1970.
+    /// Time of the first frame with the bit, milliseconds of UTC since 1970.
     pub since_ms: f64,
-    /// Time of the first frame without it, if it is over.
+    /// Time of the first frame without the bit, if the period has ended; milliseconds of UTC since 1970.
     pub until_ms: Option<f64>,
-    /// How often it came.
+    /// Number of periods so far.
     pub times: u64,
 }
 
@@ -50,12 +50,12 @@ impl StatusHistory {
         self.last = Some(now);
     }
 
-    /// All that were ever set.
+    /// The periods of all bits that have been set.
     pub fn list(&self) -> Vec<Spell> {
         self.bits.iter().filter(|spell| spell.times > 0).copied().collect()
     }
 
-    /// Since when the lock state is what it is, milliseconds of UTC since 1970.
+    /// Time of the last change of the lock state, milliseconds of UTC since 1970.
     pub fn lock_since_ms(&self) -> f64 {
         self.lock_since_ms
     }

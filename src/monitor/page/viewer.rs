@@ -1,8 +1,8 @@
-//! A viewer: a WebSocket of its own.
+//! A viewer of the page: one WebSocket.
 //!
-//! It says how far back it looks (`{"watch": 60}`, seconds) and gets that past, then every update; or that
-//! nobody looks at present (`{"pause": true}`), and gets nothing. One that does not keep up is told how many
-//! updates it missed, and asks for the past again: no other viewer notices.
+//! A viewer requests a length of history in seconds (`{"watch": 60}`). It receives this history and then
+//! every update. With `{"pause": true}` updates stop. A viewer that does not keep up receives the number of
+//! missed updates and requests the history again; other viewers are not affected.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -21,20 +21,20 @@ use trifacet_wire::Status;
 use super::own_page;
 use crate::monitor::view::View;
 
-/// One that takes nothing for so long is cut off.
+/// A viewer that accepts no data for this time is disconnected.
 const STALL: Duration = Duration::from_secs(10);
-/// How often a silent socket is tried: the other side may be gone.
+/// Interval of pings, which detect that the other side has gone.
 const PING: Duration = Duration::from_secs(20);
-/// Most bytes that a viewer may say at a time.
+/// Longest message of a viewer in bytes.
 const LONGEST: usize = 256;
 
-/// What a viewer may say.
+/// A message of a viewer.
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 enum ViewerRequest {
-    /// Updates, and so many seconds of the past.
+    /// Send this many seconds of history, then updates.
     Watch(u32),
-    /// Nothing for now.
+    /// Stop sending updates.
     Pause(bool),
 }
 
@@ -43,26 +43,27 @@ pub async fn open(State(view): State<Arc<View>>, headers: HeaderMap, upgrade: We
     let counters = &view.sources.counters;
     if !own_page(&headers) {
         counters.monitor_forbidden.inc();
-        return (StatusCode::FORBIDDEN, "the page of another server may not look\n").into_response();
+        return (StatusCode::FORBIDDEN, "requests from the page of another server are refused\n")
+            .into_response();
     }
     let Ok(seat) = Arc::clone(&view.seats).try_acquire_owned() else {
         counters.monitor_refused.inc();
-        return (StatusCode::SERVICE_UNAVAILABLE, "all seats are taken\n").into_response();
+        return (StatusCode::SERVICE_UNAVAILABLE, "too many viewers\n").into_response();
     };
     upgrade.max_message_size(LONGEST).on_upgrade(async move |socket| {
-        // Whatever ends it, is the business of the other side.
+        // Errors of the connection are ignored.
         let _ = Viewer { socket, view, updates: None }.serve().await;
         drop(seat);
     })
 }
 
-/// Why a socket ends.
+/// The connection has ended.
 struct Gone;
 
 struct Viewer {
     socket: WebSocket,
     view: Arc<View>,
-    /// None while nobody looks.
+    /// `None` while paused.
     updates: Option<Receiver<Utf8Bytes>>,
 }
 
@@ -76,7 +77,7 @@ impl Viewer {
         self.hello().await?;
         loop {
             tokio::select! {
-                () = view.ending.cancelled() => return self.bye(close_code::AWAY, "the daemon ends").await,
+                () = view.ending.cancelled() => return self.bye(close_code::AWAY, "the daemon stops").await,
                 said = self.socket.recv() => self.heard(said.ok_or(Gone)?.map_err(|_| Gone)?).await?,
                 update = next(self.updates.as_mut()) => self.pass_on(update).await?,
                 Ok(()) = config.changed() => self.hello().await?,
@@ -98,7 +99,7 @@ impl Viewer {
         self.send(Message::Close(Some(CloseFrame { code, reason: reason.into() }))).await
     }
 
-    /// What does not change with every update.
+    /// Sends the data that do not change with every update.
     async fn hello(&mut self) -> Result<(), Gone> {
         let bits = Status::NAMES.iter().zip(Status::MEANINGS);
         let bits: Vec<_> =
@@ -126,7 +127,7 @@ impl Viewer {
         };
         match serde_json::from_str(&text) {
             Ok(ViewerRequest::Watch(span_s)) => {
-                // First the seat, then the past: nothing falls between them.
+                // Subscribe before the history is read, so that no update is missed in between.
                 self.updates.get_or_insert_with(|| self.view.updates());
                 let past = json!({ "history": self.view.history(span_s), "span_s": span_s });
                 self.say(&past).await
@@ -136,8 +137,7 @@ impl Viewer {
                 Ok(())
             }
             Ok(ViewerRequest::Pause(false)) | Err(_) => {
-                self.bye(close_code::POLICY, "allowed are {\"watch\": seconds} and {\"pause\": true}")
-                    .await?;
+                self.bye(close_code::POLICY, "allowed: {\"watch\": seconds} and {\"pause\": true}").await?;
                 Err(Gone)
             }
         }
@@ -155,7 +155,7 @@ impl Viewer {
     }
 }
 
-/// The next update; never, while nobody looks.
+/// The next update; waits forever while paused.
 async fn next(updates: Option<&mut Receiver<Utf8Bytes>>) -> Result<Utf8Bytes, RecvError> {
     match updates {
         Some(updates) => updates.recv().await,

@@ -1,18 +1,18 @@
-//! Where a stream comes from, and why there is none.
+//! Addresses of streams, and the errors of a client.
 
 use std::str::FromStr;
 use std::{fmt, io};
 
 use trifacet_wire::stream::MessageError;
 
-/// Where a stream comes from.
+/// The address of a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Endpoint {
     /// A daemon's TCP server, as "host:port".
     Tcp(String),
-    /// The local address, or the multicast group, as "host:port", to which a daemon sends datagrams.
+    /// The local address or multicast group to which a daemon sends datagrams, as "host:port".
     Udp(String),
-    /// Where a daemon takes subscriptions to datagrams, as "host:port".
+    /// The port where a daemon accepts subscriptions to datagrams, as "host:port".
     Subscribe(String),
 }
 
@@ -45,32 +45,32 @@ impl fmt::Display for Endpoint {
     }
 }
 
-/// Why there is no stream, or no more of it.
+/// Why a stream cannot be opened or has ended.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
-    /// The address cannot be read.
+    /// The address has a wrong format.
     #[error(
-        "\"{0}\" is no address of a stream: it must be tcp://HOST:PORT, udp://HOST:PORT or subscribe://HOST:PORT"
+        "\"{0}\" is not a stream address; allowed: tcp://HOST:PORT, udp://HOST:PORT, subscribe://HOST:PORT"
     )]
     Endpoint(String),
-    /// The address cannot be reached, or not be opened.
+    /// The address cannot be reached or opened.
     #[error("cannot open {endpoint}: {source}")]
     Open {
-        /// Which one.
+        /// The address.
         endpoint: Endpoint,
-        /// What the system says.
+        /// The error of the system.
         source: io::Error,
     },
     /// The daemon does not serve this client.
     #[error("{0}")]
     Refused(String),
-    /// The stream has ended in order.
+    /// The daemon closed the stream in order.
     #[error("the daemon closed the stream")]
     Closed,
-    /// The stream broke.
+    /// The connection broke.
     #[error("the stream broke: {0}")]
     Broken(#[from] io::Error),
-    /// The other side says what this program cannot read.
+    /// A message cannot be decoded.
     #[error(transparent)]
     Message(#[from] MessageError),
 }

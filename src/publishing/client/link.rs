@@ -1,5 +1,4 @@
-//! The three ways in which frames come: TCP, datagrams from a daemon that knows this address, and
-//! datagrams that were subscribed to.
+//! The three transports of a client: TCP, datagrams sent to a configured address, and subscribed datagrams.
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -18,12 +17,12 @@ use trifacet_wire::{FrameError, PoseFrame};
 
 use super::{ClientError, Endpoint, Options};
 
-/// The default of Linux holds 256 frames, which 10 kHz fill in 26 ms.
+/// Receive buffer in bytes. The default of Linux holds 256 frames, which is 26 ms at 10 kHz.
 const RECEIVE_BUFFER: usize = 1024 * 1024;
-/// A request for a subscription is said again after this long without an answer, so many times.
+/// Time without an answer after which a request for a subscription is repeated, up to `ATTEMPTS` times.
 const ANSWER: Duration = Duration::from_millis(300);
 const ATTEMPTS: u32 = 5;
-/// What a daemon says instead of a stream.
+/// Prefix of the line that a daemon sends instead of a stream when it refuses a client.
 const ERROR: &[u8] = b"error: ";
 const LONGEST_REFUSAL: usize = 4096;
 
@@ -53,12 +52,12 @@ impl Link {
         }
     }
 
-    /// The next message, and with `None` a sign of life.
+    /// The next message, or `None` if the daemon only confirmed the subscription.
     pub(super) async fn next(&mut self) -> Result<Option<Message>, ClientError> {
         match self {
             Self::Tcp { stream, decoder, opened } => next_tcp(stream, decoder, opened).await.map(Some),
             Self::Udp { socket, skipped } => loop {
-                // One byte more than a frame: a longer datagram must not look like one.
+                // One byte more than a frame, so that a longer datagram is not taken for one.
                 let mut bytes = [0; FRAME_SIZE + 1];
                 let n = socket.recv(&mut bytes).await?;
                 if let Some(frame) = frame(&bytes[..n], skipped)? {
@@ -100,7 +99,7 @@ async fn next_tcp(
 ) -> Result<Message, ClientError> {
     loop {
         if !*opened {
-            // A stream begins with a message, a refusal is a line.
+            // A stream begins with a message, a refusal is a line of text.
             let bytes = decoder.room();
             let text = bytes.len().min(ERROR.len());
             if bytes[..text] != ERROR[..text] || bytes.len() > LONGEST_REFUSAL {
@@ -125,12 +124,12 @@ async fn open_udp(place: &str, options: &Options) -> io::Result<UdpSocket> {
         [group, ..] if group.ip().is_multicast() => join(group, options.interface.as_deref())?,
         _ => UdpSocket::bind(&addresses[..]).await?,
     };
-    // The kernel grants no more than net.core.rmem_max, and says nothing about it.
+    // The kernel grants at most net.core.rmem_max and reports no error.
     sockopt::set_socket_recv_buffer_size(&socket, RECEIVE_BUFFER)?;
     Ok(socket)
 }
 
-/// A socket that hears a multicast group, beside others that may do so.
+/// A socket that receives a multicast group and shares its port with other sockets.
 fn join(group: SocketAddr, interface: Option<&str>) -> io::Result<UdpSocket> {
     let family = if group.is_ipv4() { AddressFamily::INET } else { AddressFamily::INET6 };
     let own = socket(family, SocketType::DGRAM, None)?;
@@ -155,7 +154,7 @@ fn join(group: SocketAddr, interface: Option<&str>) -> io::Result<UdpSocket> {
     UdpSocket::from_std(socket)
 }
 
-/// The frame of a datagram; what is none is counted.
+/// Decodes the frame of a datagram. Bytes of other datagrams are counted in `skipped`.
 fn frame(bytes: &[u8], skipped: &mut u64) -> Result<Option<Message>, ClientError> {
     match PoseFrame::decode_either(bytes) {
         Ok(frame) => Ok(Some(Message::Pose(frame))),
@@ -167,7 +166,7 @@ fn frame(bytes: &[u8], skipped: &mut u64) -> Result<Option<Message>, ClientError
     }
 }
 
-/// A subscription, which is renewed as long as someone reads, and ended when it is dropped.
+/// A subscription. Reading renews it; dropping it ends it.
 #[derive(Debug)]
 pub(super) struct Subscribed {
     socket: UdpSocket,
@@ -178,7 +177,7 @@ pub(super) struct Subscribed {
     skipped: u64,
 }
 
-/// What the daemon says of a subscription.
+/// A datagram from the daemon.
 enum Said {
     Granted,
     Challenge,
@@ -187,7 +186,7 @@ enum Said {
 }
 
 impl Subscribed {
-    /// Says what is wanted.
+    /// Opens a socket for the subscription.
     async fn ask(place: &str, options: &Options) -> io::Result<Self> {
         let daemon = lookup_host(place).await?.next();
         let daemon = daemon.ok_or_else(|| io::Error::from(io::ErrorKind::NotFound))?;
@@ -209,7 +208,7 @@ impl Subscribed {
         Ok(Self { socket, lease, delivery, nonce: None, renew: Instant::now(), skipped: 0 })
     }
 
-    /// Waits until the daemon has granted it.
+    /// Sends the request until the daemon has granted it.
     async fn granted(&mut self) -> Result<(), ClientError> {
         for _ in 0..ATTEMPTS {
             self.say().await?;
@@ -226,7 +225,7 @@ impl Subscribed {
         Err(io::Error::new(io::ErrorKind::TimedOut, "no answer").into())
     }
 
-    /// Says, or says again, what is wanted.
+    /// Sends the request, or renews it.
     async fn say(&mut self) -> io::Result<()> {
         let lease_s = self.lease.as_secs() as u32;
         let ask = SubscriptionRequest::Subscribe { lease_s, delivery: self.delivery, nonce: self.nonce };
@@ -271,7 +270,7 @@ impl Subscribed {
 impl Drop for Subscribed {
     fn drop(&mut self) {
         if let Some(nonce) = self.nonce {
-            // If it gets lost, the lease ends it.
+            // If this datagram is lost, the lease expires.
             let _ = self.socket.try_send(SubscriptionRequest::Unsubscribe { nonce }.to_string().as_bytes());
         }
     }

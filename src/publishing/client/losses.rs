@@ -1,26 +1,26 @@
-//! What went missing, by the sequence numbers.
+//! Counts lost frames from their sequence numbers.
 
 use trifacet_wire::PoseFrame;
 
-/// What went missing on the way, counted by the client itself.
+/// Losses between daemon and client, counted by the client.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Losses {
     /// Frames missing in the sequence.
     pub missed_frames: u64,
-    /// Frames that came after a younger one, or twice (UDP only); they count as missed before that.
+    /// Frames received after a newer one, or twice (UDP only). They were counted as missed before.
     pub late_frames: u64,
-    /// Bytes that belonged to no undamaged message.
+    /// Bytes outside intact messages.
     pub skipped_bytes: u64,
 }
 
-/// Watches the sequence numbers.
+/// Follows the sequence numbers.
 #[derive(Debug, Default)]
 pub(super) struct LossCounter {
-    /// Session and sequence of the youngest frame.
+    /// Session and sequence number of the newest frame.
     last: Option<(u32, u64)>,
-    /// By how much the sequence steps, if that is known.
+    /// Step of the sequence numbers, if known.
     pub(super) step: Option<u64>,
-    /// Where it is not: all sequences are multiples of the step, so it is their common divisor.
+    /// Estimate of an unknown step: all sequence numbers are multiples of it, so it is their common divisor.
     divisor: u64,
     pub(super) losses: Losses,
 }
@@ -41,7 +41,7 @@ impl LossCounter {
                 let step = self.step.unwrap_or(self.divisor).max(1);
                 self.losses.missed_frames += ((frame.sequence - last) / step).saturating_sub(1);
             }
-            // The first frame, or the first of a daemon that was restarted.
+            // The first frame, or the first one after a restart of the daemon.
             _ => self.divisor = frame.sequence,
         }
         self.last = Some((frame.session, frame.sequence));

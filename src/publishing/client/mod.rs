@@ -37,23 +37,24 @@ use self::link::Link;
 use self::losses::LossCounter;
 pub use self::losses::Losses;
 
-/// A daemon is heard each second. If it is not for so long, the link is dead: a client that connects
-/// again by itself does so.
+/// A daemon sends a heartbeat every second. After this time without a message the link is considered dead,
+/// and a client with [`Options::reconnect`] connects again.
 const SILENCE: Duration = Duration::from_secs(5);
 
-/// What a client wants.
+/// Options of a client.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
-    /// How many of the frames (TCP, subscriptions; a subscription takes a divider only). Over UDP
+    /// Share of the frames. Applies to TCP and subscriptions; a subscription accepts a divider only. For UDP
     /// without a subscription the daemon's configuration decides.
     pub pace: Pace,
-    /// Whether the last valid pose stays, with `POSE_HELD`, instead of NaN; likewise.
+    /// Whether an invalid frame carries the last valid pose, with `POSE_HELD`, instead of NaN. Applies
+    /// where `pace` does.
     pub held: bool,
-    /// A multicast group is heard through this interface: its name, or for IPv4 its address.
+    /// Interface that receives a multicast group: its name, or for IPv4 also its address.
     pub interface: Option<String>,
-    /// A subscription lasts so long beyond its last renewal: 1 to 60 s.
+    /// Lease of a subscription after each renewal: 1 to 60 s.
     pub lease_s: u32,
-    /// Whether to connect again, and again, when the stream ends or breaks.
+    /// Delays of reconnecting after the stream has ended or broken; `None`: no reconnecting.
     pub reconnect: Option<Backoff>,
 }
 
@@ -63,12 +64,12 @@ impl Default for Options {
     }
 }
 
-/// How long to wait before each attempt to connect again: twice as long each time.
+/// Delays before the attempts to reconnect. Each is twice the one before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Backoff {
-    /// Before the first one.
+    /// Before the first attempt.
     pub first: Duration,
-    /// At most.
+    /// The longest delay.
     pub most: Duration,
 }
 
@@ -85,10 +86,10 @@ pub struct Client {
     options: Options,
     state: State,
     losses: LossCounter,
-    /// Bytes skipped in links that are no more.
+    /// Bytes skipped in earlier links.
     skipped: u64,
     reconnects: u64,
-    /// What the next attempt to connect again waits.
+    /// Delay before the next attempt to reconnect.
     wait: Duration,
 }
 
@@ -99,14 +100,20 @@ enum State {
 }
 
 impl Client {
-    /// Connects to a daemon for every frame, or opens the port to which one sends. With UDP this says
-    /// nothing about whether anyone does.
+    /// Connects to a daemon and requests every frame, or opens the port to which a daemon sends. With UDP,
+    /// success does not mean that a daemon is sending.
+    ///
+    /// # Errors
+    /// [`ClientError::Open`] if the address cannot be opened, [`ClientError::Refused`] if the daemon refuses.
     pub async fn connect(endpoint: &Endpoint) -> Result<Self, ClientError> {
         Self::connect_with(endpoint, Options::default()).await
     }
 
-    /// As [`Client::connect`], with wishes. The first attempt is the only one, whatever the options say:
-    /// an address that was never right is an error.
+    /// As [`Client::connect`], with options. There is one attempt only, whatever `reconnect` is: an address
+    /// that never worked is an error.
+    ///
+    /// # Errors
+    /// As [`Client::connect`]; also if a subscription is requested with a rate instead of a divider.
     pub async fn connect_with(endpoint: &Endpoint, options: Options) -> Result<Self, ClientError> {
         let link = Link::open(endpoint, &options).await?;
         let step = match (endpoint, options.pace) {
@@ -125,11 +132,13 @@ impl Client {
     }
 
     /// The next message. Over TCP the first one is the descriptor; over UDP there are frames only.
-    /// Damaged bytes are stepped over and counted. Cancel-safe: dropping the future loses nothing.
+    /// Damaged bytes are skipped and counted. Cancel-safe: dropping the future loses nothing.
     ///
-    /// Every error is final, and [`ClientError::Refused`] is what the daemon says to a client that it
-    /// does not serve. With [`Options::reconnect`] there are no errors but that and a version that
-    /// cannot be read: it waits until there is a message again.
+    /// # Errors
+    /// Every error is final. [`ClientError::Refused`] carries the reason for which a daemon
+    /// refuses this client.
+    /// With [`Options::reconnect`] the only errors are a refusal and a message that cannot be decoded, such
+    /// as an unknown version; after any other failure this call connects again and waits for a message.
     pub async fn next(&mut self) -> Result<Message, ClientError> {
         loop {
             match self.step().await {
@@ -140,7 +149,7 @@ impl Client {
         }
     }
 
-    /// Goes one step on: connects, or takes a message or a sign of life.
+    /// Does one step: reconnects, or receives a message or a confirmation of the subscription.
     async fn step(&mut self) -> Result<Option<Message>, ClientError> {
         match &mut self.state {
             State::Down { retry } => {
@@ -154,7 +163,7 @@ impl Client {
             }
             State::Up { link, heard } => {
                 let message = if self.options.reconnect.is_some() && !matches!(link, Link::Udp { .. }) {
-                    let silent = |_| io::Error::new(io::ErrorKind::TimedOut, "no sign of life");
+                    let silent = |_| io::Error::new(io::ErrorKind::TimedOut, "no message from the daemon");
                     timeout_at(*heard + SILENCE, link.next()).await.map_err(silent)??
                 } else {
                     link.next().await?
@@ -180,7 +189,7 @@ impl Client {
         Ok(message)
     }
 
-    /// Plans the next attempt after an error that another attempt may mend; gives back others.
+    /// Schedules the next attempt after an error that reconnecting may cure; returns other errors.
     fn bear(&mut self, error: ClientError) -> Result<(), ClientError> {
         use ClientError::{Broken, Closed, Open};
         let Some(backoff) = self.options.reconnect else { return Err(error) };
@@ -194,7 +203,7 @@ impl Client {
         Ok(())
     }
 
-    /// What went missing so far.
+    /// Losses so far.
     pub fn losses(&self) -> Losses {
         let now = match &self.state {
             State::Up { link, .. } => link.skipped(),
@@ -203,12 +212,15 @@ impl Client {
         Losses { skipped_bytes: self.skipped + now, ..self.losses.losses }
     }
 
-    /// How often it has connected again.
+    /// Number of successful reconnections.
     pub fn reconnects(&self) -> u64 {
         self.reconnects
     }
 
-    /// The address of this side; with UDP, where a daemon must send.
+    /// The local address; with UDP, the one to which a daemon must send.
+    ///
+    /// # Errors
+    /// The client is not connected, or the system does not provide the address.
     pub fn local_addr(&self) -> io::Result<SocketAddr> {
         match &self.state {
             State::Up { link, .. } => link.local_addr(),

@@ -1,4 +1,4 @@
-//! The talk with one TCP client: lines in; answers, frames and heartbeats out.
+//! One TCP connection: reads command lines; writes answers, frames and heartbeats.
 
 use std::io;
 use std::net::SocketAddr;
@@ -18,12 +18,12 @@ use crate::publishing::descriptor::heartbeat;
 use crate::publishing::encoding::{ClientEncoder, EncodedFrame, answer, farewell};
 use crate::publishing::query;
 
-/// Bytes that the kernel may hold for a client. The default grows to megabytes: seconds of old frames.
+/// Send buffer of the kernel in bytes. The default grows to megabytes, which is seconds of old frames.
 const SEND_BUFFER: usize = 256 * 1024;
 /// Most frames in one write.
 const BATCH: usize = 64;
 const HEARTBEAT: Duration = Duration::from_secs(1);
-/// A client with so many lines that are no commands is not one of ours.
+/// Lines without a valid command after which the connection is closed: the peer speaks another protocol.
 const BAD_LINES: u32 = 100;
 
 pub(super) struct Client {
@@ -34,27 +34,27 @@ pub(super) struct Client {
     heartbeat: Interval,
     lines: Lines,
     bad_lines: u32,
-    /// When it last said something.
+    /// Time of the last complete line.
     heard: Instant,
-    /// It may still say something.
+    /// The client may still send.
     open: bool,
     sent: u64,
     dropped: u64,
-    /// Frames that the ring lost for this client, of which it is not yet known how many it wanted.
+    /// Frames that the ring lost for this client and that are not yet counted in `dropped`.
     lagged: u64,
 }
 
-/// Why a talk ends.
+/// Why a connection ends.
 enum End {
-    /// The daemon ends.
+    /// The daemon stops.
     Daemon,
-    /// The client closed, or said so.
+    /// The client closed the connection or sent `bye`.
     Client,
-    /// The client is sent away.
+    /// The daemon closes the connection for this reason.
     Refused(String),
 }
 
-/// What happens next.
+/// The next event of a connection.
 enum Event {
     Beat,
     Bytes(io::Result<usize>),
@@ -90,14 +90,14 @@ impl Client {
         let result = self.talk().await;
         self.settle();
         let end = match &result {
-            Ok(End::Daemon) => "the daemon ends".to_owned(),
+            Ok(End::Daemon) => "the daemon stops".to_owned(),
             Ok(End::Client) => "closed by the client".to_owned(),
-            Ok(End::Refused(why)) => format!("sent away: {why}"),
+            Ok(End::Refused(why)) => format!("closed by the daemon: {why}"),
             Err(e) => match e.kind() {
                 io::ErrorKind::BrokenPipe | io::ErrorKind::ConnectionReset => {
                     "closed by the client".to_owned()
                 }
-                io::ErrorKind::TimedOut => format!("took nothing for {} s", stall.as_secs_f64()),
+                io::ErrorKind::TimedOut => format!("accepted no data for {} s", stall.as_secs_f64()),
                 _ => e.to_string(),
             },
         };
@@ -139,7 +139,7 @@ impl Client {
                 Event::Ending => Some(End::Daemon),
                 Event::Idle => {
                     let patience = self.context.limits.idle.as_secs_f64();
-                    Some(End::Refused(format!("no whole line for {patience} s; {}", allowed())))
+                    Some(End::Refused(format!("no complete line for {patience} s; {}", allowed())))
                 }
             };
             if let Some(end) = end {
@@ -148,7 +148,7 @@ impl Client {
         }
     }
 
-    /// Waits for what comes first. Whichever of these is dropped unfinished has taken nothing yet.
+    /// Waits for the first event. All branches are cancel-safe: an unfinished one has consumed nothing.
     async fn event(&mut self, buffer: &mut [u8]) -> Event {
         let streaming = self.form.is_some();
         tokio::select! {
@@ -161,7 +161,7 @@ impl Client {
         }
     }
 
-    /// Takes what the client said; nothing means that it says no more, and listens on if it has a stream.
+    /// Handles received bytes. No bytes mean that the client has closed its sending side; a stream goes on.
     async fn said(&mut self, bytes: &[u8]) -> io::Result<Option<End>> {
         self.lines.push(bytes);
         while let Some(line) = self.lines.next_line() {
@@ -177,7 +177,7 @@ impl Client {
         Ok((!self.open && self.form.is_none()).then_some(End::Client))
     }
 
-    /// Does what a line says.
+    /// Executes a command line.
     async fn obey(&mut self, line: &[u8]) -> io::Result<Option<End>> {
         if line.trim_ascii().is_empty() {
             return Ok(None);
@@ -203,7 +203,7 @@ impl Client {
                 self.bad_lines += 1;
                 if self.bad_lines >= BAD_LINES {
                     return Ok(Some(End::Refused(format!(
-                        "{BAD_LINES} lines that are no commands; {}",
+                        "{BAD_LINES} lines without a valid command; {}",
                         allowed()
                     ))));
                 }
@@ -218,11 +218,11 @@ impl Client {
     fn ask(&self, say: impl Fn(&EncodedFrame, f64) -> String) -> String {
         match &*self.context.newest.borrow() {
             Some(frame_once) => say(frame_once, self.context.descriptor.borrow().rate_hz),
-            None => "error: no frame was made yet; allowed: ask again".into(),
+            None => "error: no frame has been made yet; allowed: the same query later".into(),
         }
     }
 
-    /// Starts a stream, or changes the one that runs.
+    /// Starts a stream, or changes the running one.
     async fn start(&mut self, request: StreamRequest) -> io::Result<()> {
         let descriptor = self.context.descriptor.borrow().clone();
         let form = ClientEncoder::new(request, descriptor.rate_hz);
@@ -235,7 +235,7 @@ impl Client {
         self.write(&greeting).await
     }
 
-    /// Sends a frame with those that are already waiting behind it.
+    /// Sends a frame together with those that are waiting behind it.
     async fn send_batch(&mut self, first: &Arc<EncodedFrame>) -> io::Result<()> {
         let mut batch = Vec::with_capacity(256);
         let mut count = self.append(first, &mut batch)?;
@@ -251,7 +251,7 @@ impl Client {
         Ok(())
     }
 
-    /// Appends a frame to what is sent, if it is wanted; settles what was lost before it.
+    /// Appends a frame if the client wants it, and counts the frames lost before it. Returns frames appended.
     fn append(&mut self, frame_once: &Arc<EncodedFrame>, to: &mut Vec<u8>) -> io::Result<u64> {
         let Some(form) = &self.form else { return Ok(0) };
         let lost = form.wanted_before(frame_once, std::mem::take(&mut self.lagged));
@@ -264,13 +264,13 @@ impl Client {
         Ok(1)
     }
 
-    /// Counts what the ring lost for this client while it took nothing, at the end.
+    /// At the end, counts the frames that the ring lost for this client since its last frame.
     fn settle(&mut self) {
         loop {
             match self.ring.try_recv() {
                 Err(TryRecvError::Lagged(n)) => self.lagged += n,
                 Ok(frame_once) => {
-                    // A mistake would be one in writing it, which nobody reads any more.
+                    // An error could only come from encoding; its result is not used.
                     let _ = self.append(&frame_once, &mut Vec::new());
                     return;
                 }
@@ -285,7 +285,7 @@ impl Client {
         self.write(&bytes).await
     }
 
-    /// Writes all of it, as long as the client takes some of it every now and then.
+    /// Writes all bytes. Fails if the client accepts none of them for the stall time.
     async fn write(&mut self, mut bytes: &[u8]) -> io::Result<()> {
         while !bytes.is_empty() {
             let n = timeout(self.context.limits.stall, self.stream.write(bytes)).await??;
@@ -299,14 +299,14 @@ fn allowed() -> String {
     format!("allowed: {}", ClientCommand::help())
 }
 
-/// The first one at once.
+/// The interval of heartbeats. The first one is due at once.
 fn beats() -> Interval {
     let mut beats = interval(HEARTBEAT);
     beats.set_missed_tick_behavior(MissedTickBehavior::Delay);
     beats
 }
 
-/// Reads what is there; waits until there is something. Zero: the client says no more.
+/// Reads available bytes; waits until there are some. Zero: the client has closed its sending side.
 async fn read(stream: &TcpStream, buffer: &mut [u8]) -> io::Result<usize> {
     loop {
         stream.readable().await?;

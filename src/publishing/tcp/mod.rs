@@ -1,9 +1,9 @@
-//! The TCP server, on the slow side. It is silent until a client says what it wants (`docs/stream.md`).
+//! The TCP server, on the slow side. It sends nothing until a client sends a request (`docs/stream.md`).
 //!
-//! All clients read from one ring of frames at their own pace. One that falls behind by more than the
-//! ring loses the oldest frames, which is counted for it, and no other client notices.
+//! All clients read from one ring of frames at their own pace. A client that falls behind by more than the
+//! ring loses the oldest frames. They are counted for this client; other clients are not affected.
 //!
-//! This file is the server: who comes in, and how it closes. `client` is the talk with one of them.
+//! This file accepts clients and closes the server; `client` serves one connection.
 
 mod client;
 
@@ -28,25 +28,25 @@ use super::encoding::{EncodedFrame, farewell};
 use crate::config::Network;
 use crate::exit::Failure;
 
-/// At shutdown: how long the last frames may take to come in, and then to go out.
+/// Longest time at shutdown to receive the last frames, and again to send them.
 const DRAIN: Duration = Duration::from_millis(500);
-/// How long a client that is sent away may take to read why.
+/// Longest time for a refused client to read the reason.
 const PARTING: Duration = Duration::from_secs(1);
-/// Most clients that are being sent away at a time; further ones are just cut off.
+/// Most refused connections kept open at a time; further ones are closed without a reason.
 const PARTINGS: usize = 64;
 
-/// Bounds of the server.
+/// Limits of the server.
 #[derive(Clone, Debug)]
 pub struct Limits {
     /// Most clients at a time; further ones are refused.
     pub clients: usize,
-    /// Frames that a client may be behind, at least; rounded up to a power of two.
+    /// Frames that a client may fall behind without loss; rounded up to a power of two.
     pub queue: usize,
-    /// Who may connect.
+    /// Networks from which clients may connect.
     pub allow: Vec<Network>,
-    /// A client without a stream that says nothing for this long is closed.
+    /// A client without a stream is disconnected after this time without a complete line.
     pub idle: Duration,
-    /// A client that takes nothing for this long is dropped: half-open, or hung.
+    /// A client that accepts no data for this time is disconnected: the connection is half-open or hangs.
     pub stall: Duration,
 }
 
@@ -62,7 +62,10 @@ impl Default for Limits {
     }
 }
 
-/// Opens the port and logs the address. Fails with [`crate::exit::IN_USE`] if someone else has it.
+/// Opens the port and logs its address.
+///
+/// # Errors
+/// The port cannot be opened; with [`crate::exit::IN_USE`] if another process uses it.
 pub async fn bind(address: SocketAddr) -> Result<TcpListener, Failure> {
     let listener = TcpListener::bind(address)
         .await
@@ -72,8 +75,8 @@ pub async fn bind(address: SocketAddr) -> Result<TcpListener, Failure> {
     Ok(listener)
 }
 
-/// Serves the frames that come in until `shutdown`, or until no more can come; then sends what is
-/// still there, within a second at most.
+/// Serves the incoming frames until `shutdown` or until the channel closes. Then sends the remaining frames,
+/// within a second at most.
 pub async fn serve(
     listener: TcpListener,
     mut frames: mpsc::Receiver<PoseFrame>,
@@ -95,13 +98,13 @@ pub async fn serve(
     }
     drop(listener);
     let _ = timeout(DRAIN, broadcaster.run(&mut frames)).await;
-    // The ring closes: streams end after their last frame. Clients without one end at once.
+    // The ring closes: streams end after their last frame. Connections without a stream end at once.
     drop(broadcaster);
     ending.cancel();
     server.finish().await;
 }
 
-/// Puts frames on the ring.
+/// Encodes frames and puts them on the ring.
 struct Broadcaster {
     ring: broadcast::Sender<Arc<EncodedFrame>>,
     newest: watch::Sender<Option<Arc<EncodedFrame>>>,
@@ -109,20 +112,20 @@ struct Broadcaster {
 }
 
 impl Broadcaster {
-    /// Until none can come any more.
+    /// Runs until the channel closes.
     async fn run(&mut self, frames: &mut mpsc::Receiver<PoseFrame>) {
         while let Some(frame) = frames.recv().await {
             let frame_once = Arc::new(EncodedFrame::new(frame, &mut self.hold));
             self.newest.send_replace(Some(Arc::clone(&frame_once)));
-            // Fails if there is no client, which is no loss.
+            // Fails if there is no client, which is not a loss.
             let _ = self.ring.send(frame_once);
         }
     }
 }
 
-/// What all clients share.
+/// Data shared by all clients.
 struct ServerContext {
-    /// As it is at present.
+    /// The current descriptor.
     descriptor: watch::Receiver<Descriptor>,
     limits: Limits,
     counters: Arc<Counters>,
@@ -142,7 +145,7 @@ impl Server {
             match listener.accept().await {
                 Ok((stream, address)) => self.admit(stream, address, ring),
                 Err(e) => {
-                    // Out of file descriptors, as a rule: nothing to do but wait for some.
+                    // Usually out of file descriptors: wait until some are free.
                     tracing::warn!("cannot accept a TCP client: {e}");
                     sleep(Duration::from_millis(100)).await;
                 }
@@ -163,7 +166,7 @@ impl Server {
             self.refuse(stream, address, &why);
         } else if self.clients.len() >= limits.clients {
             let most = limits.clients;
-            let why = format!("the daemon serves {most} TCP clients already, the most it is configured for");
+            let why = format!("the daemon already serves {most} TCP clients, the configured maximum");
             self.refuse(stream, address, &why);
         } else {
             let client = Client::new(stream, ring.resubscribe(), Arc::clone(&self.context));
@@ -188,20 +191,20 @@ impl Server {
         }
     }
 
-    /// Lets the clients take what is still on the ring.
+    /// Waits until the clients have read the rest of the ring, for [`DRAIN`] at most.
     async fn finish(&mut self) {
         let all_done = async { while self.clients.join_next().await.is_some() {} };
         if timeout(DRAIN, all_done).await.is_err() {
             tracing::warn!(
                 clients = self.clients.len(),
-                "cut off: TCP clients that did not take the last frames in time"
+                "closed TCP clients that did not read the last frames in time"
             );
         }
     }
 }
 
-/// Says a last word, and closes once the client has read it. A socket closed with something unread in
-/// it would reset the connection, and the word would be lost.
+/// Sends `last_word` and closes once the client has read it. Closing a socket with unread input would reset
+/// the connection, and `last_word` would be lost.
 async fn part(mut stream: TcpStream, last_word: Vec<u8>) {
     let talk = async {
         stream.write_all(&last_word).await?;
@@ -210,6 +213,6 @@ async fn part(mut stream: TcpStream, last_word: Vec<u8>) {
         while stream.read(&mut ignored).await? > 0 {}
         io::Result::Ok(())
     };
-    // It may as well be gone already.
+    // An error means that the client has closed the connection.
     let _ = timeout(PARTING, talk).await;
 }

@@ -32,7 +32,7 @@ fn decode(decoder: &mut Decoder, messages: &Messages) -> Entry {
     entries.into_iter().next().unwrap()
 }
 
-/// There and back again: the same entry, and the same bytes.
+/// Encodes and decodes: checks for the same entry, and for the same bytes after encoding again.
 fn survives(entry: &Entry) {
     let messages = encode(&mut encoder(), entry);
     let back = decode(&mut Decoder::default(), &messages);
@@ -98,7 +98,7 @@ proptest! {
         let Entry::Frame { frame, .. } = decode(&mut Decoder::default(), &encode(&mut encoder(), &entry)) else {
             panic!("not a frame")
         };
-        prop_assert_eq!(frame.encode(), bytes, "as it went over the wire");
+        prop_assert_eq!(frame.encode(), bytes, "as transmitted");
     }
 
     #[test]
@@ -116,7 +116,7 @@ proptest! {
         if plain {
             data.splice(..data.len().min(4), ENCAPSULATION);
         }
-        // Whether it is an error is another question: many bytes are a sample.
+        // It may be valid or not: many byte sequences are valid samples.
         let _ = Decoder::default().decode(Topic::ALL[topic], &data);
     }
 }
@@ -133,7 +133,7 @@ fn identity() -> Identity {
     }
 }
 
-/// A keyframe of an estimation that has seen a few samples.
+/// A keyframe of an estimation that has processed a few samples.
 fn keyframe() -> Keyframe {
     let text = "estimation.average = 3\nmonitor.token = 'correct-horse-battery'\nmonitor.control = true";
     let config = parse(text, None).unwrap();
@@ -196,7 +196,7 @@ fn what_has_not_changed_is_not_written_with_each_keyframe() {
     let again = encode(&mut encoder, &entry);
     assert_eq!(again.len(), 1);
     let Entry::Keyframe(back) = decode(&mut decoder, &again) else { panic!("no keyframe") };
-    assert_eq!(back.source, keyframe.source, "those of before hold");
+    assert_eq!(back.source, keyframe.source, "the earlier one is still in force");
     assert_eq!(decode_error(&mut Decoder::default(), &again), DecodeError::Order.to_string());
     let other = Keyframe { source: Some(Arc::new(Identity { rate_hz: 5.0, ..identity() })), ..keyframe };
     assert_eq!(encode(&mut encoder, &Entry::Keyframe(Box::new(other))).len(), 2);

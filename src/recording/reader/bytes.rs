@@ -1,6 +1,6 @@
-//! The small numbers and texts of MCAP: little-endian, lengths in front.
+//! The basic types of MCAP: little-endian numbers, and texts and blocks with their length in front.
 
-/// What is left to read.
+/// The remaining bytes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bytes<'a>(pub &'a [u8]);
 
@@ -35,7 +35,7 @@ impl<'a> Bytes<'a> {
         self.array().map(u64::from_le_bytes)
     }
 
-    /// Bytes with their length in front.
+    /// A block of bytes with its length in front.
     pub(super) fn block(&mut self) -> Option<&'a [u8]> {
         let length = self.u32()?;
         self.take(usize::try_from(length).ok()?)

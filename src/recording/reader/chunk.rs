@@ -1,13 +1,13 @@
-//! Chunks: compressed messages under a checksum.
+//! Chunks: compressed messages with a checksum.
 
 use std::io::Read;
 
 use super::bytes::Bytes;
 
-/// The largest chunk that is read, bytes; ours have 2 MiB, other programs write some 10 MiB at most.
+/// Largest chunk accepted, bytes. This program writes 2 MiB, other programs about 10 MiB at most.
 pub(super) const MOST: u64 = 64 << 20;
 
-/// What stands before the messages.
+/// The header of a chunk.
 #[derive(Debug)]
 pub(super) struct Header {
     pub(super) uncompressed: u64,
@@ -34,7 +34,7 @@ impl Compression {
 }
 
 impl Header {
-    /// Bytes of the longest header.
+    /// Size of the longest header, bytes.
     pub(super) const LONGEST: u64 = 44;
 
     pub(super) fn read(bytes: &mut Bytes<'_>) -> Option<Self> {
@@ -46,18 +46,19 @@ impl Header {
         Some(Self { uncompressed, compressed: bytes.u64()?, crc, compression })
     }
 
-    /// Its own bytes.
+    /// Size of this header, bytes.
     pub(super) fn size(&self) -> u64 {
         40 + self.compression.name().len() as u64
     }
 }
 
-/// The records of a chunk, as they were written.
+/// The decompressed records of a chunk.
 #[derive(Debug)]
 pub struct Chunk(Vec<u8>);
 
 impl Chunk {
-    /// Unpacks a chunk. Never more memory than the header says, which was held against [`MOST`].
+    /// Decompresses a chunk. Uses no more memory than the header states; the caller has checked that it is at
+    /// most [`MOST`].
     pub(super) fn unpack(header: &Header, compressed: Vec<u8>) -> Result<Self, String> {
         let size = header.uncompressed as usize;
         let bytes = match header.compression {
@@ -83,7 +84,7 @@ impl Chunk {
         self.0.len()
     }
 
-    /// The records from one of them on.
+    /// The records from byte `from` on.
     pub(super) fn records(&self, from: usize) -> Bytes<'_> {
         Bytes(self.0.get(from..).unwrap_or_default())
     }
@@ -92,7 +93,7 @@ impl Chunk {
 fn lz4(compressed: &[u8], size: usize) -> Result<Vec<u8>, String> {
     let wrong = |e: std::io::Error| format!("a chunk cannot be decompressed: {e}");
     let mut bytes = Vec::with_capacity(size);
-    // One byte more would show, and be refused.
+    // One byte more, so that a chunk that is too long is detected.
     let decoder = lz4::Decoder::new(compressed).map_err(wrong)?;
     decoder.take(size as u64 + 1).read_to_end(&mut bytes).map_err(wrong)?;
     Ok(bytes)

@@ -1,42 +1,43 @@
-//! Whether one entry on record follows the other.
+//! Checks whether each recorded entry follows the one before.
 
 use trifacet_core::signals::Sample;
 
 use crate::recording::Entry;
 
-/// Counts the samples along, to find a hole that nothing on record tells of: a file that was cut, or put together.
+/// Follows the sample numbers to find gaps that the recording does not report, as in a file that was cut or
+/// joined.
 #[derive(Debug, Default)]
 pub(super) struct Continuity {
-    /// Index of the sample before, where that is known.
+    /// Index of the previous sample, if known.
     last: Option<u64>,
-    /// Index of the last sample at all: no later one has a smaller.
+    /// Index of the last sample seen. Later indices must be greater.
     newest: Option<u64>,
-    /// The recorder was behind, and said so: what it left out stands further on, in several places.
+    /// The recorder reported that it fell behind: further entries may be missing in several later places.
     behind: bool,
-    /// The configuration in force may have changed in a hole.
+    /// The configuration may have changed in a gap.
     doubt: bool,
-    /// The one that was taken nevertheless, until a frame says that it is the right one.
+    /// The configuration assumed after a gap, until a frame confirms it.
     taken: Option<u32>,
 }
 
 impl Continuity {
-    /// Something is missing just here, and that is told.
+    /// A reported gap: entries are missing here.
     pub(super) fn hole(&mut self) {
         (self.last, self.doubt, self.taken) = (None, true, None);
     }
 
-    /// The recorder had to leave something out.
+    /// A gap reported by the recorder.
     pub(super) fn gap(&mut self, entries: u64) {
         self.hole();
         self.behind |= entries > 0;
     }
 
-    /// What is wrong between the entry before and this one.
+    /// The inconsistency between the previous entry and this one, if there is one.
     pub(super) fn wrong(&self, entry: &Entry) -> Option<String> {
         if let Entry::Frame { frame, .. } = entry
             && self.taken.is_some_and(|taken| taken != frame.config)
         {
-            return Some("the configuration has changed in a place that cannot be read".into());
+            return Some("the configuration has changed in a part that cannot be read".into());
         }
         if let Entry::Sample { sample, .. } = entry
             && let Some(newest) = self.newest.filter(|newest| sample.index <= *newest)
@@ -49,7 +50,7 @@ impl Continuity {
             Entry::Keyframe(keyframe) => {
                 let before = keyframe.last.filter(|before| before.index != last)?;
                 Some(format!(
-                    "a keyframe behind sample {} follows sample {last}, and nothing on record says why",
+                    "a keyframe after sample {} follows sample {last}, with no reason on record",
                     before.index
                 ))
             }
@@ -57,7 +58,7 @@ impl Continuity {
         }
     }
 
-    /// Goes on behind this entry.
+    /// Continues with this entry.
     pub(super) fn take(&mut self, entry: &Entry) {
         match entry {
             Entry::Sample { sample, .. } => {
@@ -76,6 +77,6 @@ impl Continuity {
 fn wrong(last: u64, sample: &Sample) -> String {
     let Sample { index, lost, .. } = sample;
     format!(
-        "sample {index} follows sample {last}, with {lost} lost between them, and nothing on record says why"
+        "sample {index} follows sample {last}, with {lost} lost between them, and with no reason on record"
     )
 }

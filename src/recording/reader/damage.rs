@@ -1,18 +1,18 @@
-//! What is wrong with a file, and where.
+//! Damage in a file, and its position.
 
 use std::path::PathBuf;
 use std::{fmt, io};
 
 use crate::exit;
 
-/// A place in a file that cannot be read.
+/// A part of a file that cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Damage {
-    /// Where it begins, bytes from the start of the file.
+    /// Start, in bytes from the beginning of the file.
     pub at: u64,
-    /// Up to where nothing is known, in bytes.
+    /// Length of the unreadable part in bytes.
     pub bytes: u64,
-    /// What is wrong.
+    /// Description.
     pub what: String,
 }
 
@@ -22,32 +22,32 @@ impl fmt::Display for Damage {
     }
 }
 
-/// A file that is no recording at all.
+/// Why a file cannot be read as a recording.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
-    /// The system says no.
+    /// The system reports an error.
     #[error("cannot read {}: {why}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The error.
         why: io::Error,
     },
-    /// A pipe or a device: it has no length, and may never end.
+    /// A pipe, a device or a folder. Pipes and devices have no length and may never end.
     #[error("{} is {what}: a recording is a file", path.display())]
     NoFile {
-        /// Its name.
+        /// Its path.
         path: PathBuf,
-        /// What it is.
+        /// Its kind.
         what: &'static str,
     },
-    /// It is something else.
+    /// A file of another format.
     #[error("{} is not an MCAP file", .0.display())]
     NotMcap(PathBuf),
 }
 
 impl ReadError {
-    /// The exit code that tells its kind.
+    /// The exit code for this kind of error.
     pub fn code(&self) -> u8 {
         match self {
             Self::Io { .. } => exit::IO,

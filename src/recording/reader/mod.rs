@@ -1,8 +1,9 @@
-//! A file to entries, with everything that is wrong with it. Damage costs the chunk that it is in; no bytes make
-//! the reader panic, or take more memory than a chunk may have.
+//! Reads a file into entries and reports its damage. Damage costs the chunk that contains it. No input makes
+//! the reader panic, or use more memory than the largest chunk.
 //!
-//! - [`parts`]: a file to chunks, past every damage. [`chunk`]: unpacked, and held against their checksum.
-//! - [`continuity`]: whether one sample follows the other. [`tally`]: what was in it.
+//! - [`parts`]: a file to chunks, skipping damage. [`chunk`]: decompression and checksum.
+//! - [`continuity`]: whether each sample follows the one before. [`tally`]: counts of the contents.
+//! - [`damage`]: descriptions of errors.
 
 mod bytes;
 pub mod chunk;
@@ -27,29 +28,29 @@ use super::codec::{self, DecodeError, Decoder};
 use super::{Entry, Topic, message};
 use crate::config::CalibrationContext;
 
-/// What comes out of a file.
+/// An item of a recording.
 #[derive(Debug)]
 #[expect(clippy::large_enum_variant, reason = "entries are the rule")]
 pub enum Read {
-    /// What was recorded.
+    /// A recorded entry.
     Entry(Entry),
-    /// A keyframe whose state another version wrote: what comes after it can be computed, but not as it was.
+    /// A keyframe with a state of another version. What follows can be computed, but not identically.
     Foreign {
-        /// What samples mean from here on.
+        /// Configuration and tables from here on.
         context: Arc<CalibrationContext>,
         /// The source, if one was up.
         source: Option<Arc<Identity>>,
         /// Why the state cannot be read.
         why: String,
     },
-    /// The recorder had to leave something out.
+    /// The recorder left out entries here.
     Gap {
-        /// So many entries.
+        /// Number of entries; 0: unknown.
         entries: u64,
-        /// Why.
+        /// Cause.
         reason: String,
     },
-    /// A place that cannot be read.
+    /// A part that cannot be read.
     Damage(Damage),
 }
 
@@ -57,7 +58,7 @@ pub enum Read {
 #[derive(Debug)]
 pub struct Reader {
     parts: Parts,
-    /// The chunk at present, and how far it was read.
+    /// The current chunk, and the position in it.
     chunk: Option<(Chunk, usize)>,
     channels: Channels,
     sink: MessageSink,
@@ -67,7 +68,7 @@ pub struct Reader {
 #[derive(Debug, Default)]
 struct Channels(BTreeMap<u16, Option<Topic>>);
 
-/// What becomes of messages.
+/// Decodes messages and collects the results.
 #[derive(Debug)]
 struct MessageSink {
     decoder: Decoder,
@@ -78,7 +79,7 @@ struct MessageSink {
 }
 
 impl Reader {
-    /// All topics from which a replay is made.
+    /// All topics that a replay needs.
     pub const REPLAY: &'static [Topic] = &[
         Topic::Frame,
         Topic::Sample,
@@ -90,10 +91,10 @@ impl Reader {
         Topic::Gap,
     ];
 
-    /// Opens a file. Messages on other topics than the wanted ones are counted, not read.
+    /// Opens a file. Messages on topics that are not in `wanted` are counted, not decoded.
     ///
     /// # Errors
-    /// It cannot be read, or is no MCAP file.
+    /// The file cannot be read, or is not an MCAP file.
     pub fn open(path: &Path, wanted: &[Topic]) -> Result<Self, ReadError> {
         let parts = Parts::open(path)?;
         let tally = Tally { size: parts.size(), ..Tally::default() };
@@ -102,20 +103,20 @@ impl Reader {
         Ok(Self { parts, chunk: None, channels: Channels::default(), sink })
     }
 
-    /// What was in it so far.
+    /// Counts of what was read so far.
     pub fn tally(&self) -> &Tally {
         &self.sink.tally
     }
 
-    /// How far the file was read, bytes.
+    /// Position in the file, bytes.
     pub fn at(&self) -> u64 {
         self.parts.at()
     }
 
-    /// The next thing in the file; none at its end.
+    /// The next item of the file; `None` at its end.
     ///
     /// # Errors
-    /// The system says no.
+    /// The system reports an error.
     pub fn read(&mut self) -> Result<Option<Read>, ReadError> {
         loop {
             if let Some(read) = self.sink.ready.pop_front() {
@@ -143,10 +144,10 @@ impl Reader {
         }
     }
 
-    /// Hands over the messages of the next part as they are; false at the end of the file.
+    /// Passes the messages of the next part to `put` without decoding. Returns false at the end of the file.
     ///
     /// # Errors
-    /// The system says no.
+    /// The system reports an error.
     pub fn raw(&mut self, mut put: impl FnMut(Topic, i64, &[u8])) -> Result<bool, ReadError> {
         let Some(part) = self.part()? else { return Ok(false) };
         match part {
@@ -181,15 +182,15 @@ impl Reader {
 
     fn badly_written(&mut self, whole: Option<()>) {
         if whole.is_none() {
-            let what = "the chunk before was written wrongly".into();
+            let what = "the previous chunk is malformed".into();
             self.sink.damaged(Damage { at: self.parts.at(), bytes: 0, what });
         }
     }
 }
 
 impl Channels {
-    /// Takes the next record of a chunk; hands it over if it is a message, with the topic if that is one of ours. None
-    /// if the chunk breaks off.
+    /// Reads the next record of a chunk. Passes messages to `put`, with their topic if it is known. Returns
+    /// `None` if the chunk breaks off.
     fn message(
         &mut self,
         records: &mut Bytes<'_>,
@@ -213,7 +214,7 @@ impl Channels {
         Some(())
     }
 
-    /// The definitions stand in the first chunk. With that one damaged, the ids that this program gives hold.
+    /// The first chunk defines the channels. If it is damaged, the ids that this program assigns are used.
     fn topic(&self, id: u16) -> Option<Topic> {
         let usual = || Topic::ALL.get(usize::from(id).checked_sub(1)?).copied();
         self.0.get(&id).copied().unwrap_or_else(|| if self.0.is_empty() { usual() } else { None })
@@ -231,7 +232,7 @@ impl MessageSink {
         self.tally.message(topic, time_ns);
         let Some(topic) = topic.filter(|topic| self.wanted.contains(topic)) else { return };
         if let Err(error) = self.decode(topic, data, at) {
-            let what = format!("in the chunk before, {error}");
+            let what = format!("in the previous chunk, {error}");
             self.damaged(Damage { at, bytes: 0, what });
         }
     }
@@ -263,7 +264,7 @@ impl MessageSink {
                 self.tally.config(&context);
                 self.ready.push_back(Read::Foreign { context, source, why: error.to_string() });
             }
-            // The configuration was in a place of which that is told: the places behind it are not damaged.
+            // The configuration was in a part already reported as damaged; this part is intact.
             Err(DecodeError::Order) if self.tally.incomplete() => self.tally.unfounded += 1,
             Err(error) => return Err(error),
         }

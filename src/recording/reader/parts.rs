@@ -1,4 +1,4 @@
-//! A file to chunks. No length in it is believed before it was held against the size of the file.
+//! Splits a file into chunks. Every length is checked against the size of the file before it is used.
 
 use std::fs::{File, FileType};
 use std::io;
@@ -9,13 +9,13 @@ use super::bytes::Bytes;
 use super::chunk::{Chunk, Header, MOST};
 use super::damage::{Damage, ReadError};
 
-/// Stands at the start of the file, and at its end.
+/// Signature at the start and at the end of a file.
 const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
-/// Opcode and length before each record.
+/// Opcode and length in front of each record, bytes.
 const PREFIX: u64 = 9;
-/// Records between chunks are read whole up to this size: an index of a chunk.
+/// Largest record other than a chunk that is read, bytes; larger than any index of a chunk.
 const SMALL: u64 = 8 << 20;
-/// Bytes that are looked through at once for the next chunk.
+/// Bytes searched at once for the next chunk.
 const WINDOW: u64 = 1 << 20;
 
 mod op {
@@ -36,9 +36,9 @@ mod op {
 /// A part of a file.
 #[derive(Debug)]
 pub enum Part {
-    /// Messages, with the definitions that come with them.
+    /// Messages, with the definitions in the same chunk.
     Chunk(Chunk),
-    /// A place that cannot be read.
+    /// A part that cannot be read.
     Damage(Damage),
 }
 
@@ -51,11 +51,11 @@ pub struct Parts {
     at: u64,
     chunks: u64,
     ended: bool,
-    /// It was closed as it should be.
+    /// The file was closed properly.
     pub finished: bool,
-    /// The data are at their end: what comes is their index.
+    /// The end of the data was reached. What follows is the index.
     pub indexed: bool,
-    /// Bytes at the end that are no whole record: the file was being written.
+    /// Bytes of an incomplete record at the end: the file was not closed.
     pub torn: u64,
 }
 
@@ -63,10 +63,10 @@ impl Parts {
     /// Opens a file.
     ///
     /// # Errors
-    /// It cannot be read, or is something else.
+    /// The file cannot be read, or is not an MCAP file.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         let io = |why| ReadError::Io { path: path.to_owned(), why };
-        // Before it is opened: to open a pipe is to wait for who writes into it.
+        // Checked before opening: opening a pipe waits for a writer.
         let about = std::fs::metadata(path).map_err(io)?;
         if let Some(what) = no_file(about.file_type()) {
             return Err(ReadError::NoFile { path: path.to_owned(), what });
@@ -96,15 +96,15 @@ impl Parts {
         self.size
     }
 
-    /// How far it was read, bytes.
+    /// Position in the file, bytes.
     pub fn at(&self) -> u64 {
         self.at
     }
 
-    /// The next part; none at the end.
+    /// The next part; `None` at the end.
     ///
     /// # Errors
-    /// The system says no.
+    /// The system reports an error.
     pub fn take(&mut self) -> Result<Option<Part>, ReadError> {
         self.part().map_err(|why| ReadError::Io { path: self.path.clone(), why })
     }
@@ -128,13 +128,13 @@ impl Parts {
         Ok(bytes)
     }
 
-    /// Takes the next record. None says nothing.
+    /// Reads the next record. `None`: the record contains nothing to report.
     fn record(&mut self) -> io::Result<Option<Part>> {
         if self.at == 0 {
-            return self.lost("the file does not begin as an MCAP file");
+            return self.lost("the file does not begin with the MCAP signature");
         }
         if self.size - self.at < PREFIX {
-            return self.lost("no whole record");
+            return self.lost("an incomplete record");
         }
         let prefix = self.read(self.at, PREFIX)?;
         let (opcode, length) = (prefix[0], Bytes(&prefix[1..]).u64().unwrap_or(u64::MAX));
@@ -153,7 +153,7 @@ impl Parts {
 
     fn chunk(&mut self, length: u64) -> io::Result<Option<Part>> {
         let Some(header) = self.header(self.at)? else {
-            return self.lost("the header of a chunk contradicts itself");
+            return self.lost("the header of a chunk is inconsistent");
         };
         let (at, body) = (self.at, self.at + PREFIX + header.size());
         self.at += PREFIX + length;
@@ -165,7 +165,7 @@ impl Parts {
         }))
     }
 
-    /// The header of the chunk there, if there is one that makes sense.
+    /// The header of the chunk at this position, if there is a plausible one.
     fn header(&self, at: u64) -> io::Result<Option<Header>> {
         let room = self.size - at;
         let bytes = self.read(at, room.min(PREFIX + Header::LONGEST))?;
@@ -180,10 +180,10 @@ impl Parts {
         Ok(fits.then_some(header))
     }
 
-    /// What stands between chunks, and behind them.
+    /// Handles a record between or after the chunks.
     fn small(&mut self, opcode: u8, body: &[u8]) -> io::Result<Option<Part>> {
         if !well_formed(opcode, body) {
-            return self.lost("a record that makes no sense here");
+            return self.lost("a malformed record");
         }
         let at = self.at;
         self.at += PREFIX + body.len() as u64;
@@ -192,11 +192,7 @@ impl Parts {
             op::STATISTICS => {
                 let counted = Bytes(body.get(22..).unwrap_or_default()).u32();
                 if counted.map(u64::from) != Some(self.chunks) {
-                    let what = format!(
-                        "{} chunks are there, and {} were written",
-                        self.chunks,
-                        counted.unwrap_or(0)
-                    );
+                    let what = format!("{} chunks found, {} written", self.chunks, counted.unwrap_or(0));
                     return Ok(Some(Part::Damage(Damage { at, bytes: 0, what })));
                 }
             }
@@ -206,21 +202,21 @@ impl Parts {
         Ok(None)
     }
 
-    /// Behind the footer.
+    /// Handles the end of the file, after the footer.
     fn end(&mut self) -> io::Result<Option<Part>> {
         let magic = MAGIC.len() as u64;
         let (at, closed) = (self.at, self.magic(self.at)?);
         let (left, behind) = (self.size - at, at + magic);
         (self.ended, self.finished, self.at) = (true, closed, self.size);
         if left > magic {
-            let what = "something else stands behind the end of the recording".into();
+            let what = "extra bytes after the end of the recording".into();
             return Ok(Some(Part::Damage(Damage { at: behind, bytes: left - magic, what })));
         }
         self.torn = if closed { 0 } else { left };
         Ok(None)
     }
 
-    /// Nothing is known from here to the next chunk, or to the end of a file that was being written.
+    /// Skips to the next plausible chunk, or to the end of an unfinished file.
     fn lost(&mut self, what: &str) -> io::Result<Option<Part>> {
         let at = self.at;
         let Some(next) = self.chunk_after(at)? else {
@@ -231,7 +227,7 @@ impl Parts {
         Ok(Some(Part::Damage(Damage { at, bytes: next - at, what: what.into() })))
     }
 
-    /// Where the next chunk begins that makes sense.
+    /// Position of the next plausible chunk.
     fn chunk_after(&self, at: u64) -> io::Result<Option<u64>> {
         let mut start = at + 1;
         while start < self.size {
@@ -247,7 +243,7 @@ impl Parts {
     }
 }
 
-/// What it is, if it is no file.
+/// The kind of a path that is not a regular file.
 fn no_file(kind: FileType) -> Option<&'static str> {
     match kind {
         kind if kind.is_file() => None,
@@ -258,8 +254,8 @@ fn no_file(kind: FileType) -> Option<&'static str> {
     }
 }
 
-/// Whether a record has the form of its kind. Such records carry no checksum; nothing is taken from them but the
-/// number of chunks.
+/// Whether a record has the format of its kind. These records have no checksum. Only the number of chunks is
+/// taken from them.
 fn well_formed(opcode: u8, body: &[u8]) -> bool {
     let mut rest = Bytes(body);
     let ends = |rest: &Bytes<'_>| rest.0.is_empty();

@@ -1,4 +1,4 @@
-//! What a file holds.
+//! Counts of the contents of a file.
 
 use std::fmt;
 
@@ -6,12 +6,12 @@ use super::Damage;
 use crate::config::CalibrationContext;
 use crate::recording::{Entry, Topic};
 
-/// Something that was left out, as the file itself tells.
+/// A gap that the file itself reports.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Gap {
-    /// So many samples, frames and changes; 0: not known.
+    /// Number of missing samples, frames and changes; 0: unknown.
     pub entries: u64,
-    /// Why.
+    /// Cause.
     pub reason: String,
 }
 
@@ -31,31 +31,31 @@ pub struct Tally {
     pub size: u64,
     /// Messages on each topic, in the order of [`Topic::ALL`].
     pub messages: [u64; Topic::ALL.len()],
-    /// Messages on topics of other programs.
+    /// Messages on unknown topics.
     pub strange: u64,
-    /// When the first and the last message were written, nanoseconds of UTC since 1970.
+    /// Times of the first and the last message, nanoseconds of UTC since 1970.
     pub time_ns: Option<[i64; 2]>,
-    /// Samples that were lost before they came, or were too many.
+    /// Samples that did not reach the estimation: lost before, or more than it could process.
     pub lost: u64,
-    /// Changes of the lock state.
+    /// Changes of the lock state, as text.
     pub locks: Vec<String>,
-    /// Fingerprints of the configurations, in the order in which they came into force.
+    /// Identifiers of the configurations, in the order in which they came into force.
     pub configs: Vec<u32>,
-    /// Index of the first sample, with what was lost just before it, and of the last.
+    /// Index of the first sample, less the samples lost just before it, and of the last.
     pub samples: Option<[u64; 2]>,
-    /// Runs of the daemon that the frames are of, in their order.
+    /// Sessions of the frames, in order.
     pub sessions: Vec<u32>,
-    /// What had to be left out.
+    /// Gaps that the recorder reported.
     pub gaps: Vec<Gap>,
-    /// What cannot be read.
+    /// Parts that cannot be read.
     pub damages: Vec<Damage>,
-    /// Keyframes whose configuration was in a place that cannot be read.
+    /// Keyframes whose configuration is in a part that cannot be read.
     pub unfounded: u64,
-    /// The file was closed as it should be.
+    /// The file was closed properly.
     pub finished: bool,
-    /// All data were read, up to the index behind them.
+    /// All data were read, up to the index.
     pub indexed: bool,
-    /// Bytes at the end that are no whole record.
+    /// Bytes of an incomplete record at the end.
     pub torn: u64,
 }
 
@@ -65,22 +65,22 @@ impl Tally {
         self.messages[topic as usize]
     }
 
-    /// From the first message to the last, seconds.
+    /// Time from the first message to the last, seconds.
     pub fn seconds(&self) -> f64 {
         self.time_ns.map_or(0.0, |[first, last]| (last - first) as f64 * 1e-9)
     }
 
-    /// Nothing is missing, and nothing is damaged.
+    /// Whether nothing is missing or damaged.
     pub fn whole(&self) -> bool {
         self.finished && !self.incomplete()
     }
 
-    /// Something is missing before the end.
+    /// Whether something is missing or damaged before the end.
     pub fn incomplete(&self) -> bool {
         !self.damages.is_empty() || !self.gaps.is_empty()
     }
 
-    /// What damage of the configuration costs.
+    /// The consequence of a damaged configuration, if there is one.
     pub fn without_config(&self) -> Option<String> {
         let keyframes = if self.unfounded == 1 { "keyframe" } else { "keyframes" };
         (self.unfounded > 0).then(|| {
@@ -91,17 +91,17 @@ impl Tally {
         })
     }
 
-    /// How a file ends that was not closed as it should be.
+    /// How the file ends, if it was not closed properly.
     pub fn unfinished(&self) -> Option<String> {
         match (self.finished, self.indexed, self.torn) {
             (true, ..) => None,
-            (false, true, torn) => Some(format!(
-                "the index behind the data is damaged, {torn} bytes; no data are missing by that"
-            )),
-            (false, false, 0) => Some("not closed: the recorder was stopped, or still writes".into()),
+            (false, true, torn) => {
+                Some(format!("the index after the data is damaged, {torn} bytes; no data are missing"))
+            }
+            (false, false, 0) => Some("not closed: the recorder was killed, or is still writing".into()),
             (false, false, torn) => Some(format!(
-                "not closed: the recorder was stopped, or still writes; {torn} bytes at the end are no whole chunk, \
-                 which is up to a second"
+                "not closed: the recorder was killed, or is still writing; the last {torn} bytes are an \
+                 incomplete chunk, which is up to a second"
             )),
         }
     }

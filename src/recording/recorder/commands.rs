@@ -1,4 +1,4 @@
-//! What people and faults want of the recorder.
+//! Executes commands to the recorder, and reacts to faults.
 
 use tokio::sync::oneshot;
 use trifacet_core::time::{Clock, Mono, NS_PER_S};
@@ -8,19 +8,19 @@ use crate::clock::SystemClock;
 use crate::exit::{self, Failure};
 use crate::recording::handle::RecorderCommand;
 
-/// How long the end of a file may take: then it is said that it has not come yet.
+/// Longest wait for the end of a file. After that the command fails; the file is still finished.
 const CLOSE_TIMEOUT_NS: i64 = 4 * SECOND_NS;
 
-/// Somebody waits for the end of the file.
+/// A stop command that waits for the end of the file.
 pub(super) struct Stopping {
     reply: oneshot::Sender<Result<(), Failure>>,
     deadline: Mono,
-    /// What went wrong with it.
+    /// Why the file could not be finished.
     pub failed: Option<String>,
 }
 
 impl Recorder {
-    /// Does what is asked; while somebody waits for the end of a file, nothing else.
+    /// Executes waiting commands. While a command waits for the end of a file, others wait.
     pub(super) fn obey(&mut self) {
         while self.stopping.is_none()
             && let Ok((command, reply)) = self.asked.try_recv()
@@ -36,19 +36,19 @@ impl Recorder {
                 }
                 RecorderCommand::Stop => Ok(()),
                 RecorderCommand::Trigger if self.trigger.is_some() => {
-                    self.triggered("asked for").map_err(cannot)
+                    self.triggered("requested").map_err(cannot)
                 }
                 RecorderCommand::Trigger => {
-                    let why = "only with recording.mode = \"on-fault\"; to record from now on: record start";
+                    let why = "this needs recording.mode = \"on-fault\"; to record from now on: record start";
                     Err(Failure::new(exit::DATA, why))
                 }
             };
-            // Who does not wait any more does not need it.
+            // A closed channel means that the caller does not wait any more.
             let _ = reply.send(done);
         }
     }
 
-    /// Tells who waits for the end of the file that it is on the disk, or why not.
+    /// Replies to a stop command once the file is on disk, or with the reason why it is not.
     pub(super) fn answer(&mut self, now: Mono) {
         let Some(stopping) = &self.stopping else { return };
         let goes_on = self.until.is_some_and(|until| until > self.latest);
@@ -57,21 +57,21 @@ impl Recorder {
             Some(why) if !self.wanted => Err(Failure::new(exit::IO, why)),
             _ if goes_on => {
                 let why =
-                    "a fault has just begun: it is recorded, for recording.after_s; stop again to end that";
+                    "a fault has just begun and is recorded for recording.after_s; stop again to end this";
                 Err(Failure::new(exit::DATA, why))
             }
             _ if now >= stopping.deadline => {
-                Err(Failure::new(exit::IO, "the recording is being ended, but is not yet on the disk"))
+                Err(Failure::new(exit::IO, "the recording is being finished, but is not on disk yet"))
             }
             _ => return,
         };
         if let Some(stopping) = self.stopping.take() {
-            // Who does not wait any more does not need it.
+            // A closed channel means that the caller does not wait any more.
             let _ = stopping.reply.send(done);
         }
     }
 
-    /// Wants a recording, until then.
+    /// Starts a recording, until the given time if there is one.
     pub(super) fn begin(&mut self, until: Option<Mono>) -> Result<(), String> {
         if self.output.is_none() {
             self.resume()?;
@@ -80,18 +80,18 @@ impl Recorder {
         Ok(())
     }
 
-    /// Something went wrong: so long after it there is a recording.
+    /// Handles a fault: records until `recording.after_s` after it.
     pub(super) fn triggered(&mut self, why: &str) -> Result<(), String> {
         let until = SystemClock.now() + (self.config.after_s * NS_PER_S as f64) as i64;
         if self.wanted {
-            tracing::debug!(why, "this is recorded already");
+            tracing::debug!(why, "already recording");
             self.until = self.until.map(|_| until);
             return self.fault.as_ref().map_or(Ok(()), |fault| Err(fault.reason.clone()));
         }
-        tracing::info!(why, "a recording begins, with what was before");
+        tracing::info!(why, "recording started, with the data before the trigger");
         let begun = self.begin(Some(until));
         if let Err(reason) = &begun {
-            // Until then it is tried again.
+            // Retried until the end of the recording.
             (self.wanted, self.until) = (true, Some(until));
             self.suffer(reason.clone());
         }

@@ -1,4 +1,4 @@
-//! What goes wrong, what it costs, and who is told.
+//! Handles failures of the recording: state, counters and log.
 
 use trifacet_core::time::{Clock, Mono};
 
@@ -6,16 +6,16 @@ use super::{Recorder, SECOND_NS};
 use crate::clock::SystemClock;
 use crate::recording::writer::RecordError;
 
-/// Nothing can be recorded, and what that costs.
+/// A failure that prevents recording, and its cost.
 pub(super) struct Fault {
     pub reason: String,
     pub lost: u64,
-    /// When it is tried again.
+    /// Time of the next attempt.
     pub retry: Mono,
 }
 
 impl Recorder {
-    /// What came of what the disk was to do.
+    /// Handles the results of the disk thread.
     pub(super) fn hear_disk(&mut self) {
         while let Some(done) = self.disk.done() {
             let current = self.output.as_ref().is_some_and(|output| output.path == done.path);
@@ -28,25 +28,25 @@ impl Recorder {
         }
     }
 
-    /// What did not fit into the queue is lost as well.
+    /// Reports entries that did not fit into the queue as missing.
     pub(super) fn watch_overflows(&mut self, now: Mono) {
-        const WHY: &str = "the recorder is behind: is the disk too slow?";
+        const WHY: &str = "the recorder has fallen behind: is the disk too slow?";
         let overflows = self.counters.recording_overflows.get();
         let more = overflows - std::mem::replace(&mut self.overflows, overflows);
         if more > 0 {
             self.miss(more, WHY);
             if self.mishap.is_none() {
-                tracing::warn!(entries = more, "data are lost: {WHY}");
+                tracing::warn!(entries = more, "recording loses data: {WHY}");
             }
             self.mishap = Some((now + SECOND_NS, WHY.into()));
         }
     }
 
     pub(super) fn fail(&mut self, error: &RecordError) {
-        self.broken(format!("cannot write in recording.folder, {}: {error}", self.folder.0.display()));
+        self.broken(format!("cannot write to recording.folder, {}: {error}", self.folder.0.display()));
     }
 
-    /// The file cannot go on.
+    /// Abandons the current file after a failure.
     pub(super) fn broken(&mut self, reason: String) {
         let mut torn = 0;
         if let Some(output) = self.output.take() {
@@ -56,7 +56,7 @@ impl Recorder {
             if let Some(path) = output.abandon() {
                 tracing::warn!(
                     file = %path.display(),
-                    "the recording ends here: trifacet recover FILE makes a whole one of it"
+                    "recording ended early; restore the data with trifacet recover FILE"
                 );
             }
         }
@@ -67,7 +67,7 @@ impl Recorder {
         self.lose(torn);
     }
 
-    /// Says what is wrong, once, and when it is tried again.
+    /// Logs a failure once, and schedules the next attempt.
     pub(super) fn suffer(&mut self, reason: String) {
         if !self.wanted {
             return self.mishap(reason);
@@ -78,15 +78,15 @@ impl Recorder {
             return;
         }
         self.counters.recording_faults.inc();
-        tracing::error!("nothing is recorded, the stream goes on; tried again each second: {reason}");
+        tracing::error!("recording stopped, the stream continues; retrying every second: {reason}");
         self.fault = Some(Fault { reason, lost: 0, retry });
         self.show();
     }
 
-    /// Something went wrong with a file that has ended.
+    /// Reports a failure of a file that has already ended.
     fn mishap(&mut self, reason: String) {
         self.counters.recording_faults.inc();
-        tracing::error!("a recording has not been finished: {reason}");
+        tracing::error!("cannot finish a recording: {reason}");
         if let Some(stopping) = &mut self.stopping {
             stopping.failed = Some(reason.clone());
         }
@@ -94,7 +94,7 @@ impl Recorder {
         self.show();
     }
 
-    /// Tells the frames, and who asks.
+    /// Updates the fault in the state.
     pub(super) fn show(&self) {
         let fault = self.fault.as_ref().map(|fault| &fault.reason);
         self.state.fault(fault.or(self.mishap.as_ref().map(|(_, why)| why)).cloned());
@@ -107,7 +107,7 @@ impl Recorder {
         }
     }
 
-    /// So many entries are missing, which the next file, or the next place in this one, is to say.
+    /// Adds missing entries to those that the next file, or the next keyframe of this one, reports.
     pub(super) fn miss(&mut self, entries: u64, why: &str) {
         let (so_far, why) = self.untold.take().unwrap_or_else(|| (0, why.to_owned()));
         self.untold = Some((so_far + entries, why));

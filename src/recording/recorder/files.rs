@@ -1,4 +1,4 @@
-//! Files that begin, end, and cannot go on.
+//! Begins and ends files.
 
 use std::sync::atomic::Ordering;
 
@@ -12,35 +12,35 @@ use crate::recording::output::Output;
 use crate::recording::ring::Ring;
 
 impl Recorder {
-    /// What is left of another time.
+    /// Creates the folder and reports unfinished recordings of earlier runs.
     pub(super) fn look_around(&mut self) {
         if self.config.mode == RecordingMode::Off {
             return;
         }
         if let Err(e) = self.folder.make() {
-            tracing::warn!(folder = %self.folder.0.display(), "recording.folder cannot be made: {e}");
+            tracing::warn!(folder = %self.folder.0.display(), "cannot create recording.folder: {e}");
         }
         let all = self.folder.list().unwrap_or_default();
         for left in all.iter().filter(|recording| recording.unfinished() && !recording.in_use()) {
             tracing::warn!(
                 file = %left.path.display(),
-                "a recording was not finished: trifacet recover FILE makes a whole one of it"
+                "found an unfinished recording; restore it with trifacet recover FILE"
             );
         }
     }
 
-    /// Whether a keyframe is wanted before its time: a file is to begin, or to end.
+    /// Whether a keyframe is needed before its time: a file is to begin or to end.
     pub(super) fn waits_for_keyframe(&self, now: Mono) -> bool {
         let begins = self.fresh && self.output.is_some();
         begins || self.over() || self.full(now) || self.due(now)
     }
 
-    /// The recording has come to its end, with everything that was before in it.
+    /// Whether the recording is past its end, with all of the ring in the file.
     fn over(&self) -> bool {
         self.until.is_some_and(|until| self.latest >= until) && !self.filling()
     }
 
-    /// The file is as large or as old as it may be.
+    /// Whether the file has reached its largest size or age.
     fn full(&self, now: Mono) -> bool {
         self.output.as_ref().is_some_and(|output| {
             output.bytes() as f64 >= self.config.rotate_mb * 1e6
@@ -48,13 +48,13 @@ impl Recorder {
         })
     }
 
-    /// A file is wanted, and it is time to try.
+    /// Whether a file is to be opened now.
     fn due(&self, now: Mono) -> bool {
         let time = self.fault.as_ref().is_none_or(|fault| now >= fault.retry);
         self.wanted && self.output.is_none() && time
     }
 
-    /// At a keyframe: the place where a file may end and the next one begin, and to say what is missing.
+    /// At a keyframe: reports missing entries, ends a file that is due to end, and begins a due one.
     pub(super) fn cut(&mut self, now: Mono) {
         self.tell_gap();
         if self.over() {
@@ -72,18 +72,18 @@ impl Recorder {
         self.tell_gap();
     }
 
-    /// Goes on in a new file.
+    /// Opens a new file, and clears the fault.
     pub(super) fn resume(&mut self) -> Result<(), String> {
         self.open()?;
         if let Some(fault) = self.fault.take() {
-            tracing::info!(lost = fault.lost, after = fault.reason, "recording goes on in a new file");
+            tracing::info!(lost = fault.lost, after = fault.reason, "recording continues in a new file");
             self.miss(fault.lost, &fault.reason);
             self.show();
         }
         Ok(())
     }
 
-    /// Opens a file, after there is room for it.
+    /// Deletes old recordings if necessary, and opens a file.
     fn open(&mut self) -> Result<(), String> {
         self.wake();
         let folder = self.folder.0.display();
@@ -92,21 +92,21 @@ impl Recorder {
         self.folder.make().map_err(|e| within("cannot record", &e))?;
         let [budget, next] =
             [self.config.budget_gb * 1e9, self.config.rotate_mb * 1e6].map(|bytes| bytes as u64);
-        let deleted = self.folder.make_room(budget, next).map_err(|e| within("cannot look", &e))?;
+        let deleted = self.folder.make_room(budget, next).map_err(|e| within("cannot list files", &e))?;
         for old in deleted {
             self.counters.recording_deletions.inc();
-            tracing::info!(file = %old.path.display(), bytes = old.bytes, "deleted, to keep recording.budget_gb");
+            tracing::info!(file = %old.path.display(), bytes = old.bytes, "deleted to stay within recording.budget_gb");
         }
         let free = self.folder.free().map_err(|e| within("cannot record", &e))?;
         self.state.free.store(free, Ordering::Relaxed);
         if free < ROOM {
             return Err(format!(
-                "no room: {free} bytes are free in recording.folder, {folder}; make room there"
+                "not enough space: {free} bytes are free in recording.folder, {folder}; free some space"
             ));
         }
         let begin_ns = self.ring.as_ref().and_then(Ring::begin_ns).unwrap_or_else(|| self.encoder.now_ns());
         let output = Output::begin(&self.folder, begin_ns, SystemClock.now(), self.compression)
-            .map_err(|e| within("cannot make a file", &e))?;
+            .map_err(|e| within("cannot create a file", &e))?;
         tracing::info!(file = %output.path.display(), "recording");
         self.counters.recording_files.inc();
         self.state.file(Some(output.path.clone()));
@@ -115,7 +115,7 @@ impl Recorder {
         Ok(())
     }
 
-    /// Says, where the entries go, what is missing before this.
+    /// Writes to the ring or the file that entries are missing before this point.
     fn tell_gap(&mut self) {
         let Self { encoder, output, ring, untold, .. } = self;
         let Some((entries, why)) = untold.take_if(|(entries, _)| *entries > 0) else { return };
@@ -129,7 +129,7 @@ impl Recorder {
         }
     }
 
-    /// Moves a stretch of the ring into the file; false if there is nothing to move.
+    /// Moves the oldest segment of the ring into the file. Returns false if there is nothing to move.
     pub(super) fn fill(&mut self, now: Mono) -> bool {
         let Self { output: Some(output), ring: Some(ring), counters, .. } = self else { return false };
         let mut put = |message: Encoded<'_>| {
@@ -137,7 +137,7 @@ impl Recorder {
             Ok(())
         };
         let moved = match ring.drain(&mut put) {
-            // The one in the making is the last.
+            // The open segment is the last one.
             Ok(false) => match ring.close(now).and_then(|()| ring.drain(&mut put)) {
                 Ok(any) => {
                     (self.ring, self.fresh) = (None, !any);
@@ -163,7 +163,7 @@ impl Recorder {
         }
     }
 
-    /// Finishes the file.
+    /// Ends the file.
     pub(super) fn end(&mut self) {
         if let Some(Err(e)) = self.output.as_mut().map(Output::flush) {
             return self.fail(&e);
@@ -174,14 +174,14 @@ impl Recorder {
         let path = output.path.display().to_string();
         match output.finish(&mut self.disk) {
             Ok(true) => {}
-            Ok(false) => tracing::info!("nothing was recorded: no sample came. The file is not kept"),
+            Ok(false) => tracing::info!("no samples received: empty recording removed"),
             Err(e) => {
-                self.suffer(format!("cannot finish {path}, trifacet recover makes a whole one of it: {e}"));
+                self.suffer(format!("cannot finish {path} (restore it with trifacet recover): {e}"));
             }
         }
     }
 
-    /// Nothing is wanted, so nothing is wrong.
+    /// Clears the fault after the end of a recording, and starts a new ring.
     fn well(&mut self) {
         (self.fault, self.untold) = (None, None);
         self.show();

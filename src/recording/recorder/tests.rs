@@ -1,4 +1,4 @@
-//! What no daemon of a test can be brought to do.
+//! Cases that a test with a whole daemon cannot produce.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -19,7 +19,7 @@ use crate::recording::handle::{Asked, RecorderCommand, State};
 use crate::recording::reader::Read;
 use crate::recording::{Entry, EstimationRecorder, Reader, RecordSender};
 
-/// The fast side: it says nothing but that nothing comes.
+/// A fast side that only reports silence.
 struct Silent {
     recorder: EstimationRecorder,
     memory: EstimatorState,
@@ -48,7 +48,7 @@ fn recorder(folder: &Path, mode: RecordingMode) -> (Recorder, Silent, mpsc::Send
     (recorder, fast, wishes)
 }
 
-/// Entries before the gap, what it says, and entries after it.
+/// Silences before the gap, the gaps, and silences after them.
 fn content(path: &Path) -> (usize, Vec<(u64, String)>, usize) {
     let mut reader = Reader::open(path, Reader::REPLAY).unwrap();
     let (mut before, mut told, mut after) = (0, Vec::new(), 0);
@@ -70,7 +70,7 @@ fn what_does_not_fit_into_the_queue_is_counted_and_told_where_it_is_missing() {
         let (mut recorder, mut fast, _) = recorder(folder.path(), mode);
         recorder.drain();
         let lost = loop {
-            fast.says(); // and the recorder does not look
+            fast.says(); // and the recorder does not drain the queue
             let lost = recorder.counters.recording_overflows.get();
             if lost > 500 {
                 break lost;
@@ -84,7 +84,7 @@ fn what_does_not_fit_into_the_queue_is_counted_and_told_where_it_is_missing() {
         fast.says();
         recorder.drain();
         if mode == RecordingMode::OnFault {
-            recorder.triggered("asked for").unwrap();
+            recorder.triggered("requested").unwrap();
             recorder.empty_ring();
         }
         recorder.output.as_mut().unwrap().flush().unwrap();
@@ -103,13 +103,13 @@ fn a_failed_end_of_an_old_file_is_told_and_the_new_one_goes_on() {
     fast.says();
     recorder.drain();
     let old = recorder.output.as_ref().unwrap().path.clone();
-    // As when the next file begins before the disk has the end of this one.
+    // The next file has begun before the disk thread has finished this one.
     let file = Arc::new(std::fs::File::open("/dev/null").unwrap());
     recorder.disk.close(file, old.with_extension("other"));
     recorder.disk.wait();
     recorder.hear_disk();
     assert!(recorder.output.is_some() && recorder.fault.is_none());
-    assert!(recorder.state.fault.load(Ordering::Relaxed), "the frames tell for a while");
+    assert!(recorder.state.fault.load(Ordering::Relaxed), "frames report the fault for a while");
     let later = SystemClock.now() + 2 * super::SECOND_NS;
     recorder.mind(later);
     assert!(!recorder.state.fault.load(Ordering::Relaxed));
@@ -134,17 +134,17 @@ fn a_stop_waits_for_the_disk_and_a_fault_that_overtakes_it_is_recorded() {
     recorder.triggered("another one").unwrap();
     recorder.mind(SystemClock.now());
     assert_eq!(answer.try_recv().unwrap().unwrap_err().code, exit::DATA);
-    assert!(recorder.output.is_some(), "it goes on");
+    assert!(recorder.output.is_some(), "recording continues");
     let mut answer = stop(&mut recorder);
     recorder.mind(SystemClock.now());
     assert!(answer.try_recv().is_err() && recorder.output.is_some(), "not before the next keyframe");
     fast.says();
     recorder.drain();
     let begins = recorder.ring.as_ref().and_then(super::Ring::begin_ns);
-    assert!(recorder.output.is_none() && begins.is_some(), "the ring goes on with that very keyframe");
+    assert!(recorder.output.is_none() && begins.is_some(), "the ring begins with the same keyframe");
     recorder.disk.wait();
     recorder.mind(SystemClock.now());
-    // Only silence was recorded, and that is nothing.
+    // Only silence was recorded: the file is removed.
     answer.try_recv().unwrap().unwrap();
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }

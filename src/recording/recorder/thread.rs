@@ -1,4 +1,4 @@
-//! The thread around the recorder.
+//! The thread of the recorder.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,7 +15,7 @@ use crate::recording::RecordSender;
 use crate::recording::disk::Disk;
 use crate::recording::handle::{Handle, State};
 
-/// How long the recorder may take to end: then it is left behind.
+/// Longest wait for the end of the recorder.
 const END_TIMEOUT: Duration = Duration::from_secs(4);
 
 /// The thread of the recorder.
@@ -26,16 +26,16 @@ pub struct Thread {
     stop: Arc<AtomicBool>,
 }
 
-/// Starts the recorder.
+/// Starts the recorder. Returns the sender for entries, the interface, and the thread.
 ///
 /// # Errors
-/// No thread can be had.
+/// A thread cannot be started.
 pub fn start(
     config: &RecordingConfig,
     counters: &Arc<Counters>,
 ) -> std::io::Result<(RecordSender, Handle, Thread)> {
     let (records, receiver) = RecordSender::new(Arc::clone(counters));
-    // Open before the first sample.
+    // Open before the first sample arrives.
     receiver.open.store(config.mode != RecordingMode::Off, Ordering::Relaxed);
     let (wishes, asked) = mpsc::channel(4);
     let state = Arc::new(State::new(config.mode));
@@ -48,26 +48,26 @@ pub fn start(
     let thread = std::thread::Builder::new().name("recorder".into()).spawn(move || {
         let _alarm = alarm;
         recorder.run();
-        // Who does not wait any more does not need it.
+        // A closed channel means that `join` has given up.
         let _ = end.send(());
     })?;
     Ok((records, Handle { state, wishes }, Thread { handle: thread, ended, stop }))
 }
 
 impl Thread {
-    /// Ends it, and waits until everything is on the disk, if that does not take too long. To be called
-    /// when the fast side has said its last.
+    /// Ends the recorder and waits until everything is on disk, for 4 s at most. To be called
+    /// after the fast side has sent its last entry.
     pub fn join(self) {
         self.stop.store(true, Ordering::Relaxed);
         if self.ended.recv_timeout(END_TIMEOUT) == Err(RecvTimeoutError::Timeout) {
-            tracing::error!("the disk does not take the end of the recording: it stays unfinished");
+            tracing::error!("the disk is too slow to finish the recording: the file stays unfinished");
         } else if self.handle.join().is_err() {
             tracing::error!("the recorder panicked");
         }
     }
 }
 
-/// Says so if the recorder panics: the frames will tell.
+/// Reports a panic of the recorder as a fault, which frames carry.
 struct Alarm(Arc<State>);
 
 impl Drop for Alarm {
@@ -75,7 +75,7 @@ impl Drop for Alarm {
         if std::thread::panicking() {
             self.0.file(None);
             self.0.fault(Some("the recorder has crashed: restart the daemon".into()));
-            tracing::error!("the recorder has crashed: nothing is recorded any more; restart the daemon");
+            tracing::error!("the recorder has crashed, recording has stopped; restart the daemon");
         }
     }
 }
