@@ -1,7 +1,7 @@
-//! Header and CRC of the messages that follow each other on TCP: an 8-byte header, a body, a CRC-32 of both.
+//! Header and CRC of the messages on TCP: an 8-byte header, a body, a CRC-32 of both.
 //!
-//! The header never changes, not even with a new major version, so that any reader can step over what
-//! it does not know.
+//! The header never changes, not even in a new major version, so that any reader can skip messages that it
+//! does not know.
 
 use crate::layout::FRAME_SIZE;
 
