@@ -129,7 +129,7 @@ impl ClosedLoopSim {
         self.twin.place(pose);
     }
 
-    /// Takes the next scan, and does what the daemon would do.
+    /// Takes the next scan, and processes it as the daemon would.
     pub fn turn(&mut self) -> SimStep {
         let time = Mono((self.twin.next_s() * NS_PER_S as f64).round() as i64);
         if self.outputs.expire(time) == Some(LeaseAction::Park) {

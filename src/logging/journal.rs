@@ -46,6 +46,9 @@ pub(super) struct Journal<E> {
 impl<E: Write> Journal<E> {
     /// Connects to the journal at this socket. Entries that it does not accept are written to `otherwise`, as
     /// a line that starts with the priority.
+    ///
+    /// # Errors
+    /// There is no such socket, or it refuses the connection.
     pub fn connect(path: &Path, otherwise: E) -> io::Result<Self> {
         let socket = UnixDatagram::unbound()?;
         socket.connect(path)?;

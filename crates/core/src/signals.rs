@@ -33,7 +33,7 @@ pub struct Scan {
     pub time: Mono,
     /// Standard uncertainty of `time` in nanoseconds, if known.
     pub time_sigma_ns: Option<f64>,
-    /// Samples lost between this scan and the one before.
+    /// Samples lost between the previous scan and this one.
     pub lost: u32,
     /// The codes; only the first `Identity::roles.len()` have a meaning.
     pub codes: [i32; MAX_CHANNELS],

@@ -1,7 +1,7 @@
 //! Time. Every moment is a [`Mono`]: nanoseconds of `CLOCK_MONOTONIC`, which never steps. UTC is used only
 //! for output, through one slewed offset ([`crate::utc`]).
 //!
-//! Code that needs the present moment takes a [`Clock`].
+//! Code that needs the present time takes a [`Clock`].
 
 use std::ops::{Add, Sub};
 

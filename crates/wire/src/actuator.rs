@@ -6,7 +6,7 @@ pub enum LeaseAction {
     /// The outputs stay where they are.
     #[default]
     Hold,
-    /// The outputs move to their park position.
+    /// The outputs move to their parking position.
     Park,
 }
 

@@ -59,7 +59,7 @@ pub struct PoseFrame {
 /// Reasons why bytes are not a pose frame.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FrameError {
-    /// Too short, or too long.
+    /// The length is wrong.
     #[error("a pose frame has {FRAME_SIZE} bytes, not {0}")]
     Length(usize),
     /// The magic bytes are wrong.

@@ -13,7 +13,7 @@ pub enum Target {
     Balance,
 }
 
-/// What the loop does.
+/// Mode of the loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LoopMode {
@@ -48,7 +48,7 @@ impl LoopMode {
 pub enum OnExit {
     /// Stays at its position.
     Hold,
-    /// Moves to the park position.
+    /// Moves to the parking position.
     Park,
 }
 

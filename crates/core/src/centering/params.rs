@@ -17,7 +17,7 @@ const FOLLOWING: f64 = 0.05;
 /// Parameters of the loop. The default suits a nominal head with a piezo stage, sampled at 1 kHz.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LoopParams {
-    /// What the loop does.
+    /// Mode of the loop.
     pub mode: LoopMode,
     /// The quantity that the loop brings to zero.
     pub target: Target,
@@ -40,7 +40,7 @@ pub struct LoopParams {
     pub lag_s: f64,
     /// Sampling period, seconds.
     pub period_s: f64,
-    /// Park position of the stage, metres.
+    /// Parking position of the stage, metres.
     pub park: Xy,
     /// What the stage does when the daemon ends.
     pub on_exit: OnExit,

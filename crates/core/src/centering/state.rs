@@ -30,7 +30,7 @@ impl LoopState {
 /// State of the loop for the operator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LoopView {
-    /// What the loop does.
+    /// Mode of the loop.
     pub mode: LoopMode,
     /// The lock state.
     pub lock: LockState,

@@ -149,7 +149,7 @@ fn it_lets_go_where_the_stage_is_and_takes_over_where_it_finds_it() {
         bench.retune(|params| params.mode = LoopMode::On);
         let before = bench.stage_um;
         bench.run(1);
-        // The integral of one period, 0.2 of 30 um, and no jump to zero or elsewhere.
+        // The integral of one period, 0.2 of 30 um, without a jump to zero or elsewhere.
         assert!((bench.stage_um[0] - before[0] + 6.0).abs() < 1.0, "{before:?} {:?}", bench.stage_um);
         bench.run(500);
         assert!(near(bench.offset_um(), [0.0; 2]) && bench.lock() == LockState::Locked);
@@ -254,7 +254,7 @@ fn what_was_late_is_not_acted_upon_again_and_again() {
             bench.centering.sample(&sample, None, now)
         })
         .collect();
-    // After a pause of 50 ms only what is younger than the loop delay of 2.5 ms counts.
+    // After a pause of 50 ms, only samples younger than the loop delay of 2.5 ms count.
     for (k, outcome) in outcomes.iter().enumerate() {
         assert_eq!(outcome.late, k < 48);
         let still = outcome.command.is_some_and(|command| command.position == [0.0; 2]);

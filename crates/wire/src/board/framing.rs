@@ -45,6 +45,9 @@ impl Default for Deframer {
 impl Deframer {
     /// Takes bytes from the front of `bytes` up to the end of the next frame and returns its message
     /// (type, version, body), or `None` once all bytes are taken. Empty frames are skipped.
+    ///
+    /// # Errors
+    /// The frame is damaged.
     pub fn next(&mut self, bytes: &mut &[u8]) -> Option<Result<&[u8], Corrupted>> {
         while let Some((&byte, rest)) = bytes.split_first() {
             *bytes = rest;

@@ -16,7 +16,7 @@ pub const MAX_NAME: usize = 64;
 pub struct BoardIdentity {
     /// Ticks of the board's clock per second.
     pub tick_hz: u32,
-    /// The converter; its range is in whole millivolts on the wire.
+    /// The converter; its range is sent in whole millivolts.
     pub converter: Converter,
     /// Resolution of the steering outputs in bits, sign included.
     pub output_bits: u8,

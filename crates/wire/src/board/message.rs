@@ -65,7 +65,7 @@ pub enum Request {
     Start {
         /// Scans per 1000 seconds.
         rate_mhz: u32,
-        /// Park position of the outputs, codes.
+        /// Parking position of the outputs, codes.
         park: [i32; 2],
     },
     /// Stops scanning.
@@ -121,7 +121,7 @@ pub struct BoardScan {
     pub output_railed: bool,
     /// The lease of the last command has expired, and the outputs hold or park.
     pub lease_expired: bool,
-    /// The converter was read too late just before this scan.
+    /// The board read its converter too late just before this scan.
     pub overrun: bool,
     /// Number of codes.
     pub channels: u8,
@@ -151,7 +151,7 @@ numbered! {
         Done = 0,
         /// The rate is outside the board's limits: nothing changed.
         RateOutOfRange = 1,
-        /// A park code is outside the range of the outputs: nothing changed.
+        /// A parking code is outside the range of the outputs: nothing changed.
         ParkOutOfRange = 2,
     }
 }

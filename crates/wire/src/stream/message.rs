@@ -94,6 +94,9 @@ impl Decoder {
 
     /// The next message, or `None` if more bytes are needed. Damaged bytes and unknown kinds of message are
     /// skipped.
+    ///
+    /// # Errors
+    /// An undamaged message has another major version or invalid contents.
     pub fn next_message(&mut self) -> Option<Result<Message, MessageError>> {
         loop {
             let rest = self.buffer.get(self.start..)?;

@@ -258,6 +258,9 @@ impl Lines {
     }
 
     /// The next line without its line end; `None` if more bytes are needed.
+    ///
+    /// # Errors
+    /// The line is longer than [`MAX_LINE`].
     pub fn next_line(&mut self) -> Option<Result<Vec<u8>, TooLong>> {
         match self.bytes.iter().position(|b| *b == b'\n') {
             Some(end) => {

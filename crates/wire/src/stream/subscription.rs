@@ -38,6 +38,9 @@ pub enum SubscriptionRequest {
 
 impl SubscriptionRequest {
     /// Parses a datagram. Returns `None` if the datagram is not such a request and gets no answer.
+    ///
+    /// # Errors
+    /// An option of the request is invalid; the text names the allowed ones.
     pub fn parse(bytes: &[u8]) -> Option<Result<Self, String>> {
         let text = std::str::from_utf8(bytes).ok()?;
         let mut words = text.split_ascii_whitespace();

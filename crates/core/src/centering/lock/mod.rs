@@ -84,7 +84,7 @@ pub enum LockInput {
     Unclear(&'static str),
 }
 
-/// What the loop does.
+/// Action of the loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Action {
     /// The controller brings the error to zero.
