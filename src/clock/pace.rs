@@ -134,7 +134,7 @@ impl TimerFd {
     /// The system refuses the timer slack or the timer.
     #[expect(
         deprecated,
-        reason = "its replacement is unsafe for descriptors that can change; an owned one that nobody else holds cannot"
+        reason = "the replacement is unsafe because a descriptor may change; an owned one that is not shared cannot"
     )]
     pub fn new() -> io::Result<Self> {
         set_current_timer_slack(NonZeroU64::new(1))?;

@@ -83,7 +83,7 @@ impl Pty {
     /// Registers the descriptor if the other side has been opened.
     #[expect(
         deprecated,
-        reason = "its replacement is unsafe for descriptors that can change; an owned one that is never replaced cannot"
+        reason = "the replacement is unsafe because a descriptor may change; an owned one that is never replaced cannot"
     )]
     fn look(&mut self) -> io::Result<()> {
         if self.host.is_none() && is_open(&self.master)? {

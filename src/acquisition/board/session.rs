@@ -241,7 +241,7 @@ impl Session {
                 self.started(reply, now);
             }
             (Answer::Error { reason: ErrorReason::Version, .. }, State::Identifying { .. }) => {
-                self.unfit("it does not speak version 1 of the protocol".into(), now);
+                self.unfit("it does not support version 1 of the protocol".into(), now);
             }
             (Answer::Error { .. }, _) => self.tally.count(LinkFault::BoardError),
             // Scans from before START, and answers after their time limit.

@@ -39,7 +39,7 @@ pub enum MessageError {
     #[error("unknown message type {0:#04x}")]
     Type(u8),
     /// The length is wrong for the type.
-    #[error("message {kind:#04x} has a wrong length: {length} bytes")]
+    #[error("message {kind:#04x} has the wrong length: {length} bytes")]
     Length {
         /// Type of the message.
         kind: u8,

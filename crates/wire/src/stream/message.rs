@@ -56,7 +56,7 @@ pub fn json<T: serde::Serialize>(kind: Kind, body: &T) -> Result<Vec<u8>, serde_
     use serde::ser::Error;
     let body = serde_json::to_vec(body)?;
     let size = u16::try_from(body.len() + HEADER_SIZE + CRC_SIZE)
-        .map_err(|_| serde_json::Error::custom(format!("{} bytes do not fit a message", body.len())))?;
+        .map_err(|_| serde_json::Error::custom(format!("{} bytes do not fit into a message", body.len())))?;
     let mut message = Vec::with_capacity(size.into());
     message.extend(header(kind, size));
     message.extend(body);

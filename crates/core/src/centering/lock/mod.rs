@@ -269,14 +269,14 @@ impl Lock {
         let (state, cause) = if found && !railed {
             (LockState::Acquiring, "all PSDs see light")
         } else if railed {
-            (LockState::Railed, "the steering stands at a limit")
+            (LockState::Railed, "the steering is at a limit")
         } else if !within {
             (LockState::Acquiring, "the offset, or its rms, is above the limit")
         } else if self.state == LockState::Locked || self.good_s + dt >= lock_s {
             (self.attempts, self.slips, self.found) = (0, 0, false);
             (LockState::Locked, "the offset is within the limit")
         } else {
-            (LockState::Acquiring, "the offset is within the limit, not yet for long enough")
+            (LockState::Acquiring, "the offset is within the limit, but not yet for lock_time_ms")
         };
         self.good_s = if within && !railed { self.good_s + dt } else { 0.0 };
         Next::go_on(Action::Regulating, state, cause)
