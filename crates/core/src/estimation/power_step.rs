@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 const LIMIT: f64 = 0.05 / 3.0;
 /// The change must also exceed this many standard uncertainties of the difference of two totals.
 const SIGNIFICANT: f64 = 5.0;
-/// A change beyond this many standard uncertainties makes the power unsteady, even without a step: 12 in 100
-/// 000 by chance.
+/// A change beyond this many standard uncertainties makes the power unsteady, even without a step: by chance
+/// 12 times in 100 000.
 const UNEASY: f64 = 4.0;
 /// A step affects at most this many samples: two that show a part of it (the channel map interpolates every
 /// channel to the time of its scan with the previous scan), and two more that are compared with those.
