@@ -1,4 +1,4 @@
-//! The task: newest sample in, command out; holds on silence; holds or parks at the end.
+//! The centering task: newest sample in, command out; holds on silence; holds or parks at the end.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -20,38 +20,38 @@ use trifacet_wire::actuator::Ack;
 use crate::recording::{Entry, RecordSender};
 use crate::steering::{Driver, StageEvent};
 
-/// A pose older than this says nothing of the wedges now. Seconds.
+/// A pose older than this is not used for the wedges of the facets. Seconds.
 const FRESH_S: f64 = 0.1;
-/// How long the last command may wait for its acknowledgement.
+/// Longest wait for the acknowledgement of the last command.
 const LAST_ACK: Duration = Duration::from_secs(1);
-/// How often silence is noticed.
+/// Time without samples until silence is reported to the loop.
 const SILENCE_TIMEOUT: Duration = Duration::from_millis(20);
 
-/// The edges of the task.
+/// Channels of the task.
 #[derive(Debug)]
 pub struct CenteringLinks {
     /// The newest sample, from acquisition.
     pub newest: watch::Receiver<Option<Sample>>,
     /// The newest report, from estimation.
     pub poses: watch::Receiver<Option<PoseReport>>,
-    /// What the loop does, to estimation.
+    /// State of the loop, to estimation.
     pub state: watch::Sender<LoopState>,
-    /// Orders from outside of the fast side.
+    /// Requests from outside the fast side.
     pub orders: mpsc::Receiver<CenteringRequest>,
-    /// Changes of the lock state, for the record.
+    /// Changes of the lock state, for the recorder.
     pub records: RecordSender,
 }
 
-/// What the loop may be told, and asked.
+/// Requests to the loop.
 #[derive(Debug)]
 pub enum CenteringRequest {
-    /// To go on with another tuning; the answer says that it does.
+    /// Changes the parameters; the reply confirms that they are in effect.
     Retune(Box<LoopParams>, oneshot::Sender<()>),
-    /// To send the stage to a place, metres; the answer may be a refusal.
+    /// Sends the stage to a position, metres; the reply may be a refusal.
     Move(Xy, oneshot::Sender<Result<(), &'static str>>),
-    /// To look for the apex now.
+    /// Starts a search for the apex.
     Search(oneshot::Sender<Result<(), &'static str>>),
-    /// What it is doing.
+    /// Asks for the state of the loop.
     View(oneshot::Sender<LoopView>),
 }
 
@@ -75,7 +75,7 @@ pub async fn run<C: Clock>(
             event = side.driver.next() => side.hear(&event),
             changed = newest.changed() => {
                 if changed.is_err() {
-                    break; // acquisition has ended; the daemon sees that
+                    break; // acquisition has ended; the daemon detects that
                 }
                 let Some(sample) = *newest.borrow_and_update() else { continue };
                 if let Some(skipped) = side.centering.skipped(&sample) {
@@ -85,7 +85,8 @@ pub async fn run<C: Clock>(
                 }
             }
             () = sleep(SILENCE_TIMEOUT) => {
-                // The whole thread may have slept: what has come in the meantime has its turn first.
+                // The whole thread may have been suspended: events that have arrived since then are handled
+                // first.
                 yield_now().await;
                 if newest.has_changed().unwrap_or(true) {
                     continue;
@@ -113,7 +114,7 @@ struct Side<D, C> {
 
 impl<D: Driver, C: Clock> Side<D, C> {
     fn obey(&mut self, order: CenteringRequest) {
-        // Who does not wait for the answer any more does not need it.
+        // A requester that no longer waits for the reply does not need it.
         match order {
             CenteringRequest::Retune(tuning, done) => {
                 let outcome = self.centering.retune(*tuning);
@@ -139,7 +140,7 @@ impl<D: Driver, C: Clock> Side<D, C> {
         }
     }
 
-    /// Acts on a sample, unless it comes too late.
+    /// Acts on a sample, unless the sample is too old.
     fn act(&mut self, sample: &Sample, now: Mono) {
         let pose = fresh_pose(&self.poses, sample);
         let outcome = self.centering.sample(sample, pose.as_ref(), now);
@@ -167,7 +168,7 @@ impl<D: Driver, C: Clock> Side<D, C> {
     async fn finish(mut self) {
         let Some(last) = self.centering.finish() else {
             if self.centering.state().position.is_some() {
-                tracing::warn!("the stage takes no commands: it is left as it is");
+                tracing::warn!("the stage takes no commands: the last command was not sent");
             }
             return;
         };
@@ -186,9 +187,9 @@ impl<D: Driver, C: Clock> Side<D, C> {
                 tracing::info!(position_um = ?last.position.map(|p| p * 1e6), "steering acknowledged its last command");
                 return;
             }
-            Ok(false) => "steering refused its last command: it does what it does when commands cease",
+            Ok(false) => "steering refused its last command: the stage now acts as if commands had stopped",
             Err(_) => {
-                "steering did not acknowledge its last command: if it has not got it, it does what it does when commands cease"
+                "steering did not acknowledge its last command: if it was lost, the stage now acts as if commands had stopped"
             }
         };
         tracing::warn!(lease_ms = last.lease_ms, "{complaint}");

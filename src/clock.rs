@@ -1,4 +1,4 @@
-//! The clocks of this machine: the monotonic clock, pacing by it, and UTC.
+//! The clocks of this machine: the monotonic clock, timers on it, and UTC.
 
 #[cfg(test)]
 pub(crate) mod manual;
@@ -8,7 +8,7 @@ pub mod utc;
 use rustix::time::{ClockId, clock_gettime};
 use trifacet_core::time::{Clock, Mono, NS_PER_S};
 
-/// The machine's own monotonic clock.
+/// The monotonic clock of the machine.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SystemClock;
 

@@ -1,8 +1,8 @@
-//! The house without clocks: the twin, and behind it the cores of all three tasks, scan after scan, as fast
-//! as they are asked. The same configuration gives the same results, bit by bit.
+//! The closed loop without clocks: the twin and the cores of all three tasks, scan after scan, as fast as
+//! they are called. The same configuration gives the same results, bit by bit.
 //!
-//! A scan is mapped, centering acts on it, estimation solves it, as in the daemon; the command takes effect
-//! after the delay of the twin's stage, and computing takes no time.
+//! As in the daemon, the channel map converts a scan, centering acts on it, and estimation solves it. The
+//! command takes effect after the delay of the stage; computing takes no time.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -36,14 +36,14 @@ pub struct ClosedLoopSim {
     context: Arc<CalibrationContext>,
     recorder: EstimationRecorder,
     records: RecordSender,
-    /// Reports so far.
+    /// Number of reports so far.
     reports: u64,
 }
 
-/// One scan, and all that follows from it.
+/// One scan, and its results.
 #[derive(Clone, Copy, Debug)]
 pub struct SimStep {
-    /// The scan with the truth behind it.
+    /// The scan, with the true state.
     pub scan: TwinScan,
     /// The sample of what arrived of it.
     pub sample: Option<Sample>,
@@ -53,15 +53,15 @@ pub struct SimStep {
     pub transition: Option<Transition>,
     /// State of the loop after this step.
     pub state: LoopState,
-    /// The report that the daemon would publish now.
+    /// The report that the daemon would publish.
     pub report: Option<PoseReport>,
 }
 
 impl ClosedLoopSim {
-    /// All of it at rest.
+    /// A simulation at rest.
     ///
     /// # Errors
-    /// What would keep the daemon from starting.
+    /// The configuration has an error that would keep the daemon from starting.
     pub fn new(config: &Config) -> Result<Self, Failure> {
         let wrong = |message: String| Failure::new(exit::CONFIG, message);
         let context = Arc::new(CalibrationContext::read(config.clone()).map_err(|e| wrong(e.to_string()))?);
@@ -82,11 +82,11 @@ impl ClosedLoopSim {
         })
     }
 
-    /// The same with everything on record, as the daemon has it; also where that comes out, to be emptied after
-    /// each turn. UTC is the time of the twin, which begins in 1970.
+    /// The same with a record of everything, as in the daemon, and the receiver of the records, which must be
+    /// emptied after each step. UTC is the time of the twin, which starts in 1970.
     ///
     /// # Errors
-    /// What would keep the daemon from starting.
+    /// The configuration has an error that would keep the daemon from starting.
     pub fn recorded(config: &Config) -> Result<(Self, RecordReceiver), Failure> {
         let mut sim = Self::new(config)?;
         let (records, receiver) = RecordSender::new(Arc::default());
@@ -97,20 +97,20 @@ impl ClosedLoopSim {
         Ok((sim, receiver))
     }
 
-    /// The loop, to give it orders.
+    /// The loop, for requests.
     pub fn centering(&mut self) -> &mut Centering {
         self.pipeline.centering()
     }
 
-    /// Lets something go wrong from the next scan on, for so many seconds or for good.
+    /// Injects a fault from the next scan on, for `for_s` seconds or, with `None`, without end.
     ///
     /// # Errors
-    /// It is no fault that can be.
+    /// A value of the fault is out of range.
     pub fn inject(&mut self, kind: FaultKind, for_s: Option<f64>) -> Result<(), TwinError> {
         self.twin.inject(kind, for_s)
     }
 
-    /// The mirror stands at this pose from the next scan on, whatever was to move it.
+    /// Holds the mirror at this pose from the next scan on, instead of its configured motion.
     pub fn place(&mut self, pose: Pose) {
         self.twin.place(pose);
     }

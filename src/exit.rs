@@ -1,35 +1,36 @@
-//! The exit codes of `trifacet`, those of `sysexits.h`, so that a supervisor can tell a mistake in a
-//! file from a device that is busy.
+//! The exit codes of `trifacet`, those of `sysexits.h`, so that a supervisor can distinguish a wrong
+//! configuration from a busy device.
 
 use std::fmt::Display;
 use std::io;
 
-/// A replay gave other poses than those that were recorded.
+/// The poses of a replay differ from the recorded ones.
 pub const DIFFERENT: u8 = 1;
 /// The command line is wrong.
 pub const USAGE: u8 = 64;
-/// Some of the input could not be worked on, rows or parts of a recording; the rest was. Or the input is something else.
+/// Some of the input could not be processed (rows of a table, parts of a recording), or the input is of
+/// another type.
 pub const DATA: u8 = 65;
-/// The other side is not there: nothing listens, or no frame came.
+/// Nothing to communicate with: no program listens, or no frame arrived.
 pub const UNAVAILABLE: u8 = 69;
-/// A task of the daemon ended by itself: a defect.
+/// A task of the daemon ended or stalled: a defect.
 pub const SOFTWARE: u8 = 70;
 /// A file or a socket could not be read or written.
 pub const IO: u8 = 74;
-/// Something is in use by another process: a port of either kind. Trying later may work.
+/// Another process uses a serial or network port. A later attempt may succeed.
 pub const IN_USE: u8 = 75;
 /// The configuration is wrong.
 pub const CONFIG: u8 = 78;
-/// Interrupted by a person: 128 and the number of SIGINT, as shells have it.
+/// Interrupted by the operator: 128 plus the number of SIGINT, as in shells.
 pub const INTERRUPTED: u8 = 130;
 
-/// An error with the exit code that tells its kind.
+/// An error with its exit code.
 #[derive(Debug, thiserror::Error)]
 #[error("{message}")]
 pub struct Failure {
     /// One of the codes of this module.
     pub code: u8,
-    /// What happened, where, and what is allowed.
+    /// The error, its place, and the allowed values.
     pub message: String,
 }
 
@@ -39,7 +40,8 @@ impl Failure {
         Self { code, message: message.into() }
     }
 
-    /// A port could not be opened: [`IN_USE`] if another process has it, else [`IO`]. `what` was to be done.
+    /// A port could not be opened: [`IN_USE`] if another process uses it, otherwise [`IO`]. `what` is the
+    /// attempted action.
     pub fn port(what: impl Display, e: &io::Error) -> Self {
         let (code, why) = match e.kind() {
             io::ErrorKind::AddrInUse => (IN_USE, "another process has the port".to_owned()),

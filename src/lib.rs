@@ -1,10 +1,10 @@
 //! # trifacet
 //!
-//! A laser falls on the apex of a three-facet mirror; each part of the split beam lands on a
-//! position-sensitive detector (PSD). This library turns the six spot coordinates and three powers
-//! into the mirror's pose, keeps the beam on the apex, and publishes what it knows, in real time.
+//! A laser beam falls on the apex of a three-facet mirror, which splits it onto three position-sensitive
+//! detectors (PSDs). This library computes the pose of the mirror from the six spot coordinates and three
+//! powers, keeps the beam on the apex, and publishes the results in real time.
 //!
-//! The modules stand in the order in which a sample flows through them:
+//! The data flow through the modules:
 //!
 //! ```text
 //!  twin ─┐                 ┌─> centering ──(command)──> back to the source
@@ -12,11 +12,16 @@
 //!  board ┘                 └─> estimation ──> publishing ──> UDP, TCP
 //! ```
 //!
-//! `optics` is the sensor model that everything rests on; `daemon` is the wiring, `control` changes it
-//! while it runs, `tuning` measures its loop, `recording` keeps what went in and came out, `replay` computes it again,
-//! `experiment` repeats what the paper measured.
-//! Lengths are metres, angles radians, times nanoseconds of the monotonic clock, everywhere inside;
-//! other units exist only in the configuration (where every key carries its unit) and on screens.
+//! - [`twin`], [`acquisition`], [`steering`]: sources of samples, and the stages that steer the laser.
+//! - [`centering`], [`estimation`], [`publishing`]: the fast side. The pure cores are in
+//!   [`trifacet_core`], the sensor model in [`trifacet_optics`], the byte formats in [`trifacet_wire`].
+//! - [`daemon`]: the wiring. [`control`]: commands to the running daemon. [`config`]: the configuration.
+//! - [`monitor`], [`logging`], [`service`]: state of the daemon for operators and supervisors.
+//! - [`recording`], [`replay`]: records of inputs and results, and their recomputation.
+//! - [`identification`]: measurement of the loop. [`experiment`]: the experiment of the paper.
+//!
+//! Internally, lengths are metres, angles radians, and times nanoseconds of the monotonic clock. Other units
+//! are used only in the configuration, where every key carries its unit, and in output for the operator.
 
 pub mod acquisition;
 pub mod centering;

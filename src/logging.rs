@@ -1,7 +1,7 @@
-//! Log lines on standard error or in the journal, written by a thread of their own: no task ever waits for a
-//! terminal.
+//! Logging to standard error or to the journal. A thread of its own writes the lines, so that no task waits
+//! for a terminal.
 //!
-//! - `limit`: lines that come again and again. `journal`: entries with fields.
+//! - `limit`: limits repeated lines. `journal`: entries with fields.
 
 mod journal;
 mod limit;
@@ -19,12 +19,12 @@ use tracing_subscriber::{EnvFilter, reload};
 use crate::config::{LogConfig, LogFormat};
 use crate::exit::{self, Failure};
 
-/// Lines that may wait to be written. Further ones are dropped.
+/// Largest number of lines that wait to be written. Further lines are dropped.
 const QUEUE: usize = 10_000;
 
 type Refilter = dyn Fn(EnvFilter) -> Result<(), String> + Send + Sync;
 
-/// The log of the process. Dropping it writes what is still queued.
+/// The log of the process. Dropping it writes the queued lines.
 pub struct Logging {
     refilter: Box<Refilter>,
     limiter: Limiter,
@@ -38,6 +38,9 @@ impl fmt::Debug for Logging {
 }
 
 /// Starts logging for the process.
+///
+/// # Errors
+/// The log level is invalid, or logging cannot be started.
 pub fn start(config: &LogConfig) -> Result<Logging, Failure> {
     let failed = |e: &dyn fmt::Display| Failure::new(exit::SOFTWARE, format!("logging cannot start: {e}"));
     let (filter, handle) = reload::Layer::new(filter(&config.level)?);
@@ -71,10 +74,13 @@ impl Drop for Logging {
 }
 
 impl Logging {
-    /// Logs from now on what this filter lets through.
+    /// Sets the filter of the log.
+    ///
+    /// # Errors
+    /// The level is invalid, or the filter cannot be changed.
     pub fn set_level(&self, level: &str) -> Result<(), Failure> {
         (self.refilter)(filter(level)?)
-            .map_err(|e| Failure::new(exit::SOFTWARE, format!("the log cannot be changed: {e}")))
+            .map_err(|e| Failure::new(exit::SOFTWARE, format!("the log level cannot be changed: {e}")))
     }
 }
 

@@ -1,4 +1,4 @@
-//! The command line of trifacet: each command is one line to one function.
+//! The command line of trifacet: each command calls one function.
 
 mod commands;
 
@@ -18,19 +18,19 @@ struct Cli {
     command: Command,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 fine, 1 a replay that differs, 64 wrong command line, 65 bad data (rows, or a recording with holes), \
-    69 nothing there to talk to, 70 a defect, 74 a file or socket failed, 75 in use by another process, \
+const EXIT_CODES: &str = "Exit codes: 0 success, 1 a replay that differs, 64 wrong command line, 65 bad data (rows, or a recording with gaps), \
+    69 nothing to communicate with, 70 a defect, 74 a file or socket failed, 75 in use by another process, \
     78 wrong configuration, 130 interrupted.";
 
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Run the daemon
     Run(commands::RunArgs),
-    /// Tell a running daemon what to do
+    /// Control a running daemon
     Ctl(commands::CtlArgs),
-    /// Say what a configuration means, or what is wrong with it
+    /// Explain a configuration, or list its errors
     Check(commands::CheckArgs),
-    /// Play an acquisition board on a pseudo-terminal
+    /// Emulate an acquisition board on a pseudo-terminal
     Emulate(commands::EmulateArgs),
     /// Measure the dark offsets with the laser off, and write them into the configuration
     Dark(commands::DarkArgs),
@@ -40,25 +40,25 @@ enum Command {
     Trace(commands::TableArgs),
     /// Compute poses from signals: CSV in, CSV out
     Solve(commands::TableArgs),
-    /// Compute samples of the digital twin, with the truth behind them, as CSV
+    /// Write samples of the digital twin with the true poses, as CSV
     Simulate(commands::SimulateArgs),
-    /// Repeat the paper's experiment, on the twin or with a running daemon, and write a report
+    /// Repeat the experiment of the paper, on the twin or with a running daemon, and write a report
     Experiment(commands::ExperimentArgs),
-    /// Say why nothing arrives, or nothing valid, and what to do
+    /// Find out why no frames or no valid frames arrive, and propose a remedy
     Doctor(commands::DoctorArgs),
     /// Print the frames of a running daemon
     Watch(commands::WatchArgs),
-    /// Say how a running daemon is doing: balance, pose, lock, losses
+    /// Show the state of a running daemon: balance, pose, lock, losses
     Status(commands::StatusArgs),
     /// Send the stage to its parking position while no daemon runs
     Park(commands::ParkArgs),
-    /// Compute recorded poses again, and compare
+    /// Recompute recorded poses, and compare
     Replay(commands::ReplayArgs),
-    /// Say what recordings hold, and whether they are whole
+    /// Show the contents of recordings, and whether they are complete
     Info(commands::InfoArgs),
-    /// Save what can be read of a damaged recording
+    /// Save the readable parts of a damaged recording
     Recover(commands::RecoverArgs),
-    /// Write a recording as a table: CSV or Parquet
+    /// Convert a recording to a table: CSV or Parquet
     Export(commands::ExportArgs),
     /// Write man pages and shell completions, for a package
     #[command(hide = true)]
@@ -69,7 +69,7 @@ fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(usage) => {
-            let _ = usage.print(); // help that nobody reads is no failure
+            let _ = usage.print(); // a closed standard output is not a failure
             return ExitCode::from(if usage.use_stderr() { exit::USAGE } else { 0 });
         }
     };
@@ -97,7 +97,7 @@ fn main() -> ExitCode {
     result.map_or_else(|error| report(&error), |()| ExitCode::SUCCESS)
 }
 
-/// Says what went wrong, and why; gives the exit code for it.
+/// Prints the error with its causes; returns its exit code.
 fn report(error: &anyhow::Error) -> ExitCode {
     if error.is::<commands::OutputClosed>() {
         return ExitCode::SUCCESS;

@@ -1,5 +1,6 @@
-//! Makes the calling thread as punctual as the configuration asks and the system allows. What the system
-//! refuses is a warning, not the end: the daemon then runs as an ordinary process.
+//! Real-time settings of the calling thread: memory lock, CPU, priority.
+//!
+//! A setting that the system refuses causes a warning; the daemon then runs as an ordinary process.
 
 use rustix::mm::{MlockAllFlags, mlockall};
 use rustix::thread::{CpuSet, sched_setaffinity};

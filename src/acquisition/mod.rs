@@ -1,7 +1,12 @@
-//! Task 1: raw codes to [`Sample`](trifacet_core::signals::Sample)s.
+//! Acquisition: raw codes to [`Sample`](trifacet_core::signals::Sample)s.
 //!
-//! A [`Source`] (the twin or a serial board) delivers [`Scan`](trifacet_core::signals::Scan)s of raw converter codes; the channel
-//! map turns each into a sample in metres and watts. The steering command goes back the same way.
+//! A [`Source`] (the twin or a serial board) delivers [`Scan`](trifacet_core::signals::Scan)s of raw
+//! converter codes. The channel map turns each scan into a sample in metres and watts. Steering commands go
+//! to the source.
+//!
+//! - [`source`]: the trait of a source, and its events. [`task`]: the acquisition task.
+//! - [`serial`], [`port`]: a board on a serial port. [`board`]: the host side of its protocol.
+//! - [`timebase`]: from ticks of the board to the time of the host.
 
 pub mod board;
 pub mod port;

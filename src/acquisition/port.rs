@@ -1,4 +1,4 @@
-//! Opening a serial port for one process alone, and finding out who has it if that fails.
+//! Opens a serial port exclusively, and finds the process that uses a port.
 
 use std::fs;
 use std::os::unix::fs::{FileTypeExt, MetadataExt};
@@ -8,29 +8,29 @@ use serialport::TTYPort;
 
 use super::SourceError;
 
-/// Why a port cannot be opened.
+/// Reasons why a port cannot be opened.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PortError {
-    /// Another process has it.
+    /// Another process uses the port.
     #[error("{} is in use by {holder}", .port.display())]
     InUse {
         /// Path of the port.
         port: PathBuf,
-        /// Process id and name of who has it.
+        /// Id and name of that process.
         holder: String,
     },
-    /// Anything else; it may pass.
+    /// Any other error; it may be temporary.
     #[error("{}: {reason}", .port.display())]
     Other {
         /// Path of the port.
         port: PathBuf,
-        /// What the system says.
+        /// Error message of the system.
         reason: String,
     },
 }
 
 impl PortError {
-    /// What is wrong with the port, without its name.
+    /// The reason, without the name of the port.
     pub fn reason(&self) -> String {
         match self {
             Self::InUse { holder, .. } => format!("in use by {holder}"),
@@ -46,16 +46,19 @@ impl From<PortError> for SourceError {
     }
 }
 
-/// Opens the port raw, 8N1, without flow control, for this process alone, and drops what lies in its
-/// buffers. Blocks while the system opens the device.
+/// Opens the port raw, 8N1, without flow control, exclusively, and discards the contents of its buffers.
+/// Blocks while the system opens the device.
 ///
-/// Two locks keep others out: the terminal's own, which root may override, and an advisory one on
-/// the file, which holds for everybody who asks. A process that had the port open before is found by
-/// looking for it.
+/// Two locks keep other processes out: the exclusive mode of the terminal, which root can override, and an
+/// advisory lock on the file, for processes that check it. A process that opened the port earlier is found in
+/// `/proc`.
+///
+/// # Errors
+/// Another process uses the port, or the path is not a serial port, or the system reports an error.
 pub fn open(port: &Path, baud: u32) -> Result<TTYPort, PortError> {
     let other = |reason: String| PortError::Other { port: port.to_owned(), reason };
     let in_use = |holder| PortError::InUse { port: port.to_owned(), holder };
-    // What a link points at may be somewhere else the next time: only this name is kept.
+    // The target of a link may change: only this name is kept.
     let device = fs::canonicalize(port).map_err(|error| other(error.to_string()))?;
     let metadata = fs::metadata(&device).map_err(|error| other(error.to_string()))?;
     let no_port = || other("is not a serial port".into());
@@ -79,15 +82,15 @@ pub fn open(port: &Path, baud: u32) -> Result<TTYPort, PortError> {
     Ok(open)
 }
 
-/// Whether a character device is a terminal, as serial ports are. One that cannot be opened to find out,
-/// such as a port that another process has for itself, counts as one.
+/// Whether a character device is a terminal, as serial ports are. A device that cannot be opened for this
+/// check, such as a port with exclusive access, counts as a terminal.
 fn is_terminal(device: &Path) -> bool {
     use rustix::fs::{Mode, OFlags};
     let flags = OFlags::RDONLY | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
     rustix::fs::open(device, flags, Mode::empty()).map_or(true, rustix::termios::isatty)
 }
 
-/// The processes that have the character device `rdev` open, as far as this user may see.
+/// The processes that have the character device `rdev` open, as far as this user can see them.
 fn holders(rdev: u64) -> Option<String> {
     let holds = |pid: &u32| {
         let files = fs::read_dir(format!("/proc/{pid}/fd")).into_iter().flatten().flatten();
@@ -103,8 +106,8 @@ fn is_device(file: &fs::Metadata, rdev: u64) -> bool {
     file.file_type().is_char_device() && file.rdev() == rdev
 }
 
-/// The process that holds the advisory lock on a file. The list of locks is open to everyone, the
-/// open files of other users are not.
+/// The process that holds the advisory lock on a file. The list of locks is readable for every user; the open
+/// files of other users are not.
 fn lock_owner(file: &fs::Metadata) -> Option<String> {
     let (major, minor) = (rustix::fs::major(file.dev()), rustix::fs::minor(file.dev()));
     let wanted = format!("{major:02x}:{minor:02x}:{}", file.ino());
@@ -163,7 +166,7 @@ mod tests {
         let missing = open(Path::new("/nowhere/port"), 921_600).unwrap_err();
         assert!(missing.to_string().contains("/nowhere/port"), "{missing}");
         let file = tempfile::NamedTempFile::new().unwrap();
-        // A device that is no terminal: this process has the first one open, and nobody the other one.
+        // A device that is not a terminal: this process has the first one open, and no process the other one.
         let _null = fs::File::open("/dev/null").unwrap();
         for no_port in [file.path(), Path::new("/dev/null"), Path::new("/dev/full")] {
             let error = open(no_port, 921_600).unwrap_err();

@@ -1,4 +1,4 @@
-//! A board on a serial port: the thin layer between a [`Session`] and the wire.
+//! A board on a serial port: the layer between a [`Session`] and the port.
 
 use std::future::poll_fn;
 use std::io;
@@ -23,25 +23,25 @@ use super::{Source, SourceError, SourceEvent};
 use crate::config::Config;
 use crate::exit::{Failure, IN_USE};
 
-/// Between two attempts to open the port.
+/// Pause between two attempts to open the port.
 const RETRY: Duration = Duration::from_millis(200);
-/// The longest wait at shutdown for the wire to take the last frames.
+/// Longest wait at shutdown until the last frames are written.
 const LAST_WRITE: Duration = Duration::from_millis(100);
 
 /// The state of the port.
 #[derive(Debug)]
 enum Port {
-    /// Opened before there was a runtime.
+    /// Opened, but not yet registered with the runtime.
     Opened(TTYPort),
     /// Being opened, after a pause.
     Opening(JoinHandle<Result<TTYPort, PortError>>),
     /// In use.
     Open(SerialStream),
-    /// Not there; to be opened.
+    /// Closed; to be opened.
     Closed,
 }
 
-/// A board on a serial port. Finds it, keeps it, and finds it again when it was unplugged.
+/// A board on a serial port. Opens the port, and opens it again after a disconnection.
 #[derive(Debug)]
 pub struct SerialSource<C> {
     path: PathBuf,
@@ -53,11 +53,11 @@ pub struct SerialSource<C> {
 }
 
 impl<C: Clock> SerialSource<C> {
-    /// Opens the configured port. Blocks while the system does; needs no runtime. A port that is not
-    /// there now is waited for in [`Source::next`].
+    /// Opens the configured port. Blocks while the system opens it; needs no runtime. If the port does not
+    /// exist yet, [`Source::next`] waits for it.
     ///
     /// # Errors
-    /// [`IN_USE`] with the process that has the port.
+    /// [`IN_USE`] if another process uses the port; the message names the process.
     pub fn open(config: &Config, clock: C, counters: Arc<Counters>) -> Result<Self, Failure> {
         let serial = &config.acquisition.serial;
         let mut session = Session::new(Settings::from(config), counters);
@@ -79,8 +79,8 @@ impl<C: Clock> SerialSource<C> {
         })
     }
 
-    /// Waits for the next thing to happen on the port, and tells the session of it. Everything that
-    /// lasts is in `self`, so this future may be dropped at any time.
+    /// Waits for the next event on the port, and passes it to the session. All state is in `self`, so that
+    /// this future may be dropped at any time.
     async fn step(&mut self) {
         match &mut self.port {
             Port::Closed => {
@@ -110,7 +110,7 @@ impl<C: Clock> SerialSource<C> {
         }
     }
 
-    /// Hands the open port to the runtime.
+    /// Registers the open port with the runtime.
     fn connect(&mut self) {
         let Port::Opened(port) = std::mem::replace(&mut self.port, Port::Closed) else { return };
         match SerialStream::try_from(port) {
@@ -122,14 +122,14 @@ impl<C: Clock> SerialSource<C> {
         }
     }
 
-    /// Reads, writes and waits until one of them has led to something.
+    /// Reads, writes and waits until one of them has a result.
     async fn converse(&mut self) {
         let Port::Open(stream) = &mut self.port else { return };
         let (session, buffer) = (&mut self.session, &mut self.buffer[..]);
         let deadline = session.deadline().map_or(i64::MAX, |deadline| deadline - self.clock.now());
         let mut sleep = std::pin::pin!(sleep(Duration::from_nanos(deadline.clamp(0, i64::MAX) as u64)));
         let outcome = poll_fn(|cx| {
-            // Reading comes first: what has arrived counts before a time-out does.
+            // Reading comes first: data that has arrived takes precedence over a time-out.
             if let Poll::Ready(read) = poll_read(stream, buffer, cx) {
                 return Poll::Ready(read.map(Some));
             }
@@ -141,7 +141,7 @@ impl<C: Clock> SerialSource<C> {
         .await;
         let now = self.clock.now();
         match outcome {
-            Ok(Some(0)) => self.unplugged("the other side closed it".into()),
+            Ok(Some(0)) => self.unplugged("the other side closed the connection".into()),
             Ok(Some(read)) => self.session.received(&self.buffer[..read], now),
             Ok(None) => self.session.timed_out(now),
             Err(error) => self.unplugged(error.to_string()),
@@ -174,7 +174,7 @@ impl<C: Clock> Source for SerialSource<C> {
         session.stop();
         let written = timeout(LAST_WRITE, poll_fn(|cx| poll_write(&mut stream, session, cx))).await;
         if !matches!(written, Ok(Ok(()))) {
-            tracing::warn!("{}: the board could not be asked to stop", self.path.display());
+            tracing::warn!("{}: the stop request could not be sent to the board", self.path.display());
         }
     }
 }
@@ -184,7 +184,7 @@ fn poll_read(stream: &mut SerialStream, buffer: &mut [u8], cx: &mut Context) -> 
     Pin::new(stream).poll_read(cx, &mut buffer).map_ok(|()| buffer.filled().len())
 }
 
-/// Writes until nothing is left to write.
+/// Writes until the output is empty.
 fn poll_write(stream: &mut SerialStream, session: &mut Session, cx: &mut Context) -> Poll<io::Result<()>> {
     loop {
         let output = session.output();

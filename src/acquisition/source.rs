@@ -1,4 +1,4 @@
-//! The trait behind which a converter stands, be it simulated or at the end of a cable.
+//! The trait of a source of scans: the twin, or a board on a serial port.
 
 use std::future::Future;
 
@@ -6,7 +6,7 @@ use trifacet_core::signals::{Identity, Scan};
 use trifacet_core::time::Mono;
 use trifacet_wire::actuator::{Ack, OutputCommand};
 
-/// Why no scans come.
+/// Reasons why there are no scans.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SourceError {
     /// The port cannot be opened.
@@ -14,60 +14,59 @@ pub enum SourceError {
     Open {
         /// Path of the port.
         port: String,
-        /// What the system says.
+        /// Error message of the system.
         reason: String,
     },
-    /// The link broke: unplugged, or the other side is gone.
-    #[error("{port} is gone: {reason}")]
+    /// The connection is lost: unplugged, or closed by the other side.
+    #[error("{port} was disconnected: {reason}")]
     Unplugged {
         /// Path of the port.
         port: String,
-        /// What the system says.
+        /// Error message of the system.
         reason: String,
     },
-    /// The board is there and does not answer within the time for this step.
+    /// The board does not answer a request in time.
     #[error("no answer to {step} within {timeout_ms} ms")]
     Timeout {
-        /// What was asked: "identify", "start".
+        /// The request: "identify", "start".
         step: &'static str,
-        /// The limit that ran out.
+        /// The time limit, milliseconds.
         timeout_ms: u32,
     },
-    /// The board speaks, and cannot be used.
+    /// The board answers, but cannot be used.
     #[error("the board cannot be used: {0}")]
     Unfit(String),
-    /// Scans stopped coming.
+    /// No more scans arrive.
     #[error("no scan for {silence_ms} ms")]
     Stalled {
-        /// How long nothing came.
+        /// Time since the last scan, milliseconds.
         silence_ms: u32,
     },
 }
 
-/// What a source reports.
+/// Events of a source.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SourceEvent {
     /// The source is ready; scans follow.
     Up(Identity),
     /// A scan.
     Scan(Scan),
-    /// An answer to a steering command.
+    /// Acknowledgement of a steering command.
     Ack(Ack),
-    /// Scans have stopped, for this reason. The source keeps trying by itself; `Up` or the next
-    /// `Scan` ends it.
+    /// There are no scans, for this reason. The source keeps trying on its own; `Up` or the next `Scan` ends
+    /// this state.
     Down(SourceError),
 }
 
 /// A converter that delivers scans and takes steering commands.
 pub trait Source {
-    /// The next thing to know. Cancel-safe: dropping the future loses nothing.
+    /// The next event. Cancel-safe: dropping the future loses nothing.
     fn next(&mut self) -> impl Future<Output = SourceEvent>;
 
-    /// Takes the newest steering command; an older one not yet sent is dropped.
-    /// Never waits. `now` is the present moment.
+    /// Takes the newest steering command; an older one that has not been sent yet is dropped. Never waits.
+    /// `now` is the present time.
     fn steer(&mut self, command: OutputCommand, now: Mono);
 
-    /// Ends the conversation: what was commanded last still goes out, and the board is asked to stop.
-    /// Takes a bounded time.
+    /// Closes the connection: sends the last command, and requests the board to stop. Takes a bounded time.
     fn close(self) -> impl Future<Output = ()>;
 }

@@ -1,4 +1,4 @@
-//! The task: asks the source, maps channels, hands samples on, takes steering commands.
+//! The acquisition task: reads the source, maps channels, passes samples on, and sends steering commands.
 
 use std::sync::Arc;
 
@@ -19,45 +19,45 @@ use super::{Source, SourceError, SourceEvent};
 use crate::config::CalibrationContext;
 use crate::steering::outputs::Answers;
 
-/// What estimation gets, in order.
+/// Events for estimation, in order.
 #[derive(Debug)]
 pub enum SampleEvent {
     /// The source is ready.
     Up(Arc<Identity>),
-    /// A sample, and the scan that it was made of.
+    /// A sample, with its scan.
     Sample(Sample, Scan),
-    /// From here on, samples and poses mean something else.
+    /// Samples and poses have other settings from here on.
     Changed(Box<SettingsChange>),
-    /// No samples come, for this reason.
+    /// There are no samples, for this reason.
     Down(SourceError),
 }
 
-/// What samples and poses shall mean from now on. It goes the way of the samples, so that each of them is
-/// read with the settings that belong to it.
+/// New settings for samples and poses. A change is passed in order with the samples, so that each sample is
+/// evaluated with its own settings.
 #[derive(Debug)]
 pub struct SettingsChange {
-    /// Another channel map; taken out on its way.
+    /// A new channel map; applied and removed by acquisition.
     pub channels: Option<Channels>,
-    /// For estimation.
+    /// New settings of estimation.
     pub settings: trifacet_core::estimation::Settings,
-    /// What says so, for who keeps a record.
+    /// The settings as recorded.
     pub context: Arc<CalibrationContext>,
-    /// Hears that it is so.
+    /// Receives a message when the change is in effect.
     pub done: oneshot::Sender<()>,
 }
 
-/// The edges of the task.
+/// Channels of the task.
 #[derive(Debug)]
 pub struct AcquisitionLinks {
     /// Samples in order, to estimation.
     pub samples: mpsc::Sender<SampleEvent>,
-    /// The newest, to centering.
+    /// The newest sample, to centering.
     pub newest: watch::Sender<Option<Sample>>,
-    /// What the source says of its steering outputs, to their driver.
+    /// Acknowledgements of the steering outputs, to their driver.
     pub answers: watch::Sender<Answers>,
-    /// Steering commands, from there.
+    /// Steering commands, from the driver.
     pub commands: watch::Receiver<Option<OutputCommand>>,
-    /// Changes of what samples mean, from outside of the fast side.
+    /// Changes of settings, from outside the fast side.
     pub changes: mpsc::Receiver<SettingsChange>,
 }
 
@@ -92,18 +92,18 @@ pub async fn run<S: Source, C: Clock>(
     source.close().await;
 }
 
-/// What happens to an event.
+/// Handling of events.
 struct Intake {
     mapping: Mapping,
     counters: Arc<Counters>,
     samples: mpsc::Sender<SampleEvent>,
     newest: watch::Sender<Option<Sample>>,
     answers: watch::Sender<Answers>,
-    /// Scans are coming.
+    /// Scans are arriving.
     up: bool,
-    /// Samples that estimation had no room for since the last one it took.
+    /// Samples dropped because the queue to estimation was full, since the last one that was passed on.
     dropped: u32,
-    /// A change that estimation had no room for: no sample goes before it.
+    /// A change that waits for room in the queue to estimation: no sample may overtake it.
     change: Option<Box<SettingsChange>>,
 }
 
@@ -145,7 +145,7 @@ impl Intake {
     }
 
     fn down(&mut self, down: SourceError) {
-        // One fault may have several reasons in turn: pulled, then not to be opened.
+        // One fault may have several reasons in turn: first unplugged, then impossible to open.
         if std::mem::replace(&mut self.up, false) {
             self.counters.source_downs.inc();
         }
@@ -157,11 +157,11 @@ impl Intake {
         if let Some(channels) = change.channels.take() {
             self.mapping.set_channels(channels);
         }
-        self.change = Some(Box::new(change)); // one that still waits here is out of date
+        self.change = Some(Box::new(change)); // an older one that still waits is obsolete
         self.pass_change();
     }
 
-    /// Whether no change is in the way.
+    /// Passes a waiting change on; returns false if the change still waits.
     fn pass_change(&mut self) -> bool {
         let Some(change) = self.change.take() else { return true };
         if let Err(TrySendError::Full(SampleEvent::Changed(change))) =
@@ -186,13 +186,13 @@ impl Intake {
                 self.counters.estimation_overflows.inc();
                 self.dropped = sample.lost.saturating_add(1);
             }
-            // Estimation has ended; the daemon sees that and ends too.
+            // Estimation has ended; the daemon detects that and ends too.
             Err(TrySendError::Closed(_)) => {}
         }
     }
 
-    /// News about the source. With no room left estimation has older samples to work on, and finds out
-    /// by the silence after them.
+    /// Passes on an event of the source. If the queue is full, estimation still has older samples to process,
+    /// and then detects the silence after them.
     fn tell(&self, news: SampleEvent) {
         if self.samples.try_send(news).is_err() {
             self.counters.estimation_overflows.inc();

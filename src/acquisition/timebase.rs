@@ -1,52 +1,51 @@
-//! Ticks of the board's clock to moments of the host's.
+//! From ticks of the board's clock to the monotonic time of the host.
 //!
-//! A scan arrives some time after it was taken: later by the wire, the USB stack and the scheduler,
-//! never earlier. The fastest arrivals therefore show the true relation of the two clocks, and the
-//! slow ones say nothing. So the arrivals are taken in blocks; the fastest of a block feeds a small
-//! Kalman filter of offset and drift, and an arrival that comes before its predicted time proves
-//! the prediction late at once. What remains is the fixed part of the way, which only the
-//! configuration can know (`latency_us`).
+//! A scan arrives some time after it was taken: delayed by the line, the USB stack and the scheduler, never
+//! early. The fastest arrivals therefore show the true relation of the two clocks; the slow ones contain no
+//! information. Arrivals are grouped into blocks. The fastest one of each block updates a Kalman filter of
+//! offset and drift. An arrival before its predicted time shows at once that the prediction is late. What
+//! remains is the constant part of the delay, which must be configured (`latency_us`).
 
 use trifacet_core::time::{Mono, NS_PER_S};
 
-/// One standard deviation of the offset at the start, nanoseconds: how late a first arrival may be.
+/// Standard uncertainty of the offset at the start, nanoseconds: the possible delay of a first arrival.
 const FIRST_SIGMA_NS: f64 = 1e6;
-/// One standard deviation of the drift at the start: cheap crystals are within 100 ppm.
+/// Standard uncertainty of the drift at the start: cheap crystals are within 100 ppm.
 const DRIFT_SIGMA: f64 = 100e-6;
-/// How the drift wanders with temperature, per square root of a second.
+/// Random walk of the drift (temperature), per square root of a second.
 const DRIFT_WANDER: f64 = 0.05e-6;
-/// How the offset wanders, nanoseconds per square root of a second.
+/// Random walk of the offset, nanoseconds per square root of a second.
 const OFFSET_WANDER_NS: f64 = 300.0;
-/// The least standard deviation of a block's fastest arrival, nanoseconds.
+/// Smallest standard uncertainty of the fastest arrival of a block, nanoseconds.
 const ARRIVAL_SIGMA_NS: f64 = 500.0;
-/// Fewest arrivals of a block: among so many one is fast.
+/// Smallest number of arrivals in a block: among this many, one is fast.
 const BLOCK_ARRIVALS: u32 = 16;
-/// A block is no longer than this once it has enough arrivals, nanoseconds.
+/// Longest duration of a block that has enough arrivals, nanoseconds.
 const BLOCK_NS: f64 = 0.25e9;
-/// Early blocks take this part of the time so far, so that the clock settles soon.
+/// Early blocks last this fraction of the elapsed time, so that the filter converges quickly.
 const BLOCK_PART: f64 = 0.25;
-/// A block whose fastest arrival is later than expected by so many standard deviations is not used.
+/// A block whose fastest arrival is later than predicted by this many standard uncertainties is rejected.
 const GATE: f64 = 5.0;
-/// After so many of them in a row the way itself has become longer.
+/// After this many rejections in a row, the delay itself has become longer.
 const REJECTED_IN_A_ROW: u32 = 8;
-/// While a correction makes the clock wait, it runs at this part of its speed.
+/// While a correction holds the time back, the time advances at this fraction of its normal rate.
 const SLOWEST: f64 = 0.5;
 
-/// The moment of a scan.
+/// The time of a scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moment {
-    /// When the scan was taken.
+    /// Time at which the scan was taken.
     pub time: Mono,
-    /// One standard deviation of it in nanoseconds.
+    /// Its standard uncertainty, nanoseconds.
     pub sigma_ns: f64,
 }
 
-/// The relation between the board's ticks and the host's clock.
+/// Relation between the ticks of the board and the clock of the host.
 #[derive(Clone, Debug)]
 pub struct Timebase {
     tick_ns: f64,
     latency_ns: i64,
-    /// Never answer with an earlier moment.
+    /// No earlier time is returned.
     floor: Option<Mono>,
     state: Option<State>,
 }
@@ -55,27 +54,27 @@ pub struct Timebase {
 struct State {
     last_tick: u32,
     last_arrival: Mono,
-    /// The first arrival; all that follows counts from there.
+    /// The first arrival; the origin of the filter.
     origin: Mono,
-    /// Device time since the first scan, nanoseconds by the board's own clock.
+    /// Time since the first scan by the clock of the board, nanoseconds.
     device_ns: f64,
     filter: Filter,
     block: Block,
-    /// How much this block's fastest arrival came before the prediction: zero or negative.
+    /// How early the fastest arrival of this block was relative to the prediction, nanoseconds: zero or
+    /// negative.
     early_ns: f64,
-    /// The last answer, and the device time it belongs to.
+    /// The last returned time, and its device time.
     given: Option<(Mono, f64)>,
 }
 
 impl Timebase {
-    /// For a clock of `tick_hz`. `latency_ns` is the fixed part of the way from the scan to its
-    /// arrival. No moment before `floor` is ever given out (that of the last scan before a reconnect).
+    /// A relation for a clock of `tick_hz`. `latency_ns` is the constant part of the delay from the scan to
+    /// its arrival. No time before `floor` (the time of the last scan before a reconnect) is returned.
     pub fn new(tick_hz: u32, latency_ns: i64, floor: Option<Mono>) -> Self {
         Self { tick_ns: NS_PER_S as f64 / f64::from(tick_hz), latency_ns, floor, state: None }
     }
 
-    /// When the scan with this tick was taken, having arrived at `arrival`. Ticks and arrivals come
-    /// in order.
+    /// Time of the scan with this tick that arrived at `arrival`. Ticks and arrivals must be in order.
     pub fn moment(&mut self, tick: u32, arrival: Mono) -> Moment {
         let tick_ns = self.tick_ns;
         let state = self.state.get_or_insert_with(|| State::new(tick, arrival));
@@ -91,7 +90,7 @@ impl Timebase {
         }
     }
 
-    /// How fast the board's clock is found to run: 10e-6 means that it gains 10 microseconds in a
+    /// Estimated rate error of the board's clock: 10e-6 means that the clock gains 10 microseconds per
     /// second.
     pub fn drift(&self) -> Option<f64> {
         self.state.as_ref().map(|state| -state.filter.drift)
@@ -127,13 +126,13 @@ impl State {
         }
     }
 
-    /// Host time of the newest scan, as if its way had taken no time.
+    /// Host time of the newest scan, as if the delay were zero.
     fn estimate(&self) -> Mono {
         self.origin + (self.device_ns + self.filter.offset_ns + self.early_ns).round() as i64
     }
 
-    /// Device time since the scan before. The ticks say it up to whole turns of their counter, the
-    /// arrivals say how many of these there were.
+    /// Device time since the previous scan, nanoseconds. The ticks give this time modulo the range of the
+    /// counter; the arrival times give the number of wraps.
     fn step(&self, tick: u32, arrival: Mono, tick_ns: f64) -> f64 {
         let turn_ns = (f64::from(u32::MAX) + 1.0) * tick_ns;
         let step_ns = f64::from(tick.wrapping_sub(self.last_tick)) * tick_ns;
@@ -147,9 +146,9 @@ impl State {
 struct Filter {
     /// Host time minus device time, from their common origin, nanoseconds.
     offset_ns: f64,
-    /// Its change, nanoseconds per nanosecond.
+    /// Rate of the offset, nanoseconds per nanosecond.
     drift: f64,
-    /// Of offset, of offset and drift, of drift.
+    /// Variance of the offset, covariance, variance of the drift.
     variance: [f64; 3],
     refused: u32,
 }
@@ -175,8 +174,8 @@ impl Filter {
         ];
     }
 
-    /// Takes in the fastest arrival of a block: how much later it came than predicted. A much later
-    /// one is only a busy host, unless it stays so; a much earlier one is always true.
+    /// Updates the filter with the delay of the fastest arrival of a block. A much longer delay means only a
+    /// busy host, unless it persists; a much shorter one is always true.
     fn update(&mut self, late_ns: f64, sigma_ns: f64) {
         let expected_ns = (self.variance[0] + sigma_ns * sigma_ns).sqrt();
         if late_ns.abs() > GATE * expected_ns {
@@ -195,7 +194,7 @@ impl Filter {
     }
 }
 
-/// A run of arrivals, of which the fastest counts.
+/// A series of arrivals, of which the fastest is used.
 #[derive(Clone, Debug, Default)]
 struct Block {
     arrivals: u32,
@@ -212,9 +211,9 @@ impl Block {
         self.duration_ns += step_ns;
     }
 
-    /// The lateness of the fastest arrival and its standard deviation, once the block is full.
-    /// The fastest of n arrivals is late by about an n-th of their mean lateness, whether that is
-    /// spread exponentially or evenly.
+    /// Delay of the fastest arrival and its standard uncertainty, nanoseconds, once the block is complete.
+    /// The fastest of n arrivals is delayed by about 1/n of their mean delay, whether the delay is
+    /// distributed exponentially or uniformly.
     fn close(&mut self, age_ns: f64) -> Option<(f64, f64)> {
         if self.arrivals < BLOCK_ARRIVALS || self.duration_ns < BLOCK_NS.min(age_ns * BLOCK_PART) {
             return None;
@@ -237,7 +236,7 @@ mod tests {
 
     const START: Mono = Mono(1_000_000_000_000);
 
-    /// A board whose clock gains 50 ppm, at the end of a way that takes 100 us more or less.
+    /// A board whose clock gains 50 ppm, with a delay of about 100 us.
     struct Board {
         timebase: Timebase,
         tick_hz: u32,
@@ -260,8 +259,8 @@ mod tests {
             }
         }
 
-        /// Takes a scan at `t_s`, delivers it `extra_ns` later than usual, and returns what the
-        /// timebase says and by how many nanoseconds it is wrong.
+        /// Takes a scan at `t_s`, delivers it `extra_ns` later than usual, and returns the result of the
+        /// timebase with its error in nanoseconds.
         fn scan(&mut self, t_s: f64, extra_ns: f64) -> (Moment, f64) {
             let ticks = (t_s * (1.0 + self.drift) * f64::from(self.tick_hz)).round() as u64;
             let tick = self.first_tick.wrapping_add(ticks as u32);

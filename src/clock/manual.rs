@@ -1,4 +1,4 @@
-//! A clock that only the test moves.
+//! A clock that is advanced by the test.
 
 use std::io;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use trifacet_core::time::{Clock, Mono};
 
 use super::pace::{Timer, Waiting};
 
-/// Stands still until it is advanced; its copies show the same time.
+/// Stands still until it is advanced; clones show the same time.
 #[derive(Clone, Debug)]
 pub(crate) struct ManualClock(Arc<watch::Sender<Mono>>);
 

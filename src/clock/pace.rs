@@ -1,7 +1,7 @@
-//! Real-time pacing: samples come due on an absolute schedule.
+//! Real-time pacing: samples become due on an absolute schedule.
 //!
-//! Tokio's own timers tick in milliseconds; here a `timerfd` wakes the task, to some microseconds.
-//! Nothing is ever skipped: whoever was late gets all samples that have come due in the meantime.
+//! Tokio's timers have a resolution of one millisecond. Here a `timerfd` wakes the task to within some
+//! microseconds. No sample is skipped: a task that was late gets all samples that have become due.
 
 use std::future::Future;
 use std::io;
@@ -18,22 +18,29 @@ use trifacet_core::time::{Clock, Mono, NS_PER_S};
 
 use super::SystemClock;
 
-/// Waits for a moment of one clock.
+/// Waits for a time of one clock.
 pub trait Timer {
-    /// Returns at `moment`, or at once if it has passed. Cancel-safe.
+    /// Returns at `moment`, or at once if that time has passed. Cancel-safe.
+    ///
+    /// # Errors
+    /// The system timer fails.
     fn until(&mut self, moment: Mono) -> impl Future<Output = io::Result<()>>;
 }
 
-/// A clock that can also be waited for.
+/// A clock with a timer.
 pub trait Waiting: Clock {
-    /// What waits.
+    /// Type of the timer.
     type Timer: Timer;
 
-    /// A timer of this clock. The system's must be made on the thread and in the tokio runtime that use it.
+    /// A timer of this clock. The timer of the system clock must be created on the thread and in the tokio
+    /// runtime that use it.
+    ///
+    /// # Errors
+    /// The system provides no timer.
     fn timer(&self) -> io::Result<Self::Timer>;
 }
 
-/// The moments `start + k / rate`, each computed from `k` so that rounding never adds up.
+/// The times `start + k / rate`, each computed from `k` so that rounding errors do not accumulate.
 #[derive(Clone, Copy, Debug)]
 pub struct Schedule {
     start: Mono,
@@ -41,20 +48,20 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// Sample 0 is due at `start`; the rate must be above 0.
+    /// A schedule with sample 0 at `start`; the rate must be above 0.
     pub fn new(start: Mono, rate_hz: f64) -> Self {
         Self { start, rate_hz }
     }
 
-    /// When sample `k` is due, to the nanosecond.
+    /// Time at which sample `k` is due, to the nanosecond.
     pub fn time(&self, k: u64) -> Mono {
         let ns = (k as f64 / self.rate_hz * NS_PER_S as f64).round();
         Mono(self.start.0.saturating_add(ns as i64))
     }
 
-    /// How many samples have come due since the start.
+    /// Number of samples that have become due since the start.
     pub fn count(&self, now: Mono) -> u64 {
-        // The estimate can be one off where `now` is a sample's own moment; `time` has the last word.
+        // The estimate may be off by one if `now` is the due time of a sample; `time` decides.
         let mut n = (now.seconds_since(self.start) * self.rate_hz) as u64;
         while n > 0 && self.time(n - 1) > now {
             n -= 1;
@@ -66,7 +73,7 @@ impl Schedule {
     }
 }
 
-/// Says when samples are due.
+/// Reports when samples are due.
 pub struct Pace<C: Waiting> {
     clock: C,
     timer: C::Timer,
@@ -76,19 +83,25 @@ pub struct Pace<C: Waiting> {
 
 impl<C: Waiting> Pace<C> {
     /// Starts now, with the first sample.
+    ///
+    /// # Errors
+    /// The system provides no timer.
     pub fn new(clock: C, rate_hz: f64) -> io::Result<Self> {
         let timer = clock.timer()?;
         let schedule = Schedule::new(clock.now(), rate_hz);
         Ok(Self { clock, timer, schedule, delivered: 0 })
     }
 
-    /// When the samples are due.
+    /// The schedule of the samples.
     pub fn schedule(&self) -> &Schedule {
         &self.schedule
     }
 
-    /// Waits until at least one more sample is due, and returns how many are. Each is returned once.
+    /// Waits until at least one more sample is due, and returns how many are. Each sample is returned once.
     /// Cancel-safe.
+    ///
+    /// # Errors
+    /// The system timer fails.
     pub async fn due(&mut self) -> io::Result<u64> {
         loop {
             let count = self.schedule.count(self.clock.now());
@@ -108,17 +121,20 @@ impl Waiting for SystemClock {
     }
 }
 
-/// A `timerfd` of the monotonic clock under tokio's reactor.
+/// A `timerfd` of the monotonic clock in tokio's reactor.
 #[derive(Debug)]
 pub struct TimerFd {
     fd: AsyncFd<OwnedFd>,
 }
 
 impl TimerFd {
-    /// Makes one on the current tokio runtime, and has the kernel wake the calling thread without slack.
+    /// A timer on the current tokio runtime; the timer slack of the calling thread is set to its minimum.
+    ///
+    /// # Errors
+    /// The system refuses the timer slack or the timer.
     #[expect(
         deprecated,
-        reason = "its replacement is unsafe for descriptors that can change; an owned one that nobody else holds cannot"
+        reason = "the replacement is unsafe because a descriptor may change; an owned one that is not shared cannot"
     )]
     pub fn new() -> io::Result<Self> {
         set_current_timer_slack(NonZeroU64::new(1))?;
@@ -139,7 +155,7 @@ impl Timer for TimerFd {
             let mut expirations = [0; 8];
             match ready.try_io(|fd| Ok(rustix::io::read(fd, &mut expirations)?)) {
                 Ok(read) => return read.map(drop),
-                // Readiness of an earlier wait that was given up.
+                // Readiness of an earlier wait that was cancelled.
                 Err(_would_block) => {}
             }
         }

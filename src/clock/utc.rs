@@ -1,10 +1,10 @@
-//! UTC by the clocks of this machine, through one [`SlewedOffset`].
+//! UTC from the clocks of this machine, through one [`SlewedOffset`].
 
 use rustix::time::{ClockId, clock_gettime};
 use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_core::utc::{Reading, SlewedOffset};
 
-/// UTC as the daemon keeps it: a [`SlewedOffset`] that looks at both clocks once a second.
+/// UTC of the daemon: a [`SlewedOffset`] that reads both clocks once a second.
 #[derive(Debug)]
 pub struct Utc {
     offset: SlewedOffset,
@@ -13,18 +13,19 @@ pub struct Utc {
 }
 
 impl Utc {
-    /// UTC by the clocks of this machine.
+    /// UTC from the clocks of this machine.
     pub fn system() -> Self {
         Self::reading(read_clocks)
     }
 
-    /// UTC by whatever `read` says.
+    /// UTC from the readings of `read`.
     pub fn reading(read: fn() -> Reading) -> Self {
         let start = read();
         Self { offset: SlewedOffset::new(start), read, due: start.0 + NS_PER_S }
     }
 
-    /// Nanoseconds of UTC since 1970 at `t`, and whether they can be trusted. `now` is the present moment.
+    /// Nanoseconds of UTC since 1970 at `t`, and whether they agree with the system clock. `now` is the
+    /// present time.
     pub fn at(&mut self, t: Mono, now: Mono) -> (i64, bool) {
         if now >= self.due {
             self.due = now + NS_PER_S;
@@ -40,15 +41,15 @@ impl Utc {
         match (was_synced, self.offset.synced()) {
             (true, false) => tracing::warn!(
                 error_ms,
-                "the system clock stepped; frames carry CLOCK_UNSYNCED while their time is slewed after it at 500 ppm"
+                "the system clock stepped; frames carry CLOCK_UNSYNCED while their time follows at 500 ppm"
             ),
-            (false, true) => tracing::info!("the time of the frames has caught up with the system clock"),
+            (false, true) => tracing::info!("the time of the frames agrees with the system clock again"),
             _ => {}
         }
     }
 }
 
-/// Reads both clocks as close together as the scheduler allows: the tightest of five attempts.
+/// Reads both clocks as close together as possible: the reading with the shortest interval of five attempts.
 pub fn read_clocks() -> Reading {
     let ns = |id| {
         let t = clock_gettime(id);
@@ -86,7 +87,8 @@ mod tests {
 
     #[test]
     fn utc_looks_at_the_clocks_once_a_second() {
-        // Claims that UTC is 3 s ahead from second 1 on: not seen before a second has passed.
+        // This clock reports UTC as 3 s ahead from second 1 on; the change is not seen before a second has
+        // passed.
         fn read() -> Reading {
             use std::sync::atomic::{AtomicI64, Ordering};
             static CALLS: AtomicI64 = AtomicI64::new(0);

@@ -1,4 +1,4 @@
-//! What may be claimed of the loop: what it said last, for as long as it makes heartbeats.
+//! The loop state for reports: the last one from the loop, as long as the loop beats.
 
 use std::sync::Arc;
 
@@ -6,11 +6,12 @@ use tokio::sync::watch;
 use trifacet_core::centering::LoopState;
 use trifacet_core::telemetry::heartbeat::{Heartbeats, Task};
 
-/// Looks without a turn after which the loop stands still. A look is a
-/// [`HEARTBEAT`](trifacet_core::telemetry::heartbeat::HEARTBEAT) at least, and so long may pass between two heartbeats.
+/// Number of checks without a heartbeat after which the loop counts as stalled. The interval between checks
+/// is at least one [`HEARTBEAT`](trifacet_core::telemetry::heartbeat::HEARTBEAT), which is also the longest
+/// interval between two heartbeats.
 const LOOKS: u32 = 3;
 
-/// What the loop tells estimation.
+/// Source of the loop state for estimation.
 #[derive(Debug)]
 pub struct Loop {
     said: watch::Receiver<LoopState>,
@@ -19,29 +20,29 @@ pub struct Loop {
 }
 
 impl Loop {
-    /// A loop that says this, and makes its turns here.
+    /// A source with this channel for the state, and these heartbeats.
     pub fn new(said: watch::Receiver<LoopState>, heartbeats: Arc<Heartbeats>) -> Self {
         Self { said, heartbeats, pulse: Pulse::default() }
     }
 
-    /// Looks whether it makes heartbeats; to be called with every heartbeat.
+    /// Checks for new heartbeats; to be called at each heartbeat of estimation.
     pub fn look(&mut self) {
         self.pulse.look(self.heartbeats.of(Task::Centering).count());
     }
 
-    /// What may be claimed of it now.
+    /// The loop state to report now.
     pub fn now(&self) -> LoopState {
         let said = *self.said.borrow();
         if self.pulse.stands_still() { said.without_observation() } else { said }
     }
 }
 
-/// Whether turns are made. Time is counted in looks, not read from a clock: after the whole thread stood
-/// still there is one look, and nobody is blamed.
+/// Detects missing heartbeats. Time is counted in checks, not read from a clock: if the whole thread was
+/// suspended, there is only one check afterwards, and the loop does not count as stalled.
 #[derive(Clone, Copy, Debug, Default)]
 struct Pulse {
     heartbeats: u64,
-    /// Looks since the last new turn.
+    /// Number of checks since the last new heartbeat.
     silent: u32,
 }
 

@@ -1,4 +1,4 @@
-//! The task: samples in, reports out, at once; and when no samples come, that.
+//! The estimation task: publishes a report for each sample or block, and for silence.
 
 pub mod loop_liveness;
 
@@ -18,30 +18,30 @@ use crate::acquisition::task::SampleEvent;
 use crate::estimation::loop_liveness::Loop;
 use crate::recording::EstimationRecorder;
 
-/// The edges of the task.
+/// Channels of the task.
 #[derive(Debug)]
 pub struct EstimationLinks<Publish> {
     /// Samples in order, from acquisition.
     pub samples: mpsc::Receiver<SampleEvent>,
-    /// Questions from outside of the fast side.
+    /// Requests from outside the fast side.
     pub questions: mpsc::Receiver<EstimationRequest>,
-    /// What the loop does, from centering.
+    /// State of the loop, from centering.
     pub steering: Loop,
-    /// The newest report, in the sensor's world, to centering.
+    /// The newest report, in the world frame of the head, to centering.
     pub newest: watch::Sender<Option<PoseReport>>,
     /// Every report, in the user's frame, to publishing.
     pub publish: Publish,
-    /// What goes in, for the record.
+    /// Inputs of estimation, for the recorder.
     pub recorder: EstimationRecorder,
 }
 
-/// What may be asked.
+/// Requests to estimation.
 #[derive(Debug)]
 pub enum EstimationRequest {
-    /// The last report that was published, if there was one.
+    /// The last published report, if there is one.
     Last(oneshot::Sender<Option<PoseReport>>),
-    /// The mean of so many poses in the sensor's world, from the next one on; the status of the first
-    /// report without one ends it. A second one of these questions ends the first.
+    /// The mean of this many poses in the world frame of the head, from the next one on. The first report
+    /// without a pose ends the request with its status. A second request of this kind ends the first.
     Mean(u32, oneshot::Sender<Result<Pose, Status>>),
 }
 
@@ -59,13 +59,13 @@ pub async fn run<C: Clock>(
     let mut mean: Option<PoseMean> = None;
     let mut warnings = WarningLatch::default();
     let mut heartbeat = interval(HEARTBEAT);
-    heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay); // one look after the thread has slept
+    heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay); // one check after the thread was suspended
     loop {
         let report = tokio::select! {
             biased;
             Some(question) = questions.recv() => {
                 match question {
-                    // Who does not wait for the answer any more does not need it.
+                    // A requester that no longer waits for the reply does not need it.
                     EstimationRequest::Last(reply) => drop(reply.send(last)),
                     EstimationRequest::Mean(count, reply) => mean = Some(PoseMean::new(count, reply)),
                 }
@@ -93,7 +93,7 @@ pub async fn run<C: Clock>(
                     let _ = change.done.send(());
                     None
                 }
-                // Said at once, not after the next silence.
+                // Reported at once, not after the next silence.
                 Some(SampleEvent::Down(down)) => {
                     silence_timer.silent();
                     let (now, steering) = (clock.now(), steering.now());
@@ -102,7 +102,8 @@ pub async fn run<C: Clock>(
                 }
             },
             () = sleep_until(silence_timer.next) => {
-                // The whole thread may have slept: what has come in the meantime has its turn first.
+                // The whole thread may have been suspended: samples that have arrived since then are handled
+                // first.
                 yield_now().await;
                 if !samples.is_empty() {
                     continue;
@@ -129,7 +130,7 @@ pub async fn run<C: Clock>(
     }
 }
 
-/// What the log says of the steering position, once each time.
+/// Warnings about the steering position, logged once per change.
 #[derive(Default)]
 struct WarningLatch {
     no_readback: bool,
@@ -145,12 +146,12 @@ impl WarningLatch {
     fn fusion(&self, fuses: bool) {
         if fuses && self.no_readback {
             tracing::warn!(
-                "estimation.fuse_steering: the source does not read the steering back, so there is nothing to fuse"
+                "estimation.fuse_steering: the source has no steering readback, so there is nothing to fuse"
             );
         }
     }
 
-    /// A report without a residual is no news.
+    /// A report without a residual changes nothing.
     fn report(&mut self, report: &PoseReport) {
         let Some(residual) = report.steering_residual else { return };
         let inconsistent = report.status.has(Status::INCONSISTENT);
@@ -170,7 +171,7 @@ impl WarningLatch {
     }
 }
 
-/// A mean that somebody waits for. The angles of a sensor are far from where they wrap around.
+/// A mean that was requested. The angles of a sensor are far from where they wrap.
 struct PoseMean {
     count: u32,
     left: u32,
@@ -184,7 +185,7 @@ impl PoseMean {
         Self { count, left: count, sum: [0.0; 6], reply }
     }
 
-    /// Takes a report; none when the answer was given.
+    /// Takes a report; returns `None` once the reply has been sent.
     fn push(mut self, report: &PoseReport) -> Option<Self> {
         let Some(pose) = report.pose else {
             let _ = self.reply.send(Err(report.status));
@@ -203,7 +204,7 @@ impl PoseMean {
     }
 }
 
-/// When silence is to be reported.
+/// Schedule of the reports during silence.
 struct SilenceTimer {
     times: SilenceTimes,
     next: Instant,

@@ -1,8 +1,8 @@
-//! Log lines for the journal, with their fields (`journalctl -u trifacet TASK=centering`).
+//! Log entries with fields for the journal (`journalctl -u trifacet TASK=centering`).
 //!
-//! Written here and not by a crate: the one that there is sends from the thread that logs, which may wait for
-//! the journal, and drops what it cannot send. Here a thread of its own sends, and what the journal does not
-//! take goes to standard error.
+//! The existing crate sends from the logging thread, which may have to wait for the journal, and drops what
+//! it cannot send. Here a separate thread sends, and entries that the journal does not accept go to standard
+//! error.
 
 use std::fmt::{Debug, Write as _};
 use std::io::{self, Write};
@@ -16,21 +16,22 @@ use tracing_appender::non_blocking::NonBlocking;
 use tracing_subscriber::Layer;
 use tracing_subscriber::layer::Context;
 
-/// Where the journal listens for entries with fields.
+/// Socket of the journal for entries with fields.
 pub(super) const SOCKET: &str = "/run/systemd/journal/socket";
 
-/// Whether standard error leads to the journal, as systemd says (`JOURNAL_STREAM`, device and inode).
+/// Whether standard error is connected to the journal, according to systemd (`JOURNAL_STREAM`, device and
+/// inode).
 pub(super) fn is_standard_error() -> bool {
     let Ok(stream) = std::env::var("JOURNAL_STREAM") else { return false };
     fstat(io::stderr()).is_ok_and(|file| stream == format!("{}:{}", file.st_dev, file.st_ino))
 }
 
-/// Makes an entry of each event.
+/// Converts each event into an entry.
 pub(super) struct Entries(pub NonBlocking);
 
 impl<S: Subscriber> Layer<S> for Entries {
     fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
-        // The queue drops what it has no room for, and never fails.
+        // The queue drops entries when it is full, and never fails.
         let _ = self.0.clone().write_all(&entry(event));
     }
 }
@@ -43,8 +44,11 @@ pub(super) struct Journal<E> {
 }
 
 impl<E: Write> Journal<E> {
-    /// A way to the journal at this socket. What it does not take is written to `otherwise`, as a line with
-    /// its priority in front.
+    /// Connects to the journal at this socket. Entries that it does not accept are written to `otherwise`, as
+    /// a line that starts with the priority.
+    ///
+    /// # Errors
+    /// There is no such socket, or it refuses the connection.
     pub fn connect(path: &Path, otherwise: E) -> io::Result<Self> {
         let socket = UnixDatagram::unbound()?;
         socket.connect(path)?;
@@ -55,7 +59,7 @@ impl<E: Write> Journal<E> {
 impl<E: Write> Write for Journal<E> {
     fn write(&mut self, entry: &[u8]) -> io::Result<usize> {
         if self.socket.send(entry).is_err() {
-            // It may have been started anew since.
+            // The journal may have been restarted.
             let again = self.socket.connect(&self.path).and_then(|()| self.socket.send(entry));
             if again.is_err() {
                 self.otherwise.write_all(&plain(entry))?;
@@ -72,7 +76,7 @@ impl<E: Write> Write for Journal<E> {
 /// The start of every entry, up to the length of its message.
 const HEAD: &[u8] = b"PRIORITY=p\nMESSAGE\n";
 
-/// An entry as bytes: priority and message first, so that [`plain`] finds them.
+/// Encodes an event: priority and message come first, so that [`plain`] finds them.
 fn entry(event: &Event<'_>) -> Vec<u8> {
     let metadata = event.metadata();
     let mut fields = Fields::default();
@@ -99,7 +103,7 @@ fn entry(event: &Event<'_>) -> Vec<u8> {
     bytes
 }
 
-/// A field in the form that allows any value.
+/// Appends a field in the form that allows any value.
 fn put(bytes: &mut Vec<u8>, name: &str, value: &str) {
     bytes.extend(name.as_bytes());
     bytes.push(b'\n');
@@ -108,7 +112,7 @@ fn put(bytes: &mut Vec<u8>, name: &str, value: &str) {
     bytes.push(b'\n');
 }
 
-/// Priority and message of an entry as a line, as systemd reads it from standard error.
+/// Priority and message of an entry as a line, in the form that systemd reads from standard error.
 fn plain(entry: &[u8]) -> Vec<u8> {
     let rest = entry.get(HEAD.len()..).unwrap_or_default();
     let (length, rest) = rest.split_first_chunk::<8>().unwrap_or((&[0; 8], &[]));
@@ -118,7 +122,7 @@ fn plain(entry: &[u8]) -> Vec<u8> {
     lines.flat_map(|line| [b"<", &[priority][..], b">", line, b"\n"].concat()).collect()
 }
 
-/// The fields of an event: each by its name in capitals, and all of them in a line for people.
+/// The fields of an event: each with its name in capitals, and all of them in a readable line.
 #[derive(Default)]
 struct Fields {
     line: String,
@@ -128,11 +132,11 @@ struct Fields {
 impl Fields {
     fn push(&mut self, field: &Field, value: String, quoted: bool) {
         if field.name() == "message" {
-            self.line.insert_str(0, &value); // it is told first, wherever it stands
+            self.line.insert_str(0, &value); // the message comes first, wherever it is recorded
             return;
         }
         let quote = if quoted { "\"" } else { "" };
-        // A String takes everything.
+        // Writing to a String cannot fail.
         let _ = write!(self.line, " {}={quote}{value}{quote}", field.name());
         self.named.push((capitals(field.name()), value));
     }
@@ -148,7 +152,7 @@ impl Visit for Fields {
     }
 }
 
-/// What the journal allows as the name of a field.
+/// The name of a field in the form that the journal allows.
 fn capitals(name: &str) -> String {
     let fine = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_uppercase() } else { '_' };
     name.chars().map(fine).collect::<String>().trim_start_matches('_').to_owned()
@@ -163,7 +167,7 @@ mod tests {
 
     use super::*;
 
-    /// What an event becomes.
+    /// The entry of an event.
     fn entry_of(log: impl FnOnce()) -> Vec<u8> {
         #[derive(Clone, Default)]
         struct Last(Arc<Mutex<Vec<u8>>>);

@@ -1,7 +1,8 @@
-//! Lines that come again and again: some of them, then a count.
+//! Limits repeated log lines.
 //!
-//! What a place in the code says in the same words, its fields aside, gets [`BURST`] lines in [`INTERVAL_S`]. What
-//! comes beyond that is counted, and said in one line when the interval is over. Debug and trace lines are for those who want them all.
+//! Lines from one place in the code with the same message, fields aside, are limited to [`BURST`] in
+//! [`INTERVAL_S`]. Further lines are counted, and one line reports their number at the end of the interval.
+//! Debug and trace lines are not limited.
 
 use std::collections::HashMap;
 use std::sync::mpsc::{self, Receiver, Sender};
@@ -17,19 +18,19 @@ use trifacet_core::time::{Clock, Mono, NS_PER_S};
 
 use crate::clock::SystemClock;
 
-/// Lines that the same words get in an interval.
+/// Largest number of lines per message and interval.
 const BURST: u32 = 20;
 const INTERVAL_S: i64 = 10;
-/// Sums are told under this name whatever the filter says: where nothing else is logged, there are none.
+/// Target of the summary lines, which the filter always admits: without log lines there are no summaries.
 pub(super) const ALWAYS: &str = "trifacet::logging=info";
 
-/// So many different words are remembered; beyond that, those are forgotten of which nothing is to be summed up.
+/// Number of remembered messages; beyond it, messages with nothing left to summarise are forgotten.
 const MOST: usize = 256;
 
-/// A place in the code, and its words.
+/// A place in the code, and its message.
 type Key = (Identifier, String);
 
-/// What was said lately in some words.
+/// Recent lines with one message.
 #[derive(Debug)]
 struct Place {
     began: Mono,
@@ -38,16 +39,19 @@ struct Place {
     level: Level,
 }
 
-/// Holds lines back. Its copies are one.
+/// Suppresses lines. Clones share their state.
 #[derive(Clone, Debug)]
 pub(super) struct Limiter {
     places: Arc<Mutex<HashMap<Key, Place>>>,
-    /// To the thread that sums up, and when.
+    /// To the thread that writes the summaries: message and time.
     sums: Sender<(Key, Mono)>,
 }
 
 impl Limiter {
-    /// With a thread that sums up; it sleeps while nothing is held back.
+    /// A limiter with a thread for the summaries; the thread sleeps while no lines are suppressed.
+    ///
+    /// # Errors
+    /// The thread cannot be started.
     pub fn start() -> std::io::Result<Self> {
         let (limiter, due) = Self::new();
         let summing = limiter.clone();
@@ -66,7 +70,7 @@ impl Limiter {
         (Self { places: Arc::default(), sums }, due)
     }
 
-    /// Whether this line is said now.
+    /// Whether this line is written now.
     fn admits(&self, event: &Event<'_>, now: Mono) -> bool {
         let metadata = event.metadata();
         let level = *metadata.level();
@@ -87,13 +91,13 @@ impl Limiter {
         }
         place.held_back += 1;
         if place.held_back == 1 {
-            // The thread lives as long as the process.
+            // The thread runs as long as the process.
             let _ = self.sums.send((key, place.began + INTERVAL_S * NS_PER_S));
         }
         false
     }
 
-    /// Says how many lines of a place were held back, if any were.
+    /// Reports the number of suppressed lines of one message, if there are any.
     fn sum_up(&self, key: &Key) {
         let sum = {
             let mut places = self.places.lock().unwrap_or_else(PoisonError::into_inner);
@@ -109,7 +113,7 @@ impl Limiter {
         }
     }
 
-    /// Says now what would be said at the end of the intervals.
+    /// Writes all pending summaries now.
     pub fn sum_up_all(&self) {
         let places: Vec<_> =
             self.places.lock().unwrap_or_else(PoisonError::into_inner).keys().cloned().collect();
@@ -122,14 +126,14 @@ impl Limiter {
 impl<S: Subscriber> Layer<S> for Limiter {
     fn event_enabled(&self, event: &Event<'_>, _: Context<'_, S>) -> bool {
         let metadata = event.metadata();
-        // Each of the three sums is a place of its own, which must not be held back.
+        // Each of the three summary calls is a place of its own, which must not be limited.
         *metadata.level() > Level::INFO
             || metadata.target() == "trifacet::logging"
             || self.admits(event, SystemClock.now())
     }
 }
 
-/// What an event says, without its fields.
+/// The message of an event, without its fields.
 fn message(event: &Event<'_>) -> String {
     struct Message(String);
     impl Visit for Message {
@@ -151,7 +155,7 @@ mod tests {
 
     use super::*;
 
-    /// Remembers lines.
+    /// Collects lines.
     #[derive(Clone, Default)]
     struct Lines(Arc<Mutex<Vec<String>>>);
 
@@ -178,17 +182,17 @@ mod tests {
         let said = || std::mem::take(&mut *lines.0.lock().unwrap());
         let count = |all: &[String], text| all.iter().filter(|line| *line == text).count();
         let first = said();
-        assert_eq!(count(&first, "lost: something else"), 1, "one place, and other words");
+        assert_eq!(count(&first, "lost: something else"), 1, "same place, another message");
         assert_eq!([count(&first, "lost: light"), count(&first, "once")], [BURST as usize, 1]);
         assert_eq!(count(&first, "all of these"), 1255);
         let (place, at) = due.try_recv().unwrap();
-        assert!(at > SystemClock.now() && due.try_recv().is_err(), "one sum, later");
+        assert!(at > SystemClock.now() && due.try_recv().is_err(), "one summary, later");
         limiter.sum_up(&place);
         limiter.sum_up_all();
         assert_eq!(said(), ["lost: light ... and 1234 more in the last 10 s"]);
     }
 
-    /// Asks a limiter at a time of its own, and counts what it admits.
+    /// Uses a limiter with a clock of its own, and counts admitted lines.
     struct Probe(Limiter, Arc<Mutex<(i64, u32)>>);
 
     impl<S: Subscriber> Layer<S> for Probe {
@@ -208,6 +212,6 @@ mod tests {
             (0..30).for_each(|_| tracing::info!("again"));
             assert_eq!(state.lock().unwrap().1, admitted, "at {now_s} s");
         }
-        assert_eq!(due.try_iter().count(), 1, "one sum for what nobody has summed up yet");
+        assert_eq!(due.try_iter().count(), 1, "one pending summary");
     }
 }

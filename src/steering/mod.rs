@@ -1,11 +1,11 @@
-//! What moves the laser: stages of two axes, behind one trait.
+//! Stages that steer the laser: two axes, behind one trait.
 //!
-//! - [`Driver`]: takes the newest command, tells what the stage says.
-//! - [`map`]: the steering matrix, what a movement of the stage does to the beam.
-//! - [`outputs`]: the two outputs of the board, or of the twin, which go the way of the samples back.
-//! - [`gcs`]: stages of PI at a controller of their own.
+//! - [`Driver`]: takes the newest command, and reports events of the stage.
+//! - [`outputs`]: the two outputs of the board or of the twin, on the connection of the samples.
+//! - [`gcs`]: stages of PI with a controller of their own.
 //!
-//! Positions are those of the stage's axes, metres.
+//! Positions are those of the axes of the stage, metres. The map to the beam is
+//! [`trifacet_core::steering::BeamMap`].
 
 pub mod gcs;
 pub mod outputs;
@@ -17,30 +17,29 @@ pub use outputs::Outputs;
 use trifacet_core::steering::{Command, Xy};
 use trifacet_wire::actuator::Ack;
 
-/// What a driver reports.
+/// Events of a driver.
 #[derive(Clone, Debug, PartialEq)]
 pub enum StageEvent {
-    /// The stage is there, perhaps again, or another one: it may stand anywhere.
+    /// The stage is ready, possibly after a fault or as a replacement: its position is unknown.
     Up,
-    /// The stage's answer to a command.
+    /// Acknowledgement of a command.
     Ack(Ack),
-    /// Where the stage says that it stands, metres. Stages whose position comes with the samples do
-    /// not report it.
+    /// Position that the stage reports, metres. Not used by stages whose position is part of the samples.
     At(Xy),
-    /// The stage does not take commands, for this reason. The driver keeps trying by itself.
+    /// The stage does not take commands, for this reason. The driver keeps trying on its own.
     Down(String),
 }
 
-/// A stage that takes positions.
+/// A driver of a stage.
 pub trait Driver {
-    /// Takes the newest command; an older one not yet sent is dropped. Never waits.
+    /// Takes the newest command; an older one that has not been sent yet is dropped. Never waits.
     fn steer(&mut self, command: Command);
 
-    /// The next thing to know. Cancel-safe: dropping the future loses nothing.
+    /// The next event. Cancel-safe: dropping the future loses nothing.
     fn next(&mut self) -> impl Future<Output = StageEvent>;
 }
 
-/// The stage of the configuration.
+/// The configured stage.
 #[derive(Debug)]
 pub enum StageDriver {
     /// The outputs of the board or the twin.

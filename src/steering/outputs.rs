@@ -1,8 +1,8 @@
-//! The two steering outputs of the board or the twin: commands become codes, and go back the way the
-//! samples come.
+//! The two steering outputs of the board or the twin: commands become output codes, on the connection of the
+//! samples.
 //!
-//! The lease is the board's: it holds or parks by itself when commands cease. The readback comes with
-//! the samples.
+//! The board handles the lease: it holds or parks on its own when commands stop. The readback is part of the
+//! samples.
 
 use std::sync::Arc;
 
@@ -13,29 +13,29 @@ use trifacet_wire::actuator::{Ack, OutputCommand};
 
 use super::{Driver, StageEvent};
 
-/// What the source says of its outputs.
+/// State of the outputs, as reported by the source.
 #[derive(Clone, Debug, Default)]
 pub struct Answers {
-    /// The source, as it last came up.
+    /// The source at its last `Up` event.
     pub source: Option<Arc<Identity>>,
-    /// Its last answer to a command.
+    /// The last acknowledgement.
     pub ack: Option<Ack>,
 }
 
-/// The driver of the source's own outputs.
+/// The driver of the outputs of the source.
 #[derive(Debug)]
 pub struct Outputs {
     /// Position at the full-scale code, metres.
     full_scale: f64,
     commands: watch::Sender<Option<OutputCommand>>,
     answers: watch::Receiver<Answers>,
-    /// What was told of the answers.
+    /// The source and the acknowledgement that have been reported.
     source: Option<Arc<Identity>>,
     ack: Option<Ack>,
 }
 
 impl Outputs {
-    /// For outputs whose full-scale code is at `full_scale` metres.
+    /// A driver for outputs whose full-scale code is at `full_scale` metres.
     pub fn new(
         full_scale: f64,
         commands: watch::Sender<Option<OutputCommand>>,
@@ -44,7 +44,7 @@ impl Outputs {
         Self { full_scale, commands, answers, source: None, ack: None }
     }
 
-    /// What is new, the source first.
+    /// The next unreported event; a new source comes first.
     fn news(&mut self) -> Option<StageEvent> {
         let answers = self.answers.borrow_and_update();
         if let Some(source) = &answers.source
@@ -62,7 +62,7 @@ impl Outputs {
 }
 
 impl Driver for Outputs {
-    /// Without a source there are no outputs, and nothing goes out.
+    /// Without a source there are no outputs, and the command is dropped.
     fn steer(&mut self, command: Command) {
         let Some(source) = &self.source else { return };
         self.commands.send_replace(Some(OutputCommand {
@@ -79,7 +79,7 @@ impl Driver for Outputs {
                 return event;
             }
             if self.answers.changed().await.is_err() {
-                std::future::pending::<()>().await; // acquisition has ended; the daemon sees that
+                std::future::pending::<()>().await; // acquisition has ended; the daemon detects that
             }
         }
     }
@@ -100,7 +100,7 @@ mod tests {
         let mut outputs = Outputs::new(500e-6, commands, answered);
         let command = |position| Command { id: 7, position, lease_ms: 200, on_expiry: LeaseAction::Park };
         outputs.steer(command([1e-6, 0.0]));
-        assert_eq!(*sent.borrow(), None, "there is nothing to steer yet");
+        assert_eq!(*sent.borrow(), None, "no source yet");
 
         let identity = Arc::new(Twin::new(&Config::default()).unwrap().identity().clone());
         answers.send_modify(|a| a.source = Some(identity));

@@ -1,5 +1,5 @@
-//! From light to codes: detectors, amplifiers, converter. The inverse of the channel map, plus what a
-//! channel map has to cope with: noise, dark offsets, a bowed scale, rails.
+//! From light to codes: detectors, amplifiers, converter. The inverse of the channel map, with the
+//! imperfections that the channel map must handle: noise, dark offsets, non-linearity (bow), rails.
 
 use rand::{Rng, RngExt};
 use rand_distr::StandardNormal;
@@ -9,15 +9,15 @@ use trifacet_wire::channel::{Converter, SIGNALS};
 use super::scene::Spot;
 use crate::config::{Config, PsdChannelsConfig};
 
-/// The random numbers of one scan, as standard deviations. Every scan draws all of them, whatever is
-/// used, so that neither faults nor the settings of other parts change the noise of later scans.
+/// The random numbers of one scan, in units of the standard deviation. Every scan draws all of them, whether
+/// used or not, so that neither faults nor the settings of other parts change the noise of later scans.
 #[derive(Clone, Copy, Debug)]
 pub struct Noise {
-    /// On u, v of A, B, C.
+    /// For u, v of A, B, C.
     pub spots: [f64; 6],
-    /// On the powers of A, B, C.
+    /// For the powers of A, B, C.
     pub powers: [f64; 3],
-    /// On the readback of the stage.
+    /// For the readback of the stage.
     pub readback: [f64; 2],
 }
 
@@ -30,7 +30,7 @@ impl Noise {
         Self { spots, powers, readback: [0; 2].map(&mut next) }
     }
 
-    /// So many times this noise on the light; the readback has its own.
+    /// The noise of the light multiplied by `factor`; the noise of the readback is unchanged.
     #[must_use]
     pub fn louder(self, factor: f64) -> Self {
         let louder = |x| factor * x;
@@ -47,9 +47,9 @@ pub struct Electronics {
     laser_mw: f64,
     power_mw_per_v: f64,
     power_noise: f64,
-    /// Metres of the stage per volt.
+    /// Readback of the stage, metres per volt.
     readback_per_v: f64,
-    /// Metres.
+    /// Standard uncertainty of the readback, metres.
     readback_noise: f64,
 }
 
@@ -60,14 +60,14 @@ struct Psd {
     dark_v: [f64; 3],
     /// Half the side of the sensitive area, metres.
     half_size: f64,
-    /// Metres.
+    /// Non-linearity at the middle of an edge, metres.
     bow: f64,
-    /// Metres.
+    /// Standard uncertainty of a spot coordinate, metres.
     noise: f64,
 }
 
 impl Electronics {
-    /// The twin's electronics behind PSDs of these half sizes (metres).
+    /// The electronics of the twin, for PSDs of these half sizes (metres).
     pub fn new(config: &Config, half_sizes: [f64; 3]) -> Self {
         let (twin, channels) = (&config.twin, &config.channels);
         let psds = channels.psds();
@@ -88,12 +88,12 @@ impl Electronics {
         }
     }
 
-    /// The converter behind every channel.
+    /// The converter of all channels.
     pub fn converter(&self) -> Converter {
         self.converter
     }
 
-    /// Power of the whole beam in watts, at full power.
+    /// Power of the whole beam at nominal laser power, watts.
     pub fn laser_w(&self) -> f64 {
         self.laser_mw * 1e-3
     }
@@ -112,20 +112,20 @@ impl Electronics {
         self.converter.code(volts + psd.dark_v[part])
     }
 
-    /// The code of the readback of one axis of the stage, which stands at `position` metres.
+    /// The code of the readback of one axis of the stage, at `position` metres.
     pub fn readback(&self, axis: usize, position: f64, noise: &Noise) -> i32 {
         self.converter.code((position + self.readback_noise * noise.readback[axis]) / self.readback_per_v)
     }
 
-    /// The code of a channel whose amplifier is stuck at its upper rail.
+    /// The code of a channel whose amplifier is at its upper rail.
     pub fn rail(&self) -> i32 {
         self.converter.full_scale() - 1
     }
 }
 
 impl Psd {
-    /// Volts of a position channel. Without light a divider puts out its noise about zero, a difference
-    /// amplifier nothing.
+    /// Volts of a position channel. Without light, a dividing amplifier outputs its noise about zero; a
+    /// difference amplifier outputs zero.
     fn position(&self, axis: usize, spot: Option<Spot>, sum_v: f64, noise: f64) -> f64 {
         let at = spot.map_or(0.0, |s| self.bowed(s.at)[axis]) + self.noise * noise;
         let unit = match self.channels.amplifier {
@@ -135,9 +135,9 @@ impl Psd {
         at / self.half_size * unit / self.channels.gain[axis]
     }
 
-    /// Where a spot at `at` seems to be. A lateral-effect detector stretches outwards with the cube of
-    /// the distance: `r' = r (1 + bow / half * (r / half)^2)`, so that a spot in the middle of an edge
-    /// reads `bow` further out, one in a corner twice that along each axis.
+    /// Measured position of a spot at `at`. A lateral-effect detector stretches outwards with the cube of the
+    /// distance: `r' = r (1 + bow / half * (r / half)^2)`. A spot at the middle of an edge is measured `bow`
+    /// too far out, a spot in a corner twice that along each axis.
     fn bowed(&self, at: [f64; 2]) -> [f64; 2] {
         let [x, y] = at.map(|a| a / self.half_size);
         let stretch = 1.0 + self.bow / self.half_size * (x * x + y * y);
@@ -145,7 +145,7 @@ impl Psd {
     }
 }
 
-/// The scan's channel of the stage's first axis.
+/// Channel of the first readback axis in a scan.
 pub const READBACK: usize = SIGNALS.len();
 
 #[cfg(test)]

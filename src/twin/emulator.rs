@@ -1,5 +1,4 @@
-//! A serial board with the twin behind it: the board's side of `docs/board-protocol.md`, without the
-//! wire.
+//! A serial board with the twin behind it: the board side of `docs/board-protocol.md`, without the port.
 
 use serde::Serialize;
 use trifacet_core::time::Mono;
@@ -10,27 +9,28 @@ use trifacet_wire::board::{Answer, BoardIdentity, Deframer, Request};
 use super::{Fate, OUTPUT_BITS, Outputs, Twin, TwinError, TwinScan};
 use crate::config::{Config, FaultKind};
 
-/// The board's clock, ticks per second.
+/// Clock of the board, ticks per second.
 const TICK_HZ: u32 = 10_000_000;
 
-/// Bytes that may wait for the wire. What comes on top is not sent, as on a board whose buffer is full.
+/// Largest number of bytes that wait to be written. Further frames are not sent, as on a board with a full
+/// buffer.
 const QUEUE: usize = 65_536;
 
-/// What moved the steering outputs last.
+/// The last cause of a motion of the steering outputs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Steering {
-    /// Nothing since power-up: they stand at zero.
+    /// None since power-up: the outputs are at zero.
     Idle,
-    /// A command whose lease is running.
+    /// A command whose lease is valid.
     Commanded,
-    /// The lease ran out, and they stayed.
+    /// An expired lease; the outputs stayed.
     Held,
-    /// The lease ran out, and they went to their parking position.
+    /// An expired lease; the outputs moved to their parking position.
     Parked,
 }
 
-/// What the board is doing.
+/// State of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct BoardState {
     /// Seconds since power-up.
@@ -41,37 +41,40 @@ pub struct BoardState {
     pub output_codes: [i32; 2],
     /// Position of the steering outputs in micrometres.
     pub output_um: [f64; 2],
-    /// What moved them last.
+    /// The last cause of their motion.
     pub steering: Steering,
-    /// Whether the lease of the last command has run out.
+    /// Whether the lease of the last command has expired.
     pub lease_expired: bool,
-    /// Scans given to the wire, also those that a fault damaged.
+    /// Scans given to the port, including those damaged by a fault.
     pub scans_sent: u64,
-    /// Scans that a fault or a full buffer kept back.
+    /// Scans not sent because of a fault or a full buffer.
     pub scans_unsent: u64,
-    /// Commands taken.
+    /// Accepted commands.
     pub commands_taken: u64,
-    /// Commands refused.
+    /// Rejected commands.
     pub commands_refused: u64,
 }
 
-/// A board, played. It samples from power-up on at the rate of its configuration.
+/// An emulated board. It samples from power-up on, at the configured rate.
 #[derive(Debug)]
 pub struct Emulator {
     twin: Twin,
     outputs: Outputs,
     deframer: Deframer,
-    /// Number of the next scan, while started.
+    /// Sequence number of the next scan, while started.
     sequence: Option<u32>,
     stalled: bool,
-    /// Frames that wait for the wire.
+    /// Bytes that wait to be written.
     out: Vec<u8>,
     start: Mono,
     state: BoardState,
 }
 
 impl Emulator {
-    /// A board that gets its power at `start`.
+    /// A board that is powered up at `start`.
+    ///
+    /// # Errors
+    /// As [`Twin::new`].
     pub fn new(config: &Config, start: Mono) -> Result<Self, TwinError> {
         let twin = Twin::new(config)?;
         let outputs = twin.outputs().clone();
@@ -91,32 +94,35 @@ impl Emulator {
         Ok(Self { twin, outputs, deframer, sequence: None, stalled: false, out, start, state })
     }
 
-    /// What the board is doing.
+    /// The state of the board.
     pub fn state(&self) -> BoardState {
         self.state
     }
 
-    /// Lets something go wrong for so many seconds, or for good.
+    /// Injects a fault for `for_s` seconds or, with `None`, without end.
+    ///
+    /// # Errors
+    /// A value of the fault is out of range.
     pub fn inject(&mut self, kind: FaultKind, for_s: Option<f64>) -> Result<(), TwinError> {
         self.twin.inject(kind, for_s)
     }
 
-    /// What is to be written next.
+    /// The bytes to write next.
     pub fn output(&self) -> &[u8] {
         &self.out
     }
 
-    /// So many bytes of the output are written.
+    /// Records that `bytes` bytes of the output have been written.
     pub fn written(&mut self, bytes: usize) {
         self.out.drain(..bytes);
     }
 
-    /// Nobody listens: what waits for the wire is gone.
+    /// No host is connected: discards the output.
     pub fn unheard(&mut self) {
         self.out.clear();
     }
 
-    /// Takes bytes that arrived at `now`. A stalled board does not listen.
+    /// Takes bytes that arrived at `now`. A stalled board ignores them.
     pub fn received(&mut self, mut bytes: &[u8], now: Mono) {
         if self.stalled {
             return;
@@ -196,7 +202,7 @@ impl Emulator {
         result
     }
 
-    /// What the outputs do by themselves when a lease runs out.
+    /// The action of the outputs when a lease expires.
     fn expire(&mut self, now: Mono) {
         match self.outputs.expire(now) {
             Some(LeaseAction::Park) => self.move_outputs(self.outputs.park(), now, Steering::Parked),
@@ -232,7 +238,7 @@ impl Emulator {
         (self.twin.identity().rate_hz * 1e3).round() as u32
     }
 
-    /// Gives a scan to the wire, if there is room.
+    /// Queues a scan for the port, if there is room.
     fn send_scan(&mut self, sequence: u32, scan: &TwinScan) -> bool {
         let begin = self.out.len();
         let sent = self.send(&Answer::Scan(BoardScan {
@@ -246,7 +252,7 @@ impl Emulator {
         }));
         if sent && scan.fate == Fate::Corrupted {
             let middle = usize::midpoint(begin, self.out.len());
-            // Damaged, and still one frame: a zero would make two of it.
+            // The damaged frame must remain one frame; a zero byte would split it.
             let byte = &mut self.out[middle];
             *byte = if *byte == 0x55 { 0xAA } else { *byte ^ 0x55 };
         }

@@ -1,31 +1,31 @@
-//! What goes wrong, and when.
+//! Faults of the twin, and their times.
 
 use trifacet_wire::channel::SIGNALS;
 
 use super::TwinError;
 use crate::config::{Fault, FaultKind};
 
-/// What becomes of a scan on its way to the host.
+/// The fate of a scan on its way to the host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Fate {
-    /// It arrives.
+    /// The scan arrives.
     #[default]
     Sent,
-    /// It never leaves the board.
+    /// The scan is not sent.
     Dropped,
-    /// It arrives damaged.
+    /// The scan arrives damaged.
     Corrupted,
     /// The board sends nothing at all.
     Stalled,
 }
 
-/// All faults, planned and injected.
+/// All faults, configured and injected.
 #[derive(Clone, Debug, Default)]
 pub struct Faults {
     list: Vec<Fault>,
 }
 
-/// What is wrong at one moment.
+/// The faults that are active at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Active {
     /// PSDs without light.
@@ -36,7 +36,7 @@ pub struct Active {
     pub dropped: f64,
     /// Fraction of the scans that is damaged.
     pub corrupted: f64,
-    /// Nothing is sent.
+    /// The board sends nothing.
     pub stalled: bool,
     /// The steering stage does not move.
     pub stuck: bool,
@@ -50,6 +50,9 @@ pub struct Active {
 
 impl Faults {
     /// The faults of the configuration.
+    ///
+    /// # Errors
+    /// A value of a fault is out of range; the error names its key.
     pub fn new(planned: &[Fault]) -> Result<Self, TwinError> {
         for (i, fault) in planned.iter().enumerate() {
             check(fault).map_err(|(key, reason)| TwinError::new(format!("twin.fault[{i}].{key}"), reason))?;
@@ -57,7 +60,10 @@ impl Faults {
         Ok(Self { list: planned.to_vec() })
     }
 
-    /// Adds a fault while running. Those that are over are forgotten.
+    /// Adds a fault at run time, and removes those that have ended.
+    ///
+    /// # Errors
+    /// A value of the fault is out of range.
     pub fn inject(&mut self, fault: Fault) -> Result<(), TwinError> {
         check(&fault).map_err(|(key, reason)| TwinError::new(format!("fault.{key}"), reason))?;
         self.list.retain(|f| end(f) > fault.at_s);
@@ -65,7 +71,7 @@ impl Faults {
         Ok(())
     }
 
-    /// What is wrong at `t_s`.
+    /// The faults at `t_s` seconds.
     pub fn active(&self, t_s: f64) -> Active {
         let mut active = Active::default();
         for fault in self.list.iter().filter(|f| f.at_s <= t_s && t_s < end(f)) {
@@ -92,7 +98,7 @@ impl Default for Active {
 }
 
 impl Active {
-    /// Decides on one scan with two random numbers from 0 to 1.
+    /// The fate of one scan, from two random numbers from 0 to 1.
     pub fn fate(&self, drop: f64, corrupt: f64) -> Fate {
         match () {
             () if self.stalled => Fate::Stalled,
@@ -120,7 +126,7 @@ impl Active {
     }
 }
 
-/// The probability that one of two independent things happens.
+/// The probability of at least one of two independent events.
 fn either(a: f64, b: f64) -> f64 {
     1.0 - (1.0 - a) * (1.0 - b)
 }

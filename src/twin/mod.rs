@@ -1,15 +1,14 @@
-//! The digital twin of the sensor: a mirror that moves, a laser on a steering stage, detectors, a
-//! converter, and what can go wrong with them. The same seed gives the same scans.
+//! The digital twin of the sensor: a moving mirror, a laser on a steering stage, detectors, a converter, and
+//! faults. The same seed gives the same scans.
 //!
-//! [`Twin`] is pure: it computes scan after scan for the times `index / rate`, as fast as it is asked.
-//! [`TwinSource`] runs it in real time; the board emulator and `trifacet simulate`
-//! use it too.
+//! [`Twin`] is pure: it computes scan after scan for the times `index / rate`, as fast as it is called.
+//! [`TwinSource`] runs it in real time. The board emulator and `trifacet simulate` also use it.
 //!
-//! - [`trajectory`]: how the mirror moves.
-//! - [`stage`], [`outputs`]: how the laser follows its commands.
-//! - [`scene`]: what the PSDs see.
+//! - [`trajectory`]: the motion of the mirror.
+//! - [`stage`], [`outputs`]: the response of the laser to its commands.
+//! - [`scene`]: the light on the PSDs.
 //! - [`electronics`]: from light to codes.
-//! - [`faults`]: what goes wrong.
+//! - [`faults`]: injected faults.
 //! - [`emulator`], [`pty`]: a serial board with the twin behind it.
 
 pub mod electronics;
@@ -42,16 +41,16 @@ use trifacet_wire::channel::{MAX_CHANNELS, Role, SIGNALS};
 
 use crate::config::{Config, Fault, FaultKind};
 
-/// The fastest rate of the twin, scans per second.
+/// The highest rate of the twin, scans per second.
 pub const MAX_RATE_HZ: f64 = 20_000.0;
 
-/// Why a twin cannot be made, or a fault not be injected.
+/// Error: the twin cannot be created, or a fault cannot be injected.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{key}: {reason}")]
 pub struct TwinError {
     /// The key in the configuration.
     pub key: String,
-    /// What is wrong, and what is allowed.
+    /// The error, and the allowed values.
     pub reason: String,
 }
 
@@ -61,25 +60,25 @@ impl TwinError {
     }
 }
 
-/// One scan of the twin, with what lies behind it.
+/// One scan of the twin, with the true state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TwinScan {
     /// Counts every scan from 0.
     pub index: u64,
-    /// When it is taken: `index / rate`, seconds since the twin's start.
+    /// Time of the scan: `index / rate`, seconds since the start of the twin.
     pub t_s: f64,
     /// The codes; only the first `Identity::roles.len()` are used.
     pub codes: [i32; MAX_CHANNELS],
-    /// Whether it arrives. The codes are those of the converter, also of a scan that does not.
+    /// Whether the scan arrives. The codes are valid also for a scan that does not arrive.
     pub fate: Fate,
-    /// The stage stands at one of its limits.
+    /// The stage is at one of its limits.
     pub output_railed: bool,
     /// Mirror, laser and light at `t_s`, before faults of detection.
     pub truth: Scene,
 }
 
 impl TwinScan {
-    /// What arrives of it, if it arrives, with the time at which it was taken.
+    /// The scan as received at this time, if it arrives.
     pub fn arrived(&self, time: Mono, lost: u32) -> Option<Scan> {
         (self.fate == Fate::Sent).then_some(Scan {
             index: self.index,
@@ -100,7 +99,7 @@ pub struct Twin {
     identity: Identity,
     trajectory: Trajectory,
     laser_rest: [f64; 2],
-    /// What the axes of the stage do to the laser.
+    /// Motion of the laser per motion of the stage axes.
     matrix: [[f64; 2]; 2],
     stage: StageSim,
     outputs: Outputs,
@@ -113,7 +112,10 @@ pub struct Twin {
 }
 
 impl Twin {
-    /// The twin that the configuration describes, at rest before its first scan.
+    /// The twin of this configuration, at rest before its first scan.
+    ///
+    /// # Errors
+    /// A value of the configuration is not possible; the error names its key.
     pub fn new(config: &Config) -> Result<Self, TwinError> {
         let (twin, seed) = (&config.twin, config.twin.seed);
         let rate_hz = config.acquisition.rate_hz;
@@ -141,12 +143,12 @@ impl Twin {
         })
     }
 
-    /// What the twin says of itself as a source.
+    /// The identity of the twin as a source.
     pub fn identity(&self) -> &Identity {
         &self.identity
     }
 
-    /// The board's steering outputs: codes to metres, range, leases and parking position.
+    /// The steering outputs of the board: codes to metres, range, leases and parking position.
     pub fn outputs(&self) -> &Outputs {
         &self.outputs
     }
@@ -156,7 +158,7 @@ impl Twin {
         self.index
     }
 
-    /// Seconds from the twin's start to the next scan.
+    /// Time of the next scan, seconds since the start of the twin.
     pub fn next_s(&self) -> f64 {
         self.index as f64 / self.rate_hz
     }
@@ -166,18 +168,21 @@ impl Twin {
         self.electronics.laser_w()
     }
 
-    /// A steering command in output codes, given at `t_s` seconds since the twin's start. Range and
-    /// lease are the board's business: [`Outputs`].
+    /// A steering command in output codes, given at `t_s` seconds since the start of the twin. Range and
+    /// lease are checked by [`Outputs`].
     pub fn steer(&mut self, codes: [i32; 2], t_s: f64) {
         self.stage.command(self.outputs.metres(codes), t_s);
     }
 
-    /// Lets something go wrong from the next scan on, for so many seconds or for good.
+    /// Injects a fault from the next scan on, for `for_s` seconds or, with `None`, without end.
+    ///
+    /// # Errors
+    /// A value of the fault is out of range.
     pub fn inject(&mut self, kind: FaultKind, for_s: Option<f64>) -> Result<(), TwinError> {
         self.faults.inject(Fault { at_s: self.next_s(), for_s, kind })
     }
 
-    /// The mirror stands at this pose from the next scan on, whatever was to move it.
+    /// Holds the mirror at this pose from the next scan on, instead of its configured motion.
     pub fn place(&mut self, pose: Pose) {
         self.trajectory = Trajectory::rest(pose);
     }
@@ -195,7 +200,7 @@ impl Twin {
         for (channel, code) in codes.iter_mut().enumerate().take(self.identity.roles.len()) {
             if channel > 0 && self.skew_s > 0.0 {
                 let t_s = t_s + channel as f64 * self.skew_s;
-                faults.power = self.faults.active(t_s).power; // the laser does not wait for the end of a scan
+                faults.power = self.faults.active(t_s).power; // the power may change within a scan
                 moment = self.moment(t_s, &faults);
             }
             *code = self.code(channel, &moment, &faults, &noise);
@@ -203,7 +208,7 @@ impl Twin {
         TwinScan { index, t_s, codes, fate, output_railed: self.stage.railed(), truth }
     }
 
-    /// Mirror, laser and light at `t_s`, and where the stage stands.
+    /// Mirror, laser and light at `t_s`, and the position of the stage.
     fn moment(&mut self, t_s: f64, faults: &Active) -> (Scene, [f64; 2]) {
         let stage = self.stage.advance(t_s, faults.stuck);
         let moved = self.matrix.map(|row| row[0] * stage[0] + row[1] * stage[1]);
@@ -232,7 +237,7 @@ impl Twin {
     }
 }
 
-/// An independent stream of random numbers for each use of a seed.
+/// An independent random stream for each use of a seed.
 fn random(seed: u64, stream: u64) -> Pcg64 {
     Pcg64::seed_from_u64(seed ^ stream.wrapping_mul(0x9E37_79B9_7F4A_7C15))
 }
@@ -254,8 +259,8 @@ fn identity(config: &Config, electronics: &Electronics) -> Identity {
     }
 }
 
-/// What would break the twin. The ranges that make sense are the business of the configuration, which
-/// has been checked when it comes from a file.
+/// Checks the values that would break the twin. The useful ranges are checked with the configuration, if it
+/// comes from a file.
 fn check(config: &Config) -> Result<(), TwinError> {
     let bits = config.twin.converter_bits;
     let rate_hz = config.acquisition.rate_hz;

@@ -1,4 +1,4 @@
-//! The board's side of steering: which commands it takes, and what it does when a lease runs out.
+//! The steering outputs of a board: which commands it accepts, and what it does when a lease expires.
 
 use trifacet_core::time::Mono;
 use trifacet_wire::actuator::{LeaseAction, OutputCommand};
@@ -29,13 +29,13 @@ impl Outputs {
         Self { step: step_um * 1e-6, park: steering.park_um.map(code), lease: None }
     }
 
-    /// Where these codes lead, metres.
+    /// The position for these codes, metres.
     pub fn metres(&self, codes: [i32; 2]) -> [f64; 2] {
         codes.map(|code| f64::from(code) * self.step)
     }
 
-    /// Whether the board takes this command; its codes must be within the range of the outputs. A
-    /// refused command changes nothing, the lease included.
+    /// Whether the board accepts this command; its codes must be within the range of the outputs. A rejected
+    /// command changes nothing, the lease included.
     #[must_use]
     pub fn take(&mut self, command: &OutputCommand, now: Mono) -> bool {
         let accepted = Self::in_range(command.codes);
@@ -45,18 +45,18 @@ impl Outputs {
         accepted
     }
 
-    /// The parking position from now on, in codes that are within range.
+    /// Sets the parking position, in codes within the range.
     pub fn set_park(&mut self, park: [i32; 2]) {
         self.park = park;
     }
 
-    /// Whether the outputs have these codes.
+    /// Whether the codes are within the range of the outputs.
     pub fn in_range(codes: [i32; 2]) -> bool {
         codes.iter().all(|code| (-FULL_SCALE..FULL_SCALE).contains(code))
     }
 
-    /// Says, once, that the lease of the last command has run out, and what follows: the outputs stay,
-    /// or go to [`Outputs::park`].
+    /// Reports once that the lease of the last command has expired, and the action: the outputs stay, or move
+    /// to [`Outputs::park`].
     #[must_use]
     pub fn expire(&mut self, now: Mono) -> Option<LeaseAction> {
         self.lease.take_if(|(end, _)| *end <= now).map(|(_, on_expiry)| on_expiry)

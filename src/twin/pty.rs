@@ -1,4 +1,4 @@
-//! The master's side of a pseudo-terminal: the wire of an emulated board.
+//! The master side of a pseudo-terminal: the line of an emulated board.
 
 use std::future::poll_fn;
 use std::io;
@@ -18,22 +18,25 @@ use trifacet_core::time::Clock;
 
 use super::Emulator;
 
-/// How often to look whether somebody has opened the other side.
+/// Interval of the checks whether the other side is open.
 const LOOK: Duration = Duration::from_millis(20);
 
-/// A pseudo-terminal whose slave a host may open, close and open again.
+/// A pseudo-terminal whose slave side a host may open, close and open again.
 #[derive(Debug)]
 pub struct Pty {
     master: Arc<OwnedFd>,
-    /// There while somebody has the other side open. After a hang-up the reactor would report
-    /// nothing else any more, so the descriptor is registered anew for each host.
+    /// Present while the other side is open. After a hang-up the reactor would report nothing else any more,
+    /// so the descriptor is registered again for each host.
     host: Option<AsyncFd<Arc<OwnedFd>>>,
     path: PathBuf,
     buffer: [u8; 1024],
 }
 
 impl Pty {
-    /// Makes a new one, raw from the start so that nothing is echoed.
+    /// A new pseudo-terminal, in raw mode from the start so that nothing is echoed.
+    ///
+    /// # Errors
+    /// The system provides no pseudo-terminal.
     pub fn open() -> io::Result<Self> {
         let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
         grantpt(&master)?;
@@ -48,13 +51,16 @@ impl Pty {
         Ok(Self { master: Arc::new(master), host: None, path, buffer: [0; 1024] })
     }
 
-    /// Path of the slave's side.
+    /// Path of the slave side.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Carries bytes to and from the board until something has arrived for it. Cancel-safe. Needs a
-    /// tokio runtime.
+    /// Transfers bytes to and from the board until some have arrived for it. Cancel-safe. Needs a tokio
+    /// runtime.
+    ///
+    /// # Errors
+    /// The system reports an error other than a hang-up.
     pub async fn exchange(&mut self, board: &mut Emulator, clock: &impl Clock) -> io::Result<()> {
         loop {
             self.look()?;
@@ -74,10 +80,10 @@ impl Pty {
         }
     }
 
-    /// Looks whether somebody has come.
+    /// Registers the descriptor if the other side has been opened.
     #[expect(
         deprecated,
-        reason = "its replacement is unsafe for descriptors that can change; an owned one that is never replaced cannot"
+        reason = "the replacement is unsafe because a descriptor may change; an owned one that is never replaced cannot"
     )]
     fn look(&mut self) -> io::Result<()> {
         if self.host.is_none() && is_open(&self.master)? {
@@ -87,14 +93,14 @@ impl Pty {
     }
 }
 
-/// Whether somebody has the other side open.
+/// Whether the other side is open.
 fn is_open(master: &OwnedFd) -> io::Result<bool> {
     let mut fds = [PollFd::new(master, PollFlags::IN)];
     poll(&mut fds, Some(&Timespec::default()))?;
     Ok(!fds[0].revents().contains(PollFlags::HUP))
 }
 
-/// Reads if there is something to read; writes what there is to write.
+/// Reads if data is available; writes the output of the board.
 fn poll_exchange(
     host: &AsyncFd<Arc<OwnedFd>>,
     buffer: &mut [u8],

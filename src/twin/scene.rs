@@ -1,8 +1,8 @@
-//! The light on the three PSDs, for a mirror and a laser at given places.
+//! The light on the three PSDs, for a position of the mirror and of the laser.
 
 use trifacet_optics::{Head, Model, Optics, Pose, Vec2, Vec3};
 
-/// The light on one PSD: the spot and its part of the beam.
+/// The light on one PSD: the spot and its fraction of the beam.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spot {
     /// u and v of the centroid, metres.
@@ -14,13 +14,13 @@ pub struct Spot {
 /// The state of mirror, laser and light at one moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scene {
-    /// The mirror.
+    /// Pose of the mirror.
     pub pose: Pose,
-    /// Where the beam crosses the plane z = 0 of the world, x and y, metres.
+    /// Point where the beam crosses the plane z = 0 of the world frame, x and y, metres.
     pub laser: [f64; 2],
     /// Beam centre minus apex, across the beam, metres.
     pub offset: Vec2,
-    /// What A, B and C see; `None` where no light falls on the sensitive area.
+    /// The light on A, B and C; `None` where no light falls on the sensitive area.
     pub spots: [Option<Spot>; 3],
 }
 
@@ -32,7 +32,7 @@ pub struct Lighting {
 }
 
 impl Lighting {
-    /// The head's optics, with light only on this radius (metres) around the apex.
+    /// The optics of the head, with a mirror of this radius (metres) around the apex.
     pub fn new(head: &Head, mirror_radius: f64) -> Self {
         Self { optics: Optics::new(head), mirror_radius }
     }
@@ -42,7 +42,7 @@ impl Lighting {
         self.optics.half_sizes()
     }
 
-    /// What the PSDs see. Light that misses the mirror or the sensitive area of a PSD is lost.
+    /// The light on the PSDs. Light that misses the mirror or the sensitive area of a PSD is lost.
     pub fn scene(&self, pose: Pose, laser: [f64; 2]) -> Scene {
         let offset = self.optics.across(Vec3::new(laser[0], laser[1], 0.0) - pose.t);
         let mut scene = Scene { pose, laser, offset, spots: [None; 3] };

@@ -1,4 +1,4 @@
-//! The twin in real time, as a source of scans like any board.
+//! The twin in real time, as a source of scans like a board.
 
 use std::collections::VecDeque;
 use std::io;
@@ -12,19 +12,19 @@ use super::{Fate, Outputs, Twin};
 use crate::acquisition::{Source, SourceError, SourceEvent};
 use crate::clock::pace::{Pace, Waiting};
 
-/// Runs a [`Twin`] on an absolute schedule. What its faults do to the link shows as it would with a
-/// board: a lost scan as a gap before the next one, silence as [`SourceError::Stalled`]. It counts what no
-/// event tells: lost scans, corrupted frames, leases that ran out.
+/// Runs a [`Twin`] on an absolute schedule. Faults of the link appear as with a board: a lost scan as a gap
+/// before the next one, silence as [`SourceError::Stalled`]. The source counts what has no event of its own:
+/// lost scans, corrupted frames, expired leases.
 pub struct TwinSource<C: Waiting> {
     twin: Twin,
     outputs: Outputs,
     pace: Pace<C>,
     counters: Arc<Counters>,
-    /// Happened, and not yet told.
+    /// Events that have not been returned yet.
     events: VecDeque<SourceEvent>,
-    /// Scans that are due and not yet taken.
+    /// Number of scans that are due and not yet taken.
     due: u64,
-    /// Scans lost since the last one that arrived.
+    /// Number of scans lost since the last one that arrived.
     lost: u32,
     /// Time of the last scan that arrived.
     heard: Mono,
@@ -35,8 +35,11 @@ pub struct TwinSource<C: Waiting> {
 }
 
 impl<C: Waiting> TwinSource<C> {
-    /// Starts the twin now. With the system's clock this must be called on the thread and in the tokio
-    /// runtime that will ask for events.
+    /// Starts the twin now. With the system clock, this must be called on the thread and in the tokio runtime
+    /// that will read the events.
+    ///
+    /// # Errors
+    /// The system provides no timer.
     pub fn new(twin: Twin, clock: C, counters: Arc<Counters>) -> io::Result<Self> {
         let rate_hz = twin.identity().rate_hz;
         let pace = Pace::new(clock, rate_hz)?;
@@ -98,7 +101,7 @@ impl<C: Waiting> Source for TwinSource<C> {
                 return event;
             }
             if self.due > 0 {
-                // Catching up: those who work on the scans must have their turn in between.
+                // While catching up, the tasks that process the scans must run in between.
                 tokio::task::yield_now().await;
             } else {
                 match self.pace.due().await {
@@ -109,7 +112,7 @@ impl<C: Waiting> Source for TwinSource<C> {
                             "the twin's timer failed: {e}"
                         )));
                     }
-                    // Said already, and without a timer nothing more can come.
+                    // Already reported; without a timer there are no more scans.
                     Err(_) => std::future::pending().await,
                 }
             }
@@ -124,7 +127,7 @@ impl<C: Waiting> Source for TwinSource<C> {
             let t_s = now.seconds_since(self.pace.schedule().time(0));
             self.twin.steer(command.codes, t_s);
         }
-        // A stalled board sends no answers either.
+        // A stalled board sends no acknowledgements either.
         if !self.stalled {
             self.events.push_back(SourceEvent::Ack(Ack { id: command.id, accepted }));
         }
@@ -165,7 +168,7 @@ mod tests {
     }
 
     impl Bench {
-        /// All that happens in so many milliseconds, with their time.
+        /// All events in this many milliseconds, with their time.
         async fn run(&mut self, ms: u32) -> Vec<SourceEvent> {
             let mut events = Vec::new();
             for _ in 0..ms {
@@ -175,7 +178,7 @@ mod tests {
             events
         }
 
-        /// All that is there without waiting.
+        /// All events that are available without waiting.
         async fn now(&mut self) -> Vec<SourceEvent> {
             let mut events = Vec::new();
             loop {
@@ -194,7 +197,7 @@ mod tests {
         }
     }
 
-    /// Longer than the source needs to catch up, in turns of the runtime: no clock is involved.
+    /// More iterations of the runtime than the source needs to catch up; no clock is involved.
     async fn patience() {
         for _ in 0..200 {
             tokio::task::yield_now().await;
@@ -205,7 +208,7 @@ mod tests {
         events.iter().filter_map(|e| if let SourceEvent::Scan(s) = e { Some(*s) } else { None }).collect()
     }
 
-    /// Position of the stage in micrometres by the readback of a scan.
+    /// Position of the stage in micrometres from the readback of a scan.
     fn readback_um(scan: &Scan) -> f64 {
         f64::from(scan.codes[9]) * 10.0 / f64::from(1 << 17) * 50.0
     }
@@ -233,7 +236,7 @@ mod tests {
         let silence = SourceEvent::Down(SourceError::Stalled { silence_ms: 20 });
         assert_eq!(events.iter().filter(|e| matches!(e, SourceEvent::Down(_))).count(), 1);
         let at = events.iter().position(|e| *e == silence).unwrap();
-        // Up and scans 0 to 99 come before; then scan 200 with the gap.
+        // Up and scans 0 to 99 come first; then scan 200 with the gap.
         assert_eq!(at, 101);
         let SourceEvent::Scan(first) = events[at + 1] else { panic!("{:?}", events[at + 1]) };
         assert_eq!((first.index, first.lost), (200, 100));

@@ -1,29 +1,30 @@
-//! The laser's steering stage: two axes that follow their commands late and slowly, up to a limit.
+//! The steering stage of the laser: two axes that follow their commands with a delay and a lag, up to a
+//! limit.
 
 use std::collections::VecDeque;
 
-/// How near to a limit counts as standing at it, metres.
+/// An axis closer to a limit than this is at the limit, metres.
 const AT_LIMIT: f64 = 1e-8;
 
 /// A two-axis stage with a dead time, a first-order lag and mechanical limits.
 ///
-/// Between commands each axis follows `x' = (target - x) / lag`, solved exactly, so the result does
-/// not depend on how often it is looked at.
+/// Between commands each axis follows `x' = (target - x) / lag`, solved exactly, so that the result does not
+/// depend on the times of the calls.
 #[derive(Clone, Debug)]
 pub struct StageSim {
     delay_s: f64,
     lag_s: f64,
     limit: f64,
-    /// Where the axes stand at `time_s`.
+    /// Position of the axes at `time_s`, metres.
     position: [f64; 2],
     target: [f64; 2],
     time_s: f64,
-    /// Commands under way: when they start to act, and where they lead. Ordered by time.
+    /// Commands that do not act yet: start time in seconds, and target. Ordered by time.
     pending: VecDeque<(f64, [f64; 2])>,
 }
 
 impl StageSim {
-    /// A stage at rest in its middle. Times in seconds, the limit in metres.
+    /// A stage at rest at its centre. Times in seconds, the limit in metres.
     pub fn new(delay_s: f64, lag_s: f64, limit: f64) -> Self {
         Self {
             delay_s,
@@ -36,15 +37,15 @@ impl StageSim {
         }
     }
 
-    /// A command given at `t_s`: go there (metres). It acts after the delay, and never before one
-    /// that was given earlier.
+    /// A command given at `t_s`: move to `target` (metres). The command acts after the delay, and never
+    /// before an earlier command.
     pub fn command(&mut self, target: [f64; 2], t_s: f64) {
         let last = self.pending.back().map_or(self.time_s, |(start, _)| *start);
         self.pending.push_back(((t_s + self.delay_s).max(last), target));
     }
 
-    /// Moves on to `t_s` (never back) and says where the axes stand, in metres. A stuck stage stays
-    /// where it is; it remembers its last command and follows it once it is free.
+    /// Advances to `t_s` (never back) and returns the position of the axes, metres. A stuck stage stays at
+    /// its position, and follows its last command when it is free again.
     pub fn advance(&mut self, t_s: f64, stuck: bool) -> [f64; 2] {
         while let Some(&(start, target)) = self.pending.front()
             && start <= t_s
@@ -57,7 +58,7 @@ impl StageSim {
         self.position
     }
 
-    /// Whether an axis stands at its limit.
+    /// Whether an axis is at its limit.
     pub fn railed(&self) -> bool {
         self.position.iter().any(|x| x.abs() >= self.limit - AT_LIMIT)
     }

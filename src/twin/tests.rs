@@ -1,4 +1,4 @@
-//! The twin as a whole: what its codes say about what it did.
+//! The twin as a whole: its codes against its true state.
 
 use super::*;
 use crate::config::{Fault, Motion};
@@ -74,7 +74,7 @@ fn faults_show_in_their_channels_alone_and_leave_later_noise_as_it_was() {
         let mut config = quiet();
         config.twin.fault = vec![Fault { at_s: 0.1, for_s: Some(0.1), kind }];
         let faulty = scans(&config, 300);
-        assert!(faulty[..100].iter().zip(&plain).all(|(a, b)| a == b), "{kind:?} came early");
+        assert!(faulty[..100].iter().zip(&plain).all(|(a, b)| a == b), "{kind:?} started early");
         assert!(faulty[200..].iter().zip(&plain[200..]).all(|(a, b)| a == b), "{kind:?} left a trace");
         faulty[100..200].to_vec()
     };
@@ -87,7 +87,7 @@ fn faults_show_in_their_channels_alone_and_leave_later_noise_as_it_was() {
     assert!(blocked.iter().all(|s| (0..3).all(|psd| no_light(s, psd))));
     let dark = faulty(FaultKind::PsdDark { psd: 1 });
     assert!(dark.iter().all(|s| no_light(s, 1)));
-    // With the beam centred, B's own u is 0 with or without light; v and the sum are not.
+    // With the beam centred, u of B is 0 with or without light; v and the sum are not.
     assert_eq!(changed(&dark).into_iter().filter(|c| !(3..6).contains(c)).count(), 0);
     let clipped = faulty(FaultKind::Clipped { channel: 7 });
     assert_eq!(changed(&clipped), [7]);
@@ -166,7 +166,7 @@ fn with_skew_each_channel_is_taken_at_its_own_time() {
     let mut twin = Twin::new(&config).unwrap();
     assert_eq!(twin.identity().skew_ns[10], 1_000_000);
     let scan = twin.next_scan();
-    // tz rises by 1 mm/s: 0.1 um from channel to channel. All v read the same height otherwise.
+    // tz rises by 1 mm/s: 0.1 um from channel to channel. All v would otherwise read the same height.
     let v = |psd: usize| volts(&scan, 3 * psd + 1) * 650.0;
     assert!((v(1) - v(0) - 0.3).abs() < 0.06 && (v(2) - v(1) - 0.3).abs() < 0.06);
     config.acquisition.rate_hz = 1000.0;

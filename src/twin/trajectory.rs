@@ -1,7 +1,7 @@
-//! How the mirror moves: a pose for every moment.
+//! The motion of the mirror: a pose for every time.
 //!
-//! Motions add up per axis; none is rest. Every motion, the vibration too, is a pure function of
-//! time, so that any moment can be asked for, in any order.
+//! Motions add up per axis; without a motion the axis is at rest. Every motion, including vibration, is a
+//! pure function of time, so that poses can be computed for any times in any order.
 
 use std::f64::consts::TAU;
 
@@ -12,8 +12,8 @@ use trifacet_optics::Pose;
 use super::{TwinError, random};
 use crate::config::{Motion, MotionKind};
 
-/// Sines that make up a vibration. With one in each of so many slices of the band, the sum is close to
-/// normally distributed and repeats only after the inverse of the slice's width, if at all.
+/// Number of sines in a vibration. With one sine in each of this many slices of the band, the sum is close to
+/// normally distributed, and repeats only after the inverse of the width of a slice, if at all.
 const VIBRATION_SINES: u32 = 40;
 
 /// The pose of the mirror as a function of time.
@@ -32,7 +32,7 @@ struct Movement {
     course: Course,
 }
 
-/// Amounts in metres or radians; waves in time since `from_s`.
+/// Amounts in metres or radians; waves as a function of the time since `from_s`.
 #[derive(Clone, Debug)]
 enum Course {
     Step(f64),
@@ -48,13 +48,16 @@ struct Wave {
 }
 
 impl Trajectory {
-    /// The sum of these motions; `seed` fixes frequencies and phases of the vibrations.
+    /// The sum of these motions; `seed` determines frequencies and phases of the vibrations.
+    ///
+    /// # Errors
+    /// A motion is incomplete or has a value out of range; the error names its key.
     pub fn new(motions: &[Motion], seed: u64) -> Result<Self, TwinError> {
         let movements = motions.iter().enumerate().map(|(i, motion)| movement(i, motion, seed));
         Ok(Self { movements: movements.collect::<Result<_, _>>()? })
     }
 
-    /// At this pose, always.
+    /// A constant pose.
     pub fn rest(pose: Pose) -> Self {
         let stay = |(axis, amount)| Movement {
             axis,
@@ -65,7 +68,7 @@ impl Trajectory {
         Self { movements: pose.to_array().into_iter().enumerate().map(stay).collect() }
     }
 
-    /// The pose at `t` seconds.
+    /// The pose at `t_s` seconds.
     pub fn pose(&self, t_s: f64) -> Pose {
         let mut pose = [0.0; 6];
         for m in &self.movements {
@@ -131,7 +134,7 @@ fn movement(i: usize, motion: &Motion, seed: u64) -> Result<Movement, TwinError>
     Ok(Movement { axis: motion.axis as usize, from_s: motion.from_s, until_s, course })
 }
 
-/// The amount in metres or radians; exactly the key that fits the axis must be there.
+/// The amount in metres or radians; only the key that fits the axis may be set.
 fn amount(motion: &Motion, error: impl Fn(&str, &str) -> TwinError) -> Result<f64, TwinError> {
     let (amount, stray, key) = if motion.axis.is_turn() {
         (motion.amount_urad, motion.amount_um, "amount_urad")
@@ -140,11 +143,11 @@ fn amount(motion: &Motion, error: impl Fn(&str, &str) -> TwinError) -> Result<f6
     };
     match (amount, stray) {
         (Some(micro), None) if micro.is_finite() => Ok(micro * 1e-6),
-        _ => Err(error(key, "must be there, finite, and the only amount: translations in um, turns in urad")),
+        _ => Err(error(key, "must be set, finite, and the only amount: translation in um, rotation in urad")),
     }
 }
 
-/// Noise between two frequencies with this rms: one sine at a random place in each slice of the band.
+/// Noise between two frequencies with this rms: one sine at a random frequency in each slice of the band.
 fn vibration(rms: f64, low: f64, high: f64, rng: &mut Pcg64) -> Vec<Wave> {
     let width = (high - low) / f64::from(VIBRATION_SINES);
     let amplitude = rms * (2.0 / f64::from(VIBRATION_SINES)).sqrt();

@@ -108,7 +108,7 @@ fn a_stage_is_taken_over_where_it_stands_again_and_again() {
     controller.moved(3);
     for elsewhere in [[40.0, 20.0], [-30.0, -75.0]] {
         controller.state().trouble = Trouble::HangingUp;
-        down(&mut daemon, "the other side has closed it");
+        down(&mut daemon, "the other side has closed the connection");
         let before = controller.state().moves.len();
         controller.state().position = elsewhere; // by hand
         controller.state().trouble = Trouble::None;
@@ -155,12 +155,12 @@ fn whatever_a_controller_does_is_said_and_when_it_is_over_the_stage_is_back() {
         (Trouble::Silent("POS?"), "no answer to POS? 1 2 within 200 ms"),
         (Trouble::Silent("ERR?"), "no answer to "),
         (Trouble::Slow(Duration::from_millis(300)), "within 200 ms"),
-        (Trouble::WrongAxis, "where 1= and 2=, each with"),
+        (Trouble::WrongAxis, "expected 1= and 2=, each with"),
         (Trouble::NotANumber, "1=nan 2=nan"),
         (Trouble::Refusing(5), "error 5: the axis is not referenced, or its servo is off"),
-        (Trouble::Garbage, "the byte 0x00, which is no text"),
-        (Trouble::Twice, "after its end"),
-        (Trouble::HangingUp, "the other side has closed it"),
+        (Trouble::Garbage, "the byte 0x00 is not text"),
+        (Trouble::Twice, "after the end of the answer"),
+        (Trouble::HangingUp, "the other side has closed the connection"),
     ] {
         let moves = controller.state().moves.len();
         controller.moved(moves + 1);
@@ -211,7 +211,7 @@ fn a_stage_that_cannot_be_used_is_not_moved_until_it_can() {
     down(&mut daemon, "the servo of axis 1 is off: switch it on, or let trifacet do it");
     assert!(controller.state().moves.is_empty(), "{:?}", controller.state().heard);
     set(|state| (state.servo, state.position) = (true, [0.0, 5000.0]));
-    down(&mut daemon, "axis 2 says that it stands at 5000 um, and that it travels from -90 to 90 um");
+    down(&mut daemon, "axis 2 reports the position 5000 um, outside its travel from -90 to 90 um");
     assert!(controller.state().moves.is_empty(), "{:?}", controller.state().heard);
     set(|state| state.position = [0.0; 2]);
     up(&mut daemon);
@@ -287,6 +287,6 @@ fn on_a_serial_port_it_is_the_same_and_an_unplugged_cable_is_said() {
     down(&mut daemon, &port.display().to_string());
     daemon.signal(Signal::TERM);
     assert_eq!(daemon.end().code(), Some(0));
-    assert!(daemon.said("the stage takes no commands: it is left as it is"), "{:#?}", daemon.log);
+    assert!(daemon.said("the stage takes no commands: the last command was not sent"), "{:#?}", daemon.log);
     moves_um(&controller);
 }

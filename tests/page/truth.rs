@@ -105,9 +105,7 @@ fn without_a_board_there_are_no_samples_rather_than_no_light_and_nothing_is_meas
     let (_daemon, _stream, at) =
         daemon("acquisition.source = 'serial'\nacquisition.serial.port = '/nowhere/board'\n");
     let mut page = Browser::open(&format!("http://{at}/"), DESK);
-    page.until(
-        "document.querySelector('#verdict')?.innerText.includes('No valid pose: no samples come since')",
-    );
+    page.until("document.querySelector('#verdict')?.innerText.includes('No valid pose: no samples since')");
     page.until("document.querySelectorAll('#latency dd').length >= 5");
     let told = page.eval(
         "[...document.querySelectorAll('.psd .none, #balance .none, #latency dd, #beam-facts dd')].map((e) => e.textContent)",

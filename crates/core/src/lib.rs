@@ -1,9 +1,10 @@
-//! From converter codes to poses and steering commands. Pure: no clock, no socket, no file, no configuration file.
+//! From converter codes to poses and steering commands. Pure: no clock, no socket, no file.
 //!
-//! A [`Scan`](signals::Scan) of raw codes becomes a [`Sample`](signals::Sample) in metres and watts
-//! ([`channels`]). The centering loop turns samples into commands for the stage that steers the laser
-//! ([`centering`]). Estimation turns samples into pose reports ([`estimation`]). [`pipeline`] puts the three together;
-//! its page has an example.
+//! - [`channels`]: a [`Scan`](signals::Scan) of raw codes to a [`Sample`](signals::Sample) in metres and watts.
+//! - [`centering`]: samples to commands for the stage that steers the laser.
+//! - [`estimation`]: samples to pose reports. [`stamp`]: reports to frames.
+//! - [`pipeline`]: the three stages together, with an example.
+//! - [`signals`], [`steering`], [`time`], [`utc`], [`telemetry`]: types that these parts share.
 //!
 //! Lengths are metres, angles radians, times nanoseconds of the monotonic clock ([`time`]).
 

@@ -1,26 +1,26 @@
-//! What travels: raw scans from a converter, samples from the channel map.
+//! Signals between the parts of the daemon: raw scans from a converter, samples from the channel map.
 
 use serde::{Deserialize, Serialize};
 use trifacet_wire::channel::{Converter, MAX_CHANNELS, Role, SIGNALS};
 
 use crate::time::Mono;
 
-/// What a source says of itself before its first scan.
+/// Description of a source, reported before its first scan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Identity {
-    /// Name, firmware and serial number, as a person would want to read them.
+    /// Name, firmware and serial number, in readable form.
     pub name: String,
     /// Scans per second.
     pub rate_hz: f64,
-    /// The converter behind every channel.
+    /// The converter of all channels.
     pub converter: Converter,
     /// What each channel measures, in the order of the codes; 9 to 16 of them.
     pub roles: Vec<Role>,
-    /// When each channel is sampled, after the time of the scan; nanoseconds, same order.
+    /// Sampling time of each channel after the time of the scan; nanoseconds, same order.
     pub skew_ns: Vec<u32>,
     /// Resolution of the steering outputs in bits, sign included.
     pub output_bits: u8,
-    /// Whether the light is computed rather than measured (SIMULATED in the frames).
+    /// Whether the light is simulated, not measured (SIMULATED in the frames).
     pub simulated: bool,
 }
 
@@ -42,21 +42,21 @@ impl Identity {
 /// One scan of the converter: raw codes with their time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scan {
-    /// Counts every sample of the converter, also those that were lost; never goes back.
+    /// Counts every sample of the converter, lost ones included; never decreases.
     pub index: u64,
     /// When the scan was taken (not when it arrived).
     pub time: Mono,
-    /// One standard deviation of `time` in nanoseconds, if known.
+    /// Standard uncertainty of `time` in nanoseconds, if known.
     pub time_sigma_ns: Option<f64>,
-    /// Samples lost between this scan and the one before.
+    /// Samples lost between the previous scan and this one.
     pub lost: u32,
     /// The codes; only the first `Identity::roles.len()` have a meaning.
     pub codes: [i32; MAX_CHANNELS],
-    /// The stage stands at a limit of its own, as the board reports it.
+    /// The stage is at a limit of its own, as the board reports it.
     pub output_railed: bool,
 }
 
-/// What is known of one PSD in one sample. `Good` has a position; nothing else has.
+/// State of one PSD in one sample. Only `Good` has a position.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum PsdState {
     /// Light within limits.
@@ -64,7 +64,7 @@ pub enum PsdState {
     Good,
     /// The sum signal is below the threshold: no position exists.
     Low,
-    /// A channel stands at its rail.
+    /// A channel is at the rail of the converter.
     Clipped,
 }
 
@@ -92,7 +92,7 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// Whether this one comes after the one with that index, all that is known as lost counted.
+    /// Whether this sample directly follows the one with that index, known losses included.
     pub fn follows(&self, index: u64) -> bool {
         let between = self.index.checked_sub(index).and_then(|steps| steps.checked_sub(1));
         between.is_some_and(|between| u32::try_from(between).unwrap_or(u32::MAX) == self.lost)

@@ -1,4 +1,4 @@
-//! The frame of a report.
+//! Conversion of a report to a pose frame.
 
 use trifacet_optics::Pose;
 use trifacet_wire::frame::CLOCK_UNKNOWN;
@@ -7,7 +7,7 @@ use trifacet_wire::{PoseFrame, Status};
 use crate::estimation::PoseReport;
 use crate::time::Mono;
 
-/// What a frame says besides the report: who sends it, as what number, and when.
+/// The fields of a frame besides the report: sender, number and times.
 #[derive(Clone, Copy, Debug)]
 pub struct Stamp {
     /// As in [`PoseFrame::session`].
@@ -20,7 +20,7 @@ pub struct Stamp {
     pub time_ns: i64,
     /// Whether `time_ns` agrees with the system clock (else `CLOCK_UNSYNCED`).
     pub synced: bool,
-    /// The moment of sending.
+    /// The time of sending.
     pub sent: Mono,
 }
 
@@ -32,7 +32,8 @@ impl Stamp {
 }
 
 impl PoseReport {
-    /// The frame of this report. An unknown value becomes NaN; the frame has a pose exactly if it has `POSE_VALID`.
+    /// The frame of this report. An unknown value becomes NaN. The frame has a pose exactly if it has
+    /// `POSE_VALID`.
     pub fn frame(&self, stamp: Stamp) -> PoseFrame {
         let report = self;
         let pose = report.pose.filter(|_| report.status.has(Status::POSE_VALID));
@@ -121,7 +122,7 @@ mod tests {
         let frame = report.frame(late);
         assert_eq!(frame.send_delay_ns, u32::MAX);
         assert_eq!(frame.lost, u16::MAX);
-        assert_eq!(frame.clock_quality, CLOCK_UNKNOWN - 1, "known to be bad is not unknown");
+        assert_eq!(frame.clock_quality, CLOCK_UNKNOWN - 1, "a known bad quality is not unknown");
         assert!(frame.status.has(Status::CLOCK_UNSYNCED));
         let unknown = PoseReport { time_sigma_ns: None, ..report };
         assert_eq!(unknown.frame(late).clock_quality, CLOCK_UNKNOWN);

@@ -1,4 +1,4 @@
-//! The steering stage: its positions and commands, and the map from the stage to the beam and back.
+//! The steering stage: its positions and commands, and the map between stage and beam.
 
 use nalgebra::{Matrix2, Vector2};
 use trifacet_wire::actuator::LeaseAction;
@@ -6,27 +6,28 @@ use trifacet_wire::actuator::LeaseAction;
 /// Two axes, metres.
 pub type Xy = [f64; 2];
 
-/// Where the stage shall go.
+/// A target position for the stage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Command {
     /// Counts the commands of a daemon; the acknowledgement repeats it.
     pub id: u32,
-    /// Of both axes, metres. Always finite and within the limits of the configuration.
+    /// Position of both axes, metres. Always finite and within the limits of the configuration.
     pub position: Xy,
-    /// How long the command is good for, milliseconds, if the stage knows leases.
+    /// Validity of the command, milliseconds, for stages that support leases.
     pub lease_ms: u16,
-    /// What happens then.
+    /// The action when the lease expires.
     pub on_expiry: LeaseAction,
 }
 
-/// The codes, of so many bits, nearest to a position; `full_scale` is that of the full-scale code, metres.
+/// The codes, of `bits` bits, nearest to a position; `full_scale` is the position of the full-scale code,
+/// metres.
 pub fn codes(position: Xy, full_scale: f64, bits: u8) -> [i32; 2] {
     let full = f64::from(1_i32 << (bits - 1));
     position.map(|p| (p / full_scale * full).round().clamp(-full, full - 1.0) as i32)
 }
 
-/// The steering matrix with its origin: a stage at `q` puts the beam, seen across itself, at
-/// `s = origin + matrix q`. Metres.
+/// The steering matrix with its origin: a stage at `q` puts the beam, in the plane across the beam, at `s =
+/// origin + matrix q`. Metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BeamMap {
     matrix: Matrix2<f64>,
@@ -34,7 +35,7 @@ pub struct BeamMap {
     origin: Vector2<f64>,
 }
 
-/// The stage moves the beam by as much as itself, along its own axes.
+/// The identity: the beam moves with the stage, along the same axes.
 impl Default for BeamMap {
     fn default() -> Self {
         Self::new([[1.0, 0.0], [0.0, 1.0]], [0.0; 2])
@@ -42,29 +43,29 @@ impl Default for BeamMap {
 }
 
 impl BeamMap {
-    /// The map of a matrix (rows: x, y of the beam; columns: axes of the stage), which must have an inverse, and an
-    /// origin in metres.
+    /// The map of a matrix (rows: x, y of the beam; columns: axes of the stage), which must have an inverse,
+    /// and an origin in metres.
     pub fn new([[a, b], [c, d]]: [[f64; 2]; 2], origin: Xy) -> Self {
         let (matrix, origin) = (Matrix2::new(a, b, c, d), Vector2::from(origin));
         Self { matrix, inverse: matrix.try_inverse().unwrap_or_else(Matrix2::identity), origin }
     }
 
-    /// Where the beam is while the stage stands at `stage`.
+    /// Position of the beam for a position of the stage, metres.
     pub fn beam(&self, stage: Xy) -> Xy {
         (self.origin + self.matrix * Vector2::from(stage)).into()
     }
 
-    /// Where the stage must stand for the beam to be at `beam`.
+    /// Position of the stage that puts the beam at `beam`, metres.
     pub fn stage(&self, beam: Xy) -> Xy {
         (self.inverse * (Vector2::from(beam) - self.origin)).into()
     }
 
-    /// The movement of the stage that moves the beam by `step`; velocities likewise.
+    /// The motion of the stage that moves the beam by `step`; also for velocities.
     pub fn stage_step(&self, step: Xy) -> Xy {
         (self.inverse * Vector2::from(step)).into()
     }
 
-    /// The most by which the beam moves per length that the stage moves.
+    /// Largest motion of the beam per unit motion of the stage.
     pub fn largest_gain(&self) -> f64 {
         self.matrix.singular_values().max()
     }

@@ -1,7 +1,7 @@
-//! Time. Every moment is a [`Mono`]: nanoseconds of `CLOCK_MONOTONIC`, which never steps. UTC exists only at the
-//! edges, through one slewed offset ([`crate::utc`]).
+//! Time. Every moment is a [`Mono`]: nanoseconds of `CLOCK_MONOTONIC`, which never steps. UTC is used only
+//! for output, through one slewed offset ([`crate::utc`]).
 //!
-//! Code that needs the present moment takes a [`Clock`].
+//! Code that needs the present time takes a [`Clock`].
 
 use std::ops::{Add, Sub};
 
@@ -21,7 +21,7 @@ impl Mono {
     }
 }
 
-/// A moment so many nanoseconds later.
+/// A moment this many nanoseconds later.
 impl Add<i64> for Mono {
     type Output = Mono;
     fn add(self, ns: i64) -> Mono {
@@ -37,7 +37,7 @@ impl Sub for Mono {
     }
 }
 
-/// Whatever can say what time it is. Injected, so that tests own the time.
+/// A source of the present time. Injected, so that tests control the time.
 pub trait Clock: Clone + Send + Sync + 'static {
     /// The present moment.
     fn now(&self) -> Mono;

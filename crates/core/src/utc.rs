@@ -1,21 +1,21 @@
-//! UTC, at the edge: monotonic time plus one offset that only ever slews.
+//! UTC for output: monotonic time plus one offset that only slews.
 //!
-//! The offset follows the system clock at no more than 500 ppm, so that the time between two frames
-//! stays true to 0.05 % whatever happens to the system clock. A step of that clock is flagged and
-//! approached, never followed at once.
+//! The offset follows the system clock at no more than 500 ppm, so that the time between two frames is
+//! correct to 0.05 % whatever happens to the system clock. A step of that clock is flagged, and the offset
+//! approaches it at the slew rate.
 
 use crate::time::Mono;
 
 /// The slew is one part in this many: 500 ppm.
 const SLEW: i64 = 2000;
 
-/// Further away than this (1 ms), the system clock has stepped, and the offset does not stand for UTC.
+/// If the system clock is farther away than this (1 ms), it has stepped, and the time is not UTC.
 const STEP_NS: i64 = 1_000_000;
 
 /// A moment read from both clocks: monotonic, and nanoseconds of UTC since 1970.
 pub type Reading = (Mono, i64);
 
-/// One straight piece of the offset: it moves from `offset` by `change`, at the rate of the slew.
+/// One linear piece of the offset: it moves from `offset` by `change`, at the slew rate.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
     from: Mono,
@@ -30,10 +30,11 @@ impl Piece {
     }
 }
 
-/// The slewed offset. Pure: it is told what both clocks read, about once a second.
+/// The slewed offset. Pure: both clock readings are inputs, about once a second.
 #[derive(Clone, Copy, Debug)]
 pub struct SlewedOffset {
-    /// Samples are older than the last update; their time must not depend on when it came.
+    /// The previous piece. Samples are older than the last update, and their time must not depend on when the
+    /// update came.
     before: Piece,
     now: Piece,
 }
@@ -52,7 +53,7 @@ impl SlewedOffset {
         self.now = Piece { from: mono, offset, change: utc - mono.0 - offset };
     }
 
-    /// Nanoseconds of UTC since 1970 at a moment.
+    /// Nanoseconds of UTC since 1970 at this moment.
     pub fn utc_ns(&self, t: Mono) -> i64 {
         let piece = if t < self.now.from { &self.before } else { &self.now };
         t.0 + piece.offset_at(t)
@@ -63,7 +64,7 @@ impl SlewedOffset {
         self.now.change
     }
 
-    /// Whether the system clock is within 1 ms: false after it stepped, until the slew got there.
+    /// Whether the system clock is within 1 ms; false after a step, until the slew is complete.
     pub fn synced(&self) -> bool {
         self.error_ns().abs() <= STEP_NS
     }

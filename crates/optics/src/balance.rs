@@ -1,4 +1,4 @@
-//! The beam's offset from the three powers alone.
+//! The offset of the beam from the three powers alone.
 
 use nalgebra::Matrix2;
 
@@ -6,14 +6,17 @@ use super::beam::{DARK, Split};
 use super::estimate::total_power;
 use super::{Optics, Pose, SolveError, Vec2};
 
-/// Steps at most. From the apex three or four do.
+/// Largest number of steps. Three or four suffice near the apex.
 const MAX_STEPS: u8 = 20;
-/// The offset is found when it moves by less than this part of the beam's deviation.
+/// The iteration ends with a step below this fraction of the beam's sigma.
 const AT_REST: f64 = 1e-9;
 
 impl Optics {
-    /// The offset of the beam's centre from the apex (across the beam, metres) that explains the three
-    /// powers, given the orientation of the mirror. Linear in the offset, unlike the raw differences.
+    /// The offset of the beam centre from the apex (across the beam, metres) that explains the three powers,
+    /// for a known orientation of the mirror. Linear in the offset, unlike the raw differences.
+    ///
+    /// # Errors
+    /// A power is not finite or too small, the offset is out of range, or the iteration does not converge.
     pub fn offset_of_powers(&self, powers: &[f64; 3], pose: &Pose) -> Result<Vec2, SolveError> {
         let total = total_power(powers)?;
         let normals = self.mirror(pose.t, &pose.rotation()).normals;
@@ -55,7 +58,7 @@ mod tests {
             let offset = Vec2::new(r * angle.cos(), r * angle.sin());
             let (_, powers) = optics.trace_each(Model::Gaussian, &pose, offset);
             let found = optics.offset_of_powers(&powers, &pose).unwrap();
-            // At 300 um a facet gets 1e-4 of the beam, and rounding of the powers shows.
+            // At 300 um a facet gets 1e-4 of the beam, and the rounding of the powers becomes visible.
             assert!((found - offset).norm() < 1e-12 + 1e-9 * r, "{k}");
         }
     }

@@ -1,12 +1,12 @@
-//! How a Gaussian beam splits on the mirror.
+//! How the mirror splits a Gaussian beam.
 //!
-//! Seen along the beam each facet is a wedge with its tip at the apex, between two of the three edges of
-//! the pyramid. Its power and centroid follow in closed form from quantities of those edges alone, each
-//! of which serves two facets, so that the three powers add up to one exactly.
+//! Seen along the beam, each facet is a wedge with its tip at the apex, between two of the three edges of the
+//! pyramid. Its power and centroid follow in closed form from quantities of these two edges. Each edge serves
+//! two facets, so that the three powers add up to exactly one.
 //!
-//! Everything here is in the beam frame (light along -z) and across the beam; `d` is the offset of the
-//! beam's centre from the apex in units of the beam's standard deviation per axis, `sigma` (a quarter of
-//! the 1/e^2 diameter).
+//! Everything here is in the beam frame (light along -z) and across the beam. `d` is the offset of the beam
+//! centre from the apex in units of `sigma`, the standard deviation of the beam per axis (a quarter of the
+//! 1/e^2 diameter).
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 
@@ -14,20 +14,20 @@ use nalgebra::{Matrix2, Matrix2x3};
 
 use super::{Vec2, Vec3};
 
-/// Below this fraction of the beam a facet is dark: its light has no usable centroid.
+/// A facet with less than this fraction of the beam is dark: its light has no usable centroid.
 pub const DARK: f64 = 1e-12;
 
 /// 1/sqrt(2 pi).
 const INV_SQRT_TAU: f64 = 0.398_942_280_401_432_7;
 
-/// An edge of the pyramid with the light around it.
+/// An edge of the pyramid, with the light around it.
 #[derive(Clone, Copy, Debug)]
 struct Edge {
     /// Unit vector along the edge, away from the apex.
     e: Vec2,
     /// Unit vector across it, counter-clockwise.
     m: Vec2,
-    /// How the azimuth of the edge changes with a turn of the mirror.
+    /// Derivative of the azimuth of the edge with respect to a rotation of the mirror.
     turn: Vec3,
     /// `m . d`: distance of the beam from the edge.
     h: f64,
@@ -37,7 +37,7 @@ struct Edge {
     f: f64,
     /// Density at the apex.
     q: f64,
-    /// What the edge takes from the facet before it and gives to the one behind.
+    /// Power that the edge moves from the facet before it to the facet behind it.
     g: f64,
 }
 
@@ -46,14 +46,14 @@ struct Edge {
 pub struct Wedge {
     /// Fraction of the beam.
     pub power: f64,
-    /// First moment of the light about the beam's centre, in units of sigma; also dP/dd.
+    /// First moment of the light about the beam centre, in units of sigma; also dP/dd.
     pub moment: Vec2,
 }
 
 /// Derivatives of a [`Wedge`].
 #[derive(Clone, Copy, Debug)]
 pub struct WedgeSlopes {
-    /// dP/dw for a turn w of the mirror.
+    /// dP/dw for a rotation w of the mirror.
     pub power_turn: Vec3,
     /// d(moment)/dd.
     pub moment_offset: Matrix2<f64>,
@@ -69,7 +69,7 @@ pub struct Split {
 }
 
 impl Split {
-    /// The beam at offset `d` (in sigmas) on a mirror with these facet normals.
+    /// The beam at offset `d` (in units of sigma) on a mirror with these facet normals.
     ///
     /// Edge `i` lies between facet `i` and the next one counter-clockwise.
     #[inline(always)]
@@ -95,7 +95,7 @@ impl Split {
         Wedge { power: self.angles[facet] / TAU - hi.g + lo.g, moment: lo.m * lo.l - hi.m * hi.l }
     }
 
-    /// How the light on a facet changes with offset and turn.
+    /// Derivatives of the light on a facet with respect to offset and rotation.
     #[inline(always)]
     pub fn jacobian(&self, facet: usize) -> WedgeSlopes {
         let (lo, hi) = self.around(facet);
@@ -142,7 +142,7 @@ impl Edge {
 #[inline(always)]
 fn angle(from: Vec2, to: Vec2) -> f64 {
     let (sin, cos) = (from.perp(&to), from.dot(&to));
-    // About a third of a circle, as on every sensible mirror, the arc sine is four times cheaper.
+    // At about a third of a circle, as on all practical mirrors, the arc sine is four times cheaper.
     let (sin60, cos60) = (0.75_f64.sqrt(), 0.5);
     if sin * sin60 - cos * cos60 > cos60 {
         TAU / 3.0 - (cos * sin60 + sin * cos60).asin()
@@ -158,7 +158,8 @@ fn phi(x: f64) -> f64 {
 
 /// Owen's V: the standard normal probability of the triangle (0, 0), (h, 0), (h, b); odd in both.
 ///
-/// A power series near the apex; far from it, where the series cancels, Owen's T.
+/// A power series near the apex. Far from it, where the series cancels, Owen's T function. Source: D. B.
+/// Owen, "Tables for computing bivariate normal probabilities", Ann. Math. Statist. 27 (1956) 1075-1090.
 #[inline(always)]
 fn owen_v(h: f64, b: f64) -> f64 {
     let c = h * h + b * b;
@@ -170,7 +171,7 @@ fn owen_v_far(h: f64, b: f64) -> f64 {
     if h == 0.0 { 0.0 } else { (b / h).atan() / TAU - owens_t::owens_t(h, b / h) }
 }
 
-/// Terms of the series at most: enough for a rounding of 1e-17 while it is used.
+/// Largest number of terms: enough for a rounding error of 1e-17 in the range of the series.
 const TERMS: usize = 40;
 
 /// 1/(k+1) and 1/(2k+1).

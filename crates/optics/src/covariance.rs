@@ -1,36 +1,39 @@
-//! How the noise of the signals shows in the result.
+//! Propagation of the noise of the signals to the result.
 
 use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
 
 use super::jacobian::Residual;
 use super::{Estimator, Solution, SolveError, Vec2, Vec3};
 
-/// One standard deviation of each signal, in its unit; the noises are taken as independent.
+/// Standard uncertainty of each signal, in its unit; the signals are taken as independent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Noise {
-    /// Of u, v of A, B, C.
+    /// Of u, v of A, B, C, metres.
     pub spots: [f64; 6],
     /// Of the power on A, B, C.
     pub powers: [f64; 3],
 }
 
-/// The derivatives of the result with the signals.
+/// The derivatives of the result with respect to the signals.
 ///
 /// Rows: tx, ty, tz (m), roll, pitch, yaw (rad), beam offset x, y (m).
 /// Columns: u, v of A, B, C (m), powers of A, B, C (their unit).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sensitivity(pub SMatrix<f64, 8, 9>);
 
-/// What one deviation of each of `N` independent signals does to the result, rows as in
-/// [`Sensitivity`]: a root of its covariance.
+/// Effect of one standard uncertainty of each of `N` independent signals on the result, rows as in
+/// [`Sensitivity`]: a square root of its covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ErrorPropagation<const N: usize>(pub SMatrix<f64, 8, N>);
 
 impl Estimator {
-    /// The sensitivity at a solution. Fails if the equations are singular there.
+    /// The sensitivity at a solution.
     ///
-    /// The equations are made anew: those that the solver keeps from sample to sample can be wrong by a
-    /// fifth where they hardly matter to it (the powers of a beam that wanders slowly).
+    /// The equations are linearised again for this. Those that the solver keeps from sample to sample may be
+    /// wrong by a fifth where the solver does not need them accurately (the powers of a slowly moving beam).
+    ///
+    /// # Errors
+    /// The equations are singular at the solution.
     pub fn sensitivity(&self, solution: &Solution) -> Result<Sensitivity, SolveError> {
         let equations = self.equations(solution)?;
         let to_world = self.optics().to_world;
@@ -47,13 +50,13 @@ impl Estimator {
 }
 
 impl Solution {
-    /// What a unit change of one signal does to the residual.
+    /// The residual for a unit change of one signal.
     fn unit_residual(&self, signal: usize) -> Residual {
         let mut residual = Residual::default();
         match signal {
             0..6 if signal.is_multiple_of(2) => residual.u[signal / 2] = 1.0,
             0..6 => residual.v[signal / 2] = 1.0,
-            // A fraction is power over total, and the total contains the power.
+            // A fraction is power over total, and the total contains the same power.
             _ if self.total_power.is_finite() => {
                 let own = Vec3::ith(signal - 6, 1.0).xy();
                 residual.fractions = (own - self.fractions) / self.total_power;
@@ -65,7 +68,7 @@ impl Solution {
 }
 
 impl Sensitivity {
-    /// What this noise does to the result.
+    /// The effect of this noise on the result.
     pub fn spread(mut self, noise: &Noise) -> ErrorPropagation<9> {
         for (mut column, sd) in self.0.column_iter_mut().zip(noise.spots.iter().chain(&noise.powers)) {
             column *= *sd;
@@ -82,7 +85,7 @@ impl<const N: usize> ErrorPropagation<N> {
     }
 }
 
-/// One standard deviation of each component of a pose.
+/// Standard uncertainty of each component of a pose.
 pub fn deviations(covariance: &Matrix6<f64>) -> Vector6<f64> {
     covariance.diagonal().map(f64::sqrt)
 }

@@ -1,8 +1,9 @@
-//! From signals to pose: Newton's method on the ray or the Gaussian model.
+//! The solver, from signals to pose: Newton's method on the ray model or the Gaussian model.
 //!
-//! The Gaussian model solves nine equations (six coordinates, three powers) for nine unknowns (pose, beam
-//! offset, total power). The total is the sum of the powers, since the fractions add up to one; the two
-//! offsets are eliminated from two of the fractions; six equations remain, as in the ray model.
+//! The Gaussian model has nine equations (six coordinates, three powers) for nine unknowns (pose, beam
+//! offset, total power). The total is the sum of the powers, since the fractions add up to one. The two
+//! components of the offset are eliminated with two of the fractions. Six equations remain, as in the ray
+//! model.
 //!
 //! All steps are taken in the beam frame, with the orientation as a quaternion.
 
@@ -20,14 +21,14 @@ use super::{FACETS, Model, Optics, Pose, Vec2, Vec3};
 pub struct Signals {
     /// u, v of A, B, C in metres.
     pub spots: [f64; 6],
-    /// Power on A, B, C in any unit; only their ratios matter. Not looked at by the ray model.
+    /// Power on A, B, C in any unit; only their ratios matter. Not used by the ray model.
     pub powers: [f64; 3],
 }
 
-/// Why there is no pose.
+/// Reasons why there is no pose.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum SolveError {
-    /// A signal is not a number.
+    /// A signal is not finite.
     #[error("the {signal} of PSD {psd} is not a finite number")]
     NotFinite {
         /// "spot" or "power".
@@ -35,7 +36,7 @@ pub enum SolveError {
         /// A, B or C.
         psd: char,
     },
-    /// A spot is beside the sensitive area.
+    /// A spot is outside the sensitive area.
     #[error(
         "the spot is off PSD {psd}: u = {:.4} mm, v = {:.4} mm, allowed +-{:.4} mm",
         u * 1e3, v * 1e3, half_size * 1e3
@@ -51,35 +52,35 @@ pub enum SolveError {
         half_size: f64,
     },
     /// A power is zero, negative, or below [`FAINTEST`] of the sum.
-    #[error("too little light on PSD {psd}: power {power:e}, needed is more than {FAINTEST:e} of the sum")]
+    #[error("too little light on PSD {psd}: power {power:e}, required is more than {FAINTEST:e} of the sum")]
     Dark {
         /// A, B or C.
         psd: char,
-        /// What was measured.
+        /// The measured power.
         power: f64,
     },
-    /// The equations have no single solution here.
+    /// The equations have no unique solution here.
     #[error("the equations are singular after {iterations} iterations")]
     Singular {
-        /// Steps taken.
+        /// Number of iterations.
         iterations: u8,
     },
-    /// The steps do not come to rest.
+    /// The steps do not converge.
     #[error("no convergence within {iterations} iterations")]
     NotConverged {
-        /// Steps taken.
+        /// Number of iterations.
         iterations: u8,
     },
-    /// The steps lead to where a facet sees no light or does not face it.
+    /// The steps lead to a state in which a facet gets no light or does not face the light.
     #[error("the solution leaves the range of the sensor after {iterations} iterations")]
     OutOfRange {
-        /// Steps taken.
+        /// Number of iterations.
         iterations: u8,
     },
 }
 
 impl SolveError {
-    /// Steps taken before the solver gave up; 0 if the signals were refused at once.
+    /// Number of iterations before the solver gave up; 0 if the signals were rejected at once.
     pub fn iterations(&self) -> u8 {
         match *self {
             Self::Singular { iterations }
@@ -99,35 +100,36 @@ pub struct Solution {
     pub offset: Vec2,
     /// Sum of the powers, in their unit; NaN with the ray model.
     pub total_power: f64,
-    /// Newton and chord steps taken.
+    /// Number of Newton and chord steps.
     pub iterations: u8,
     state: State,
-    /// The equations of the last step, perhaps of an earlier sample.
+    /// The linearised equations of the last step, possibly from an earlier sample.
     jacobian: Arc<Linearised>,
     pub(super) fractions: Vec2,
 }
 
-/// What the solver aims at: spots, and the fractions on A and B.
+/// Target of the solver: spots, and the fractions on A and B.
 struct Target {
     spots: [f64; 6],
     fractions: Vec2,
     total: f64,
 }
 
-/// The iteration ends when the next step would be below this. The length of a step is that of all its
-/// components, metres and radians alike.
+/// The iteration ends when the next step would be below this. The length of a step includes all components,
+/// metres and radians alike.
 const AT_REST: f64 = 1e-13;
-/// The step after a Newton step is at most this times its square (1/m or 1/rad): a bound for heads of
-/// the size of the nominal one, ten times what is seen on it.
+/// The step after a Newton step is at most this times its square (1/m or 1/rad). The bound holds for heads of
+/// about the nominal size, and is ten times the value observed on it.
 const CURVATURE: f64 = 1e5;
-/// After a larger step the equations are made anew: the next one would not be KEEP times smaller.
+/// After a larger step the equations are linearised again, because the next step would not be KEEP times
+/// smaller.
 const NEAR: f64 = 1e-5;
-/// The equations are kept while each step is at most this fraction of the one before.
+/// The equations are kept while each step is at most this fraction of the previous one.
 const KEEP: f64 = 0.01;
-/// Most steps from one start: enough for an offset of four deviations of the beam.
+/// Largest number of steps from one start: enough for an offset of four sigma of the beam.
 const MAX_STEPS: u8 = 20;
 
-/// Turns signals into poses.
+/// The solver: turns signals into poses.
 #[derive(Clone, Debug)]
 pub struct Estimator {
     optics: Optics,
@@ -140,18 +142,21 @@ impl Estimator {
         Self { optics, model }
     }
 
-    /// The head.
+    /// The optics of the head.
     pub fn optics(&self) -> &Optics {
         &self.optics
     }
 
-    /// The model.
+    /// The model of the beam.
     pub fn model(&self) -> Model {
         self.model
     }
 
-    /// The pose that explains the signals, starting from an earlier solution (fast, if it is near) or
-    /// from a centred mirror. If the warm start leads nowhere the cold one is tried.
+    /// The pose that explains the signals. The iteration starts from an earlier solution (fast if close) or
+    /// from a centred mirror. If the warm start fails, the cold start is tried.
+    ///
+    /// # Errors
+    /// The signals are not usable (not finite, off the PSD, dark), or the iteration does not converge.
     pub fn solve(&self, signals: &Signals, warm: Option<&Solution>) -> Result<Solution, SolveError> {
         let target = self.target(signals)?;
         match self.model {
@@ -160,7 +165,7 @@ impl Estimator {
         }
     }
 
-    /// The models are compiled apart, so that the ray does not pay for the beam.
+    /// The models are compiled separately, so that the ray model has no cost from the Gaussian model.
     #[inline(always)]
     fn solve_for<const GAUSSIAN: bool>(
         &self,
@@ -178,7 +183,7 @@ impl Estimator {
         self.iterate::<GAUSSIAN>(target, self.centred(), None, &mut iterations)
     }
 
-    /// The equations at a solution.
+    /// The linearised equations at a solution.
     pub(super) fn equations(&self, solution: &Solution) -> Result<Linearised, SolveError> {
         let light = match self.model {
             Model::Ray => Light::new::<false>(&self.optics, &solution.state),
@@ -211,8 +216,8 @@ impl Estimator {
         Ok(target)
     }
 
-    /// Newton's method, which keeps its equations from step to step (and from sample to sample) as long
-    /// as each step is much smaller than the one before.
+    /// Newton's method. The linearised equations are kept from step to step (and from sample to sample) as
+    /// long as each step is much smaller than the previous one.
     fn iterate<const GAUSSIAN: bool>(
         &self,
         target: &Target,
@@ -249,16 +254,15 @@ impl Estimator {
         Err(SolveError::NotConverged { iterations: *count })
     }
 
-    /// Moves the state by the solution of the linear equations; returns the length of the step (a NaN in
-    /// any part of it stays one) and whether it was shortened, so that the offset moves by at most the
-    /// beam's deviation.
+    /// Moves the state by the solution of the linear equations. Returns the length of the step (NaN if any
+    /// part is NaN) and whether the step was shortened: the offset moves by at most one sigma of the beam.
     #[inline(always)]
     fn step(&self, jacobian: &Linearised, residual: &Residual, state: &mut State) -> (f64, bool) {
         let (dt, dw, doffset) = jacobian.solve(residual);
         let reach = doffset.norm() / self.optics.sigma;
         let scale = if reach > 1.0 { 1.0 / reach } else { 1.0 };
         state.t += dt * scale;
-        // A turn by dw, to third order; the quaternion is made a unit one again.
+        // A rotation by dw, to third order; the quaternion is normalised again.
         let half = dw * (0.5 * scale);
         let turned = Quaternion::from_parts(1.0, half) * state.turn.into_inner();
         state.turn = UnitQuaternion::new_normalize(turned);
@@ -299,14 +303,14 @@ impl Target {
     }
 }
 
-/// A smaller fraction of the beam on one facet says nothing of the offset: rounding of the powers alone
-/// (1e-16 of the beam) would move the solution by more than 1e-10 m.
+/// A smaller fraction of the beam on one facet gives no usable offset: rounding of the powers alone (1e-16 of
+/// the beam) would move the solution by more than 1e-10 m.
 pub const FAINTEST: f64 = 1e-9;
 
-/// A power above this is as good as infinite: the sum of three could not be told.
+/// A power above this counts as infinite: the sum of three would overflow.
 const MAX_POWER: f64 = f64::MAX / 4.0;
 
-/// The sum of the powers, if each is light.
+/// The sum of the powers, if every PSD gets light.
 pub(super) fn total_power(powers: &[f64; 3]) -> Result<f64, SolveError> {
     for (&power, psd) in powers.iter().zip(FACETS) {
         if power.is_nan() || power.abs() > MAX_POWER {

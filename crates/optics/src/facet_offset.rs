@@ -1,38 +1,39 @@
-//! How far from the apex the beam is, by the light on a single PSD.
+//! Offset of the beam from the apex, from the light on a single PSD.
 //!
-//! Far from the apex all light falls on one facet, and its spot shows the height at which the beam meets
-//! it: so far downhill from the apex is the beam. Along the contour of the facet the spot only shows where
-//! the beam itself is.
+//! Far from the apex all light falls on one facet. Its spot gives the height at which the beam meets the
+//! facet, and from it the distance from the apex along the steepest descent. Along the contour lines of the
+//! facet, the spot shows only the position of the beam itself.
 
 use nalgebra::Matrix2;
 
 use super::ray::Ray;
 use super::{Optics, Pose, Vec2, model};
 
-/// What one spot says of the beam.
+/// Information about the beam from one spot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FacetOffset {
-    /// Unit vector across the beam, downhill on the facet.
+    /// Unit vector across the beam, along the steepest descent of the facet.
     pub downhill: Vec2,
-    /// Where the beam meets the facet, seen from the apex across the beam, metres; exact for a beam that
-    /// falls on this facet alone and a mirror at the given pose. Half a millimetre per milliradian by which
-    /// the orientation is wrong.
+    /// Point where the beam meets the facet, relative to the apex, across the beam, metres. Exact for a beam
+    /// on this facet alone and a mirror at the given pose. An error of the orientation causes half a
+    /// millimetre per milliradian.
     pub offset: Vec2,
 }
 
 impl FacetOffset {
-    /// How far downhill from the apex the beam is, metres: true also when the mirror has moved sideways.
+    /// Distance of the beam from the apex along the steepest descent, metres; also correct if the mirror has
+    /// moved sideways.
     pub fn distance(&self) -> f64 {
         self.downhill.dot(&self.offset)
     }
 }
 
 impl Optics {
-    /// What the spot (u, v in metres) on the PSD of facet 0, 1 or 2 says of the beam, for a mirror at `pose`;
-    /// `None` if the facet cannot send light there.
+    /// Offset of the beam from the spot (u, v in metres) on the PSD of facet 0, 1 or 2, for a mirror at
+    /// `pose`; `None` if the facet cannot reflect light there.
     ///
-    /// As the point of reflection moves on the plane, the reflected ray keeps its direction: the spot is an
-    /// affine function of the offset, and two equations give both components.
+    /// As the point of reflection moves on the plane, the reflected ray keeps its direction. The spot is
+    /// therefore an affine function of the offset, and two equations give both components.
     pub fn glimpse(&self, facet: usize, spot: [f64; 2], pose: &Pose) -> Option<FacetOffset> {
         let mirror = self.mirror(pose.t, &pose.rotation());
         let normal = mirror.normals[facet];
@@ -42,7 +43,7 @@ impl Optics {
         let ray = |offset| Ray::new(&self.psds[facet], normal, mirror.t + model::on_plane(normal, offset));
         let at = |offset| Vec2::from(ray(offset).spot);
         let apex = at(Vec2::zeros());
-        // One micrometre: any length gives the same slopes, up to rounding.
+        // One micrometre: any length gives the same derivatives, up to rounding.
         let unit = 1e-6;
         let jacobian = [Vec2::x(), Vec2::y()].map(|axis| (at(axis * unit) - apex) / unit);
         let offset = Matrix2::from_columns(&jacobian).try_inverse()? * (Vec2::from(spot) - apex);

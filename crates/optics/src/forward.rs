@@ -1,4 +1,4 @@
-//! The light that a state of mirror and beam makes: what the solver compares with the signals.
+//! The forward model for the solver: the light for a state of mirror and beam.
 
 use nalgebra::UnitQuaternion;
 use serde::{Deserialize, Serialize};
@@ -16,26 +16,26 @@ pub(super) struct State {
     pub offset: Vec2,
 }
 
-/// The light as a state has it: what falls on the facets, and where it is reflected to.
+/// The light for a state: the part on each facet, and its reflection.
 pub(super) struct Light {
     pub split: Option<Split>,
     pub reflections: [Reflection; 3],
-    /// Every facet faces the light, is lit, and sends it to its PSD.
+    /// Every facet faces the light, receives light, and reflects it to its PSD.
     pub valid: bool,
 }
 
 /// The light of one facet.
 pub(super) struct Reflection {
-    /// Power and moment; with the Gaussian model.
+    /// Power and moment; only with the Gaussian model.
     pub wedge: Option<Wedge>,
-    /// The point of reflection as seen from the apex.
+    /// The point of reflection relative to the apex.
     pub arm: Vec3,
-    /// The ray from there.
+    /// The reflected ray.
     pub ray: Ray,
 }
 
 impl Light {
-    /// The light of a state, by the Gaussian model or by that of a ray.
+    /// The light for a state, with the Gaussian model or the ray model.
     #[inline(always)]
     pub fn new<const GAUSSIAN: bool>(optics: &Optics, state: &State) -> Self {
         let r: Mat3 = state.turn.to_rotation_matrix().into_inner();

@@ -1,35 +1,35 @@
-//! Eleven signals: where the beam stands by another instrument, beside the nine of the PSDs.
+//! Eleven signals: the nine of the PSDs and the beam position from another instrument.
 //!
-//! A steering stage with a readback says where its beam crosses the plane of the apex, across the beam:
-//! `across(t) + offset = s`. The nine signals are just enough for the nine unknowns, so their solution
-//! explains them without a rest, and the weighted least-squares solution of all eleven equations is one
-//! linear update of it: a Kalman update, with the solution as the prediction and `s` as the measurement.
-//! What is not linear about it is of the order of its square over the distance of the PSDs: 0.04 um for
-//! an update of 0.1 mm.
+//! A steering stage with a readback gives the point where its beam crosses the plane of the apex: `across(t)
+//! + offset = s`. The nine signals determine the nine unknowns exactly, so their solution has no residuals.
+//! The weighted least-squares solution of all eleven equations is therefore one linear update of that
+//! solution: a Kalman update, with the solution as the prediction and `s` as the measurement. The neglected
+//! non-linearity is of the order of the squared update over the distance of the PSDs: 0.04 um for an update
+//! of 0.1 mm.
 
 use nalgebra::{Matrix2, SMatrix, Vector6};
 
 use super::covariance::ErrorPropagation;
 use super::{Optics, Pose, Solution, Vec2};
 
-/// Where the beam is by another instrument.
+/// Beam position measured by another instrument.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BeamPosition {
-    /// Where the beam crosses the plane of the apex at rest, across the beam, metres.
+    /// Point where the beam crosses the plane of the apex at rest, across the beam, metres.
     pub at: Vec2,
-    /// One standard deviation of that per axis, metres.
+    /// Standard uncertainty of that position per axis, metres.
     pub deviation: f64,
 }
 
-/// A sighting against what nine signals say of the same place.
+/// Difference between a measured beam position and the one from nine signals.
 #[derive(Clone, Copy, Debug)]
 pub struct Innovation<'a> {
-    /// Sighted minus solved, across the beam, metres.
+    /// Measured minus solved, across the beam, metres.
     pub residual: Vec2,
     /// Inverse of its covariance, 1/m^2.
     weight: Matrix2<f64>,
     spread: &'a ErrorPropagation<9>,
-    /// How the noise of each signal shows in the solved place, metres.
+    /// Effect of the noise of each signal on the solved beam position, metres.
     seen: SMatrix<f64, 2, 9>,
     deviation: f64,
 }
@@ -41,13 +41,13 @@ pub struct Fused {
     pub pose: Pose,
     /// Beam centre minus apex, across the beam, metres.
     pub offset: Vec2,
-    /// How the noise shows in it: that of the nine signals, and of the sighting along x and y.
+    /// Effect of the noise on the result: noise of the nine signals, and of the beam position along x and y.
     pub spread: ErrorPropagation<11>,
 }
 
 impl<'a> Innovation<'a> {
-    /// Compares a sighting with a solution of the Gaussian model, whose noise has this spread. `None` if
-    /// one of them is no number.
+    /// Compares a beam position with a solution of the Gaussian model, whose noise propagates as `spread`.
+    /// `None` if a value is not finite.
     pub fn new(
         optics: &Optics,
         solution: &Solution,
@@ -63,20 +63,22 @@ impl<'a> Innovation<'a> {
         finite.then_some(Self { residual, weight, spread, seen, deviation: sighting.deviation })
     }
 
-    /// The length of the residual in its own deviations (Mahalanobis): by chance above 5 once in 270 000.
+    /// Length of the residual in its own standard uncertainties (Mahalanobis distance). By chance above 5
+    /// once in 270 000.
     pub fn deviations(&self) -> f64 {
         self.residual.dot(&(self.weight * self.residual)).sqrt()
     }
 
-    /// The length of a mean of so many residuals in its own deviations. What is wrong with a sighting (the
-    /// laser points elsewhere) is taken as the same in all of them, and the noise of the signals as not.
+    /// Length of the mean of `count` residuals in its own standard uncertainties. The error of the beam
+    /// position (a drift of the laser direction) counts as the same in all residuals, the noise of the
+    /// signals as independent.
     pub fn deviations_of_mean(&self, mean: Vec2, count: f64) -> f64 {
         let own = Matrix2::from_diagonal_element(self.deviation.powi(2));
         let weight = (self.seen * self.seen.transpose() / count + own).try_inverse();
         weight.map_or(f64::INFINITY, |weight| mean.dot(&(weight * mean)).sqrt())
     }
 
-    /// The solution with the sighting in it, by weight.
+    /// The solution updated with the beam position, weighted by the uncertainties.
     pub fn fuse(&self, solution: &Solution) -> Fused {
         let gain = self.spread.0 * self.seen.transpose() * self.weight;
         let update = gain * self.residual;

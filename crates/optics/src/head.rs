@@ -20,15 +20,15 @@ pub struct Psd {
 }
 
 impl Psd {
-    /// A detector with its centre at `origin`, facing along `x`, its v-axis as near to `up` as the
-    /// plane allows; `size` is the whole side in metres.
+    /// A detector with its centre at `origin`, facing along `x`, with its v-axis as close to `up` as the
+    /// plane allows. `size` is the side length in metres.
     pub fn facing(origin: Vec3, x: Vec3, up: Vec3, size: f64) -> Self {
         let x = x.normalize();
         let z = (up - x * up.dot(&x)).normalize();
         Self { origin, x, y: z.cross(&x), z, half_size: size / 2.0 }
     }
 
-    /// Whether x, y, z are unit vectors at right angles, right-handed, at a finite place.
+    /// Whether x, y, z form a right-handed orthonormal frame and the origin is finite.
     fn is_frame(&self) -> bool {
         let axes = Mat3::from_columns(&[self.x, self.y, self.z]);
         let off = (axes.transpose() * axes - Mat3::identity()).norm();
@@ -42,35 +42,35 @@ impl Psd {
 pub struct Head {
     /// The PSDs A, B, C.
     pub psds: [Psd; 3],
-    /// Unit normals of the facets A, B, C in the mirror frame, pointing outwards. The facets meet in
-    /// the apex, the origin of that frame, and follow each other counter-clockwise seen from the laser.
+    /// Unit normals of the facets A, B, C in the mirror frame, pointing outwards. The facets meet at the
+    /// apex, the origin of that frame, and are in counter-clockwise order as seen from the laser.
     pub facets: [Vec3; 3],
-    /// Unit direction in which the light travels.
+    /// Unit direction of the light.
     pub beam_direction: Vec3,
     /// 1/e^2 diameter of the beam, metres.
     pub beam_diameter: f64,
 }
 
-/// Why a head cannot be one.
+/// Reasons why the parameters do not describe a head.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum HeadError {
-    /// A length that is not a positive number.
+    /// A length is not a positive number.
     #[error("{what} must be a positive number of metres, not {value}")]
     Length {
-        /// Which one.
+        /// Name of the length.
         what: &'static str,
-        /// What was given.
+        /// The given value.
         value: f64,
     },
-    /// A vector without a direction.
+    /// A vector has no direction.
     #[error("{what} must be a vector with a direction, not {value:?}")]
     Direction {
-        /// Which one.
+        /// Name of the vector.
         what: String,
-        /// What was given.
+        /// The given value.
         value: [f64; 3],
     },
-    /// A detector whose axes span no plane.
+    /// The axes of a detector do not span a plane.
     #[error(
         "the normal and the up direction of PSD {psd} must be finite, not zero and not along the same line"
     )]
@@ -78,30 +78,34 @@ pub enum HeadError {
         /// A, B or C.
         psd: char,
     },
-    /// The light passes facet by, or comes from below.
+    /// The light does not reach the front of a facet.
     #[error("facet {facet} does not face the light")]
     FacetTurnedAway {
         /// A, B or C.
         facet: char,
     },
-    /// The facets do not go around the apex counter-clockwise.
-    #[error("facets A, B, C must follow each other counter-clockwise around the apex, seen from the laser")]
+    /// The facets are not in counter-clockwise order around the apex.
+    #[error("facets A, B, C must be in counter-clockwise order around the apex, as seen from the laser")]
     FacetOrder,
 }
 
-/// The nominal head: PSDs of 13 mm at 250 mm, facets at 45 degrees, a beam of 0.46 mm.
+/// The nominal head: PSDs of 13 mm at 250 mm, facets at 45 degrees, beam diameter 0.46 mm.
 impl Default for Head {
     fn default() -> Self {
         let Ok(head) = Self::nominal(0.25, 0.013, 45.0_f64.to_radians(), 0.46e-3) else {
-            unreachable!("these are lengths and an angle of a head")
+            unreachable!("the nominal dimensions are valid")
         };
         head
     }
 }
 
 impl Head {
-    /// The head of the paper from four numbers: PSDs at `distance` in the plane of the apex at azimuths
-    /// 0, +120 and -120 degrees, facets inclined by `facet_angle` (radians) to the base, light from above.
+    /// The head of the paper from four numbers, metres and radians: PSDs at `distance` in the plane of the
+    /// apex at azimuths 0, +120 and -120 degrees, facets inclined by `facet_angle` to the base, light from
+    /// above.
+    ///
+    /// # Errors
+    /// A length is not a positive number, or the facets do not face the light.
     pub fn nominal(distance: f64, size: f64, facet_angle: f64, diameter: f64) -> Result<Self, HeadError> {
         let around = [0.0, TAU / 3.0, -TAU / 3.0].map(|a: f64| Vec3::new(a.cos(), a.sin(), 0.0));
         let head = Self {
@@ -120,8 +124,11 @@ impl Head {
         head.checked()
     }
 
-    /// The same head, if it is one: directions are made unit vectors, the facets must face the light and
-    /// follow each other counter-clockwise, and the axes of a PSD must be those of a frame.
+    /// Checks the head and normalises its directions.
+    ///
+    /// # Errors
+    /// A direction has no length, a facet does not face the light, the facets are not in counter-clockwise
+    /// order, or the axes of a PSD do not form a frame.
     pub fn checked(mut self) -> Result<Self, HeadError> {
         self.beam_direction = unit("the beam direction", self.beam_direction)?;
         for (name, normal) in FACETS.iter().zip(&mut self.facets) {

@@ -1,4 +1,4 @@
-//! The equations of the sensor, linearised about a state.
+//! The sensor equations, linearised at a state.
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix3x2};
 use serde::{Deserialize, Serialize};
@@ -17,28 +17,28 @@ pub(super) struct Residual {
     pub fractions: Vec2,
 }
 
-/// A change of the unknowns, in the beam frame: translation, turn, beam offset.
+/// A change of the unknowns, in the beam frame: translation, rotation, beam offset.
 pub(super) type Step = (Vec3, Vec3, Vec2);
 
-/// The linear equations, factored: solved for one residual after the other.
+/// The linear equations, factored, for repeated right-hand sides.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Linearised {
     pose: Factored,
     offset: Option<OffsetEquations>,
 }
 
-/// What the fractions on A and B say of the beam offset, and the spots of it.
+/// The equations of the fractions on A and B for the beam offset, and the effect of the offset on the spots.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct OffsetEquations {
     /// Inverse of d(fractions)/d(offset).
     inverse: Matrix2<f64>,
-    /// d(fractions)/d(turn).
+    /// d(fractions)/d(rotation).
     by_turn: Matrix2x3<f64>,
     /// d(u)/d(offset) and d(v)/d(offset).
     spots: [Matrix3x2<f64>; 2],
 }
 
-/// d(u or v of A, B, C)/d(translation, turn, offset).
+/// d(u or v of A, B, C)/d(translation, rotation, offset).
 #[derive(Default)]
 struct Rows {
     shift: Mat3,
@@ -46,14 +46,14 @@ struct Rows {
     offset: Matrix3x2<f64>,
 }
 
-/// How the centroid of the light on a facet moves across the beam.
+/// Derivatives of the centroid of the light on a facet, across the beam.
 struct Centroid {
     by_offset: Matrix2<f64>,
     by_turn: Matrix2x3<f64>,
 }
 
 impl Linearised {
-    /// `None` if the equations are singular.
+    /// The linearised equations; `None` if they are singular.
     #[inline(always)]
     pub fn new(optics: &Optics, light: &Light) -> Option<Self> {
         let (mut u, mut v) = (Rows::default(), Rows::default());
@@ -82,7 +82,7 @@ impl Linearised {
         Some(Self { pose, offset })
     }
 
-    /// The step that takes the residual to zero.
+    /// The step that brings the residual to zero.
     #[inline(always)]
     pub fn solve(&self, residual: &Residual) -> Step {
         let (mut u, mut v, mut offset) = (residual.u, residual.v, Vec2::zeros());
@@ -113,18 +113,18 @@ impl Rows {
         self.turn.set_row(facet, &turn);
     }
 
-    /// Takes the offset out by the equations of the fractions.
+    /// Eliminates the offset with the equations of the fractions.
     #[inline(always)]
     fn eliminate(&mut self, inverse: &Matrix2<f64>, by_turn: &Matrix2x3<f64>) {
         self.turn -= self.offset * (inverse * by_turn);
     }
 
-    /// Columns tx, ty, turn about z.
+    /// Columns tx, ty, rotation about z.
     fn left(&self) -> Mat3 {
         Mat3::from_columns(&[self.shift.column(0), self.shift.column(1), self.turn.column(2)])
     }
 
-    /// Columns tz, turn about x, turn about y.
+    /// Columns tz, rotation about x, rotation about y.
     fn right(&self) -> Mat3 {
         Mat3::from_columns(&[self.shift.column(2), self.turn.column(0), self.turn.column(1)])
     }

@@ -1,16 +1,16 @@
-//! The sensor model. Pure: no clock, no socket, no configuration.
+//! The sensor model of the head. Pure: no clock, no socket, no configuration.
 //!
-//! - [`head`]: where the PSDs stand, how the facets lie, where the light comes from.
+//! - [`head`]: geometry of the PSDs, the facets and the beam.
 //! - [`pose`]: position and orientation, Eq. 3 of the paper.
-//! - [`ray`]: from a point of a facet to a spot on a PSD, with derivatives.
-//! - [`beam`]: how a Gaussian beam splits on the mirror: powers and centroids, with derivatives.
-//! - [`model`]: the whole path, from pose and beam offset to signals.
-//! - [`estimate`]: the way back, from signals to pose and beam offset.
-//! - [`facet_offset`]: where the beam is when a single PSD sees light.
-//! - [`covariance`]: how the noise of the signals shows in the result.
-//! - [`fusion`]: the beam's place by another instrument, as two more signals.
+//! - [`ray`]: from a point on a facet to a spot on a PSD, with derivatives.
+//! - [`beam`]: how the mirror splits a Gaussian beam: powers and centroids, with derivatives.
+//! - [`model`]: the forward model, from pose and beam offset to signals.
+//! - [`estimate`]: the inverse, from signals to pose and beam offset.
+//! - [`facet_offset`]: the offset of the beam when a single PSD sees light.
+//! - [`covariance`]: from the noise of the signals to the uncertainty of the result.
+//! - [`fusion`]: the beam position from another instrument, as two more signals.
 //!
-//! The paper is: *Measurement of 3-D position and orientation of rigid bodies using a 3-facet mirror*.
+//! The paper: *Measurement of 3-D position and orientation of rigid bodies using a 3-facet mirror*.
 //! Its printed equations 5 to 16 contain misprints (`docs/sensor-model.md`); the model here is derived
 //! from the law of reflection.
 
@@ -38,7 +38,7 @@ pub use pose::{Pose, Rigid};
 
 /// A vector in space.
 pub type Vec3 = nalgebra::Vector3<f64>;
-/// A vector across the beam.
+/// A vector across the beam, in the plane perpendicular to it.
 pub type Vec2 = nalgebra::Vector2<f64>;
 /// A rotation, or any linear map of space.
 pub type Mat3 = nalgebra::Matrix3<f64>;

@@ -1,4 +1,4 @@
-//! Six equations in six unknowns, as 3x3 blocks.
+//! Six linear equations in six unknowns, as 3x3 blocks.
 
 use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
@@ -7,9 +7,10 @@ use super::{Mat3, Vec3};
 
 /// Linear equations `[a b; c d] [x; y] = [r; s]`, factored.
 ///
-/// With the rows ordered u | v and the columns tx ty wz | tz wx wy the blocks on the diagonal of a head
-/// like the nominal one are well conditioned, so no pivoting is needed. Any other head gets a full
-/// factorisation with pivoting.
+/// With the rows ordered u
+/// v and the columns tx ty wz
+/// tz wx wy, the diagonal blocks of a head like the nominal one are well conditioned, and no pivoting is
+/// needed. Other heads get a full factorisation with pivoting.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Factored {
     a_inv: Mat3,
@@ -17,14 +18,14 @@ pub(super) struct Factored {
     c: Mat3,
     /// Inverse of the Schur complement `d - c a^-1 b`.
     s_inv: Mat3,
-    /// The inverse of all, where the blocks would not do. Boxed: rare, and large.
+    /// The inverse of the whole matrix, if the blocks are ill conditioned. Boxed: rare, and large.
     full: Option<Box<Matrix6<f64>>>,
 }
 
-/// A block whose determinant is smaller than this, relative to the product of its columns' lengths, is
-/// not divided by.
+/// A block is not inverted if its determinant is smaller than this, relative to the product of the lengths of
+/// its columns.
 const FLAT_BLOCK: f64 = 1e-3;
-/// The same for all six equations: no pose can be told from these signals.
+/// The same limit for all six equations: below it, these signals do not determine a pose.
 const SINGULAR: f64 = 1e-9;
 
 impl Factored {
@@ -83,7 +84,7 @@ fn inverse(m: &Mat3) -> Option<Mat3> {
 mod tests {
     use super::*;
 
-    /// Off by this much from what it was made of.
+    /// Error of the solution for a known vector of unknowns.
     fn off(a: Mat3, b: Mat3, c: Mat3, d: Mat3) -> f64 {
         let (x, y) = (Vec3::new(1.0, -2.0, 3.0), Vec3::new(-0.5, 0.25, 4.0));
         let (p, q) = Factored::new(a, b, c, d).unwrap().solve(a * x + b * y, c * x + d * y);
@@ -96,7 +97,7 @@ mod tests {
         let some = Mat3::new(0.1, 0.2, -0.3, 0.0, 0.4, 0.1, -0.2, 0.5, 0.3);
         assert!(Factored::new(one, some, some, one).unwrap().full.is_none());
         assert!(off(one, some, some, one) < 1e-14);
-        // The diagonal blocks cannot be divided by, the whole can.
+        // The diagonal blocks are singular, the whole matrix is not.
         assert!(Factored::new(some * 0.0, one, one, some).unwrap().full.is_some());
         assert!(off(some * 0.0, one, one, some) < 1e-14);
     }

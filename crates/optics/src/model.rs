@@ -1,35 +1,35 @@
-//! The whole optical path of a head: from the mirror's pose and the beam's offset to spots and powers.
+//! The optical path of a head: from the pose of the mirror and the offset of the beam to spots and powers.
 
 use super::beam::{DARK, Split, Wedge};
 use super::ray::Ray;
 use super::{FACETS, Head, Mat3, Pose, Psd, Vec2, Vec3};
 
-/// Which model of the beam.
+/// Model of the beam.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Model {
-    /// A ray through the apex, as in the paper: six signals.
+    /// A ray through the apex, as in section 2.2 of the paper: six signals.
     Ray,
-    /// A Gaussian beam, cut in three by the edges of the mirror: nine signals.
+    /// A Gaussian beam, split in three by the edges of the mirror: nine signals.
     #[default]
     Gaussian,
 }
 
-/// What the PSDs see.
+/// Signals of the PSDs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
     /// u, v of A, B, C in metres.
     pub spots: [f64; 6],
-    /// Fractions of the beam on A, B, C; NaN with the ray model, which knows nothing of them.
+    /// Fractions of the beam on A, B, C; NaN with the ray model, which has no powers.
     pub powers: [f64; 3],
 }
 
-/// Why there is no spot.
+/// Reasons why there is no spot.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum TraceError {
-    /// A pose or an offset that is not a number.
+    /// A pose or an offset is not finite.
     #[error("pose and beam offset must be finite numbers")]
     NotFinite,
-    /// The mirror is turned so far that a facet does not face the light.
+    /// The mirror is rotated so far that a facet does not face the light.
     #[error("facet {0} does not face the light")]
     TurnedAway(char),
     /// No light falls on the facet.
@@ -38,7 +38,7 @@ pub enum TraceError {
     /// The reflected light does not travel towards the PSD.
     #[error("the light from facet {0} does not travel towards its PSD")]
     Missed(char),
-    /// The light falls beside the sensitive area.
+    /// The light falls outside the sensitive area.
     #[error(
         "the light from facet {facet} falls off its PSD: u = {:.4} mm, v = {:.4} mm, allowed +-{:.4} mm",
         u * 1e3, v * 1e3, half_size * 1e3
@@ -55,15 +55,15 @@ pub enum TraceError {
     },
 }
 
-/// A head, made ready for computing: everything is turned into the beam frame, whose z-axis points
-/// against the light. A vertical beam has the beam frame equal to the world frame.
+/// A head, prepared for computation: everything is expressed in the beam frame, whose z-axis points against
+/// the light. For a vertical beam, the beam frame equals the world frame.
 #[derive(Clone, Debug)]
 pub struct Optics {
     pub(super) psds: [Psd; 3],
     pub(super) facets: [Vec3; 3],
     /// Beam frame to world frame.
     pub(super) to_world: Mat3,
-    /// Standard deviation of the beam per axis, metres.
+    /// Standard deviation of the Gaussian beam profile per axis, metres.
     pub(super) sigma: f64,
 }
 
@@ -74,7 +74,7 @@ pub(super) struct Mirror {
 }
 
 impl Optics {
-    /// Makes a head ready.
+    /// Prepares a head.
     pub fn new(head: &Head) -> Self {
         let to_world = turn_from_z(-head.beam_direction);
         let into = to_world.transpose();
@@ -88,7 +88,7 @@ impl Optics {
         Self { psds, facets: head.facets, to_world, sigma: head.beam_diameter / 4.0 }
     }
 
-    /// Standard deviation of the beam per axis, metres: a quarter of the 1/e^2 diameter.
+    /// Standard deviation of the Gaussian beam profile per axis, metres: a quarter of the 1/e^2 diameter.
     pub fn sigma(&self) -> f64 {
         self.sigma
     }
@@ -98,13 +98,16 @@ impl Optics {
         self.psds.map(|p| p.half_size)
     }
 
-    /// The part of a world vector that lies across the beam, in the axes of the beam's offset.
+    /// The component of a world vector across the beam, in the axes of the beam offset.
     pub fn across(&self, v: Vec3) -> Vec2 {
         (self.to_world.transpose() * v).xy()
     }
 
-    /// What the PSDs see of a mirror at `pose` with the beam's centre at `offset` from the apex, across
-    /// the beam, metres (world x and y for a vertical beam). Fails unless all three see light.
+    /// The signals for a mirror at `pose` with the centre of the beam at `offset` from the apex, across the
+    /// beam, metres (world x and y for a vertical beam).
+    ///
+    /// # Errors
+    /// A pose or an offset is not finite, or not all three PSDs see light.
     pub fn trace(&self, model: Model, pose: &Pose, offset: Vec2) -> Result<Reading, TraceError> {
         let (spots, powers) = self.trace_each(model, pose, offset);
         let mut reading = Reading { spots: [0.0; 6], powers };
@@ -114,8 +117,8 @@ impl Optics {
         Ok(reading)
     }
 
-    /// As [`Optics::trace`], facet by facet: the spot of each, or why there is none, and the fractions
-    /// of the beam that the facets reflect (NaN with the ray model).
+    /// As [`Optics::trace`], for each facet: the spot or the reason why there is none, and the fraction of
+    /// the beam that the facet reflects (NaN with the ray model).
     pub fn trace_each(
         &self,
         model: Model,
@@ -172,16 +175,16 @@ impl Optics {
     }
 }
 
-/// A facet whose normal has a smaller component against the light is seen edge-on.
+/// A facet is seen edge-on if the component of its normal against the light is smaller than this.
 pub(super) const MIN_FACING: f64 = 1e-3;
 
-/// The point of a plane through the origin below or above `p`, along the beam.
+/// The point of a plane through the origin on the line through `p` along the beam.
 #[inline(always)]
 pub(super) fn on_plane(normal: Vec3, p: Vec2) -> Vec3 {
     Vec3::new(p.x, p.y, -(normal.x * p.x + normal.y * p.y) / normal.z)
 }
 
-/// The smallest turn that takes the z-axis to the unit vector `to`.
+/// The smallest rotation that takes the z-axis to the unit vector `to`.
 fn turn_from_z(to: Vec3) -> Mat3 {
     nalgebra::Rotation3::rotation_between(&Vec3::z(), &to)
         .unwrap_or_else(|| nalgebra::Rotation3::from_axis_angle(&Vec3::x_axis(), std::f64::consts::PI))

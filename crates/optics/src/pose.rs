@@ -1,4 +1,4 @@
-//! Position and orientation.
+//! Position and orientation of the mirror.
 
 use std::ops::Mul;
 
@@ -6,34 +6,34 @@ use serde::{Deserialize, Serialize};
 
 use super::{Mat3, Vec3};
 
-/// Where the apex is and how the mirror is turned, in the world frame.
+/// Position of the apex and orientation of the mirror, in the world frame.
 ///
-/// `R = Rz(yaw) * Ry(pitch) * Rx(roll)`, Eq. 3 of the paper with alpha = yaw, beta = pitch,
-/// gamma = roll (the sentence under Eq. 3 swaps roll and yaw; Table 2 has it right).
+/// `R = Rz(yaw) * Ry(pitch) * Rx(roll)`, Eq. 3 of the paper with alpha = yaw, beta = pitch, gamma = roll (the
+/// sentence under Eq. 3 swaps roll and yaw; Table 2 is correct).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
     /// Position of the apex, metres.
     pub t: Vec3,
-    /// Turn about x, gamma, radians.
+    /// Rotation about x, gamma, radians.
     pub roll: f64,
-    /// Turn about y, beta, radians.
+    /// Rotation about y, beta, radians.
     pub pitch: f64,
-    /// Turn about z, alpha, radians.
+    /// Rotation about z, alpha, radians.
     pub yaw: f64,
 }
 
 impl Pose {
-    /// From tx, ty, tz (m), roll, pitch, yaw (rad).
+    /// A pose from tx, ty, tz (m), roll, pitch, yaw (rad).
     pub fn from_array(a: [f64; 6]) -> Self {
         Self { t: Vec3::new(a[0], a[1], a[2]), roll: a[3], pitch: a[4], yaw: a[5] }
     }
 
-    /// tx, ty, tz (m), roll, pitch, yaw (rad).
+    /// The values tx, ty, tz (m), roll, pitch, yaw (rad).
     pub fn to_array(self) -> [f64; 6] {
         [self.t.x, self.t.y, self.t.z, self.roll, self.pitch, self.yaw]
     }
 
-    /// From a position and a rotation matrix.
+    /// A pose from a position and a rotation matrix.
     pub fn new(t: Vec3, r: &Mat3) -> Self {
         Self {
             t,
@@ -57,8 +57,8 @@ impl Pose {
         r
     }
 
-    /// How roll, pitch, yaw change with a small turn of the mirror about the world axes:
-    /// rows roll, pitch, yaw, columns x, y, z. Singular at a pitch of 90 degrees, far out of range.
+    /// Rates of roll, pitch, yaw for a small rotation of the mirror about the world axes: rows roll, pitch,
+    /// yaw, columns x, y, z. Singular at a pitch of 90 degrees, far outside the range of the sensor.
     pub fn euler_rates(&self) -> Mat3 {
         let (sa, ca) = self.yaw.sin_cos();
         let (sb, cb) = self.pitch.sin_cos();
@@ -66,7 +66,7 @@ impl Pose {
         let dyaw = Vec3::z() + droll * sb;
         Mat3::from_rows(&[droll.transpose(), Vec3::new(-sa, ca, 0.0).transpose(), dyaw.transpose()])
     }
-    /// The axes about which roll, pitch, yaw turn the mirror, in the world: the columns. The inverse of
+    /// The axes of the rotations roll, pitch, yaw in the world frame, as columns. The inverse of
     /// [`Pose::euler_rates`], without its singularity.
     pub fn euler_axes(&self) -> Mat3 {
         let (sa, ca) = self.yaw.sin_cos();
@@ -75,22 +75,22 @@ impl Pose {
     }
 }
 
-/// A frame in another one, or the way from it: `x -> rotation * x + translation`.
+/// A rigid transformation `x -> rotation * x + translation`: the pose of one frame in another.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rigid {
-    /// Its axes, as columns.
+    /// Axes of the frame, as columns.
     pub rotation: Mat3,
-    /// Its origin, metres.
+    /// Origin of the frame, metres.
     pub translation: Vec3,
 }
 
 impl Rigid {
-    /// The frame itself.
+    /// The identity.
     pub fn identity() -> Self {
         Self { rotation: Mat3::identity(), translation: Vec3::zeros() }
     }
 
-    /// The way back.
+    /// The inverse transformation.
     #[must_use]
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.transpose();
@@ -110,7 +110,7 @@ impl From<&Rigid> for Pose {
     }
 }
 
-/// One after the other: `(a * b)(x) = a(b(x))`.
+/// Composition: `(a * b)(x) = a(b(x))`.
 impl Mul for Rigid {
     type Output = Rigid;
     fn mul(self, inner: Rigid) -> Rigid {

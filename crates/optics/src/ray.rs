@@ -1,8 +1,8 @@
-//! From a point of a facet to the spot on its PSD, by the law of reflection, in the beam frame.
+//! Reflection of one ray, from a point on a facet to the spot on its PSD, in the beam frame.
 
 use super::{Psd, Vec3};
 
-/// The reflection of one ray, and where it meets the PSD.
+/// The reflection of one ray, and its intersection with the PSD.
 #[derive(Clone, Copy, Debug)]
 pub struct Ray {
     normal: Vec3,
@@ -14,21 +14,21 @@ pub struct Ray {
     pub spot: [f64; 2],
 }
 
-/// How one spot coordinate changes.
+/// Derivatives of one spot coordinate.
 #[derive(Clone, Copy, Debug)]
 pub struct Row {
-    /// With a translation of the point of reflection.
+    /// With respect to a translation of the point of reflection.
     pub shift: Vec3,
-    /// With a turn of the mirror about the apex, seen from a point of the facet that stays on the same
-    /// line along the beam.
+    /// With respect to a rotation of the mirror about the apex, for a point on the facet that stays on the
+    /// same line along the beam.
     pub turn: Vec3,
-    /// With a movement of that line across the beam (the z component is 0).
+    /// With respect to a motion of that line across the beam (the z component is 0).
     pub across: Vec3,
 }
 
 impl Ray {
-    /// Reflects the light at `point` of a facet with unit normal `normal`. The spot has a meaning only if
-    /// the ray [reaches](Ray::reaches) the PSD.
+    /// Reflects the light at `point` on a facet with unit normal `normal`. The spot is meaningful only if the
+    /// ray [reaches](Ray::reaches) the PSD.
     #[inline(always)]
     pub fn new(psd: &Psd, normal: Vec3, point: Vec3) -> Self {
         let (x, y, z) = (normal.x, normal.y, normal.z);
@@ -41,19 +41,19 @@ impl Ray {
         Self { normal, direction, length, toward, spot }
     }
 
-    /// Whether the ray travels towards the PSD and meets its front.
+    /// Whether the ray travels towards the PSD and meets its front side.
     pub fn reaches(&self) -> bool {
         self.toward < 0.0 && self.length > 0.0
     }
 
-    /// The derivatives of the coordinate along `axis` (the PSD's y or z); `arm` is the point of
-    /// reflection as seen from the apex.
+    /// The derivatives of the coordinate along `axis` (the y or z axis of the PSD). `arm` is the point of
+    /// reflection relative to the apex.
     #[inline(always)]
     pub fn row(&self, psd: &Psd, axis: Vec3, arm: Vec3) -> Row {
         let n = self.normal;
         let g = axis - psd.x * (self.direction.dot(&axis) / self.toward);
         let tilt = g.z / n.z;
-        // (g.n)(n x light) + (n.light)(n x g), written out: the light has one component only.
+        // (g.n)(n x light) + (n.light)(n x g), written out, as the light has one component only.
         let (along, across) = (g.dot(&n), n.cross(&g) * n.z);
         let reflected = Vec3::new(-n.y * along - across.x, n.x * along - across.y, -across.z);
         let reflected = reflected * (-2.0 * self.length);

@@ -1,16 +1,16 @@
-//! The pose frame in network byte order, for targets that ask for it: every field turned round, the
-//! magic bytes as they are, the CRC over the bytes as they are sent.
+//! The pose frame in network byte order, for clients that request it: every field byte-swapped, the magic
+//! bytes unchanged, the CRC over the bytes as sent.
 
 use crate::frame::{FrameBytes, FrameError, PoseFrame};
 use crate::layout::{FIELDS, FRAME_SIZE};
 use crate::message::CRC_SIZE;
 
-/// Where the size stands, and how it reads in network order.
+/// Offset of the size field, and its bytes in network order.
 const SIZE_AT: usize = 6;
 const SIZE: [u8; 2] = (FRAME_SIZE as u16).to_be_bytes();
 const CRC_AT: usize = FRAME_SIZE - CRC_SIZE;
 
-/// An encoded frame in network order.
+/// Encodes a frame in network order.
 pub fn big_endian(little: &FrameBytes) -> FrameBytes {
     let mut bytes = turned(little);
     let crc = crc32fast::hash(&bytes[..CRC_AT]);
@@ -19,7 +19,10 @@ pub fn big_endian(little: &FrameBytes) -> FrameBytes {
 }
 
 impl PoseFrame {
-    /// The frame in these bytes, in either byte order: the size tells.
+    /// Decodes a frame in either byte order, detected by the size field.
+    ///
+    /// # Errors
+    /// As [`PoseFrame::decode`].
     pub fn decode_either(bytes: &[u8]) -> Result<Self, FrameError> {
         let Ok(big) = FrameBytes::try_from(bytes) else { return Self::decode(bytes) };
         if big[SIZE_AT..SIZE_AT + 2] != SIZE {
@@ -37,7 +40,7 @@ impl PoseFrame {
     }
 }
 
-/// Every field in the other byte order.
+/// Swaps the byte order of every field.
 fn turned(bytes: &FrameBytes) -> FrameBytes {
     let mut bytes = *bytes;
     for field in &FIELDS {

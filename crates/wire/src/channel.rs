@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-/// The most channels that a scan can carry.
+/// The largest number of channels in a scan.
 pub const MAX_CHANNELS: usize = 16;
 
 /// What a channel of the converter measures. The numbers are those of the board protocol.
@@ -51,7 +51,7 @@ impl fmt::Display for Role {
             Role::U(n) => write!(f, "u of PSD {}", psd(n)),
             Role::V(n) => write!(f, "v of PSD {}", psd(n)),
             Role::Sum(n) => write!(f, "the sum of PSD {}", psd(n)),
-            Role::Steering(axis) => write!(f, "the steering's {}", if *axis == 0 { "x" } else { "y" }),
+            Role::Steering(axis) => write!(f, "the steering {}", if *axis == 0 { "x" } else { "y" }),
             Role::Auxiliary => write!(f, "auxiliary"),
         }
     }
@@ -97,7 +97,7 @@ impl Converter {
     }
 }
 
-/// The nearest integer, halves away from zero: `f64::round`, which `core` lacks.
+/// The nearest integer, halves away from zero, as `f64::round`, which `core` lacks.
 pub(crate) fn round(x: f64) -> f64 {
     let whole = x as i64 as f64;
     let rest = x - whole;

@@ -1,90 +1,91 @@
-//! The pose frame, version 1: 192 bytes, little-endian, one sample, one datagram (`docs/stream.md`).
+//! The pose frame, version 1: 192 bytes, little-endian, one frame per sample and datagram (`docs/stream.md`).
 
 use crate::layout::FRAME_SIZE;
 use crate::message::{self, CRC_SIZE, Kind, MAJOR};
 use crate::{LockState, Status};
 
-/// The clock quality of a frame whose time is of unknown quality.
+/// Value of the clock quality if the quality of the time is unknown.
 pub const CLOCK_UNKNOWN: u16 = u16::MAX;
 
 /// An encoded frame.
 pub type FrameBytes = [u8; FRAME_SIZE];
 
-/// A pose frame. Numbers that are not known are NaN.
+/// A pose frame. Unknown values are NaN.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseFrame {
-    /// Random at the daemon's start: tells a restart.
+    /// Random number, drawn at the start of the daemon: shows a restart.
     pub session: u32,
     /// Hash of geometry and calibration.
     pub config: u32,
-    /// Counts the frames of a daemon; advances also when a frame is dropped on its way.
+    /// Counts the frames of a daemon; also counts frames that are dropped on the way.
     pub sequence: u64,
     /// Index of the converter's sample; keeps counting across gaps.
     pub sample_index: u64,
-    /// When the signals were taken: nanoseconds of UTC since 1970.
+    /// When the signals were sampled: nanoseconds of UTC since 1970.
     pub time_ns: i64,
-    /// From then until the pose was solved, nanoseconds, saturating.
+    /// Time from sampling until the pose was solved, nanoseconds, saturating.
     pub solve_delay_ns: u32,
-    /// From then until the frame was sent, nanoseconds, saturating.
+    /// Time from sampling until the frame was sent, nanoseconds, saturating.
     pub send_delay_ns: u32,
     /// Status bits.
     pub status: Status,
-    /// One standard deviation of `time_ns` in 0.1 us; [`CLOCK_UNKNOWN`] where unknown.
+    /// Standard uncertainty of `time_ns` in units of 0.1 us; [`CLOCK_UNKNOWN`] if unknown.
     pub clock_quality: u16,
     /// State of the centering loop.
     pub lock: LockState,
-    /// Steps that the solver took.
+    /// Iterations of the solver.
     pub iterations: u8,
     /// tx, ty, tz (m), roll, pitch, yaw (rad).
     pub pose: [f64; 6],
-    /// Standard deviation of each; infinite with `POSE_HELD`.
+    /// Standard uncertainty of each component of the pose; infinite with `POSE_HELD`.
     pub deviations: [f32; 6],
     /// Beam centre minus apex, x and y across the beam, metres.
     pub beam_offset: [f32; 2],
-    /// Steering position minus what the pose says of it, metres.
+    /// Distance between the beam position from the steering readback and the one from the nine signals,
+    /// metres.
     pub steering_residual: f32,
     /// Samples averaged into this frame.
     pub averaged: u16,
-    /// Samples lost since the frame before, saturating.
+    /// Samples lost since the previous frame, saturating.
     pub lost: u16,
     /// u, v on PSD A, B, C, metres.
     pub spots: [f32; 6],
     /// Power on PSD A, B, C, watts.
     pub powers: [f32; 3],
-    /// Steering position x, y, metres: read back with `STEERING_MEASURED`, else as commanded.
+    /// Steering position x, y, metres: read back if `STEERING_MEASURED` is set, otherwise as commanded.
     pub steering: [f32; 2],
 }
 
-/// Why bytes are not a pose frame.
+/// Reasons why bytes are not a pose frame.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FrameError {
-    /// Too short, or too long.
+    /// The length is wrong.
     #[error("a pose frame has {FRAME_SIZE} bytes, not {0}")]
     Length(usize),
-    /// It is something else.
+    /// The magic bytes are wrong.
     #[error("a pose frame starts with [54, 46, 50, 31] (\"TFP1\"), not {0:02x?}")]
     Magic([u8; 4]),
-    /// A layout of another time.
+    /// Another major version of the layout.
     #[error("the frame has layout version {major}.{minor}; this program reads {MAJOR}.x")]
     Version {
-        /// Of the layout.
+        /// Major version: layout.
         major: u8,
-        /// Of what may be ignored.
+        /// Minor version: compatible additions.
         minor: u8,
     },
-    /// The frame contradicts its own length.
+    /// The size field is wrong.
     #[error("the frame gives its size as {0} bytes instead of {FRAME_SIZE}")]
     Size(u16),
-    /// A byte changed on the way.
-    #[error("wrong CRC: the bytes give {expected:#010x}, the frame says {received:#010x}")]
+    /// The CRC is wrong.
+    #[error("wrong CRC: computed {expected:#010x}, received {received:#010x}")]
     Crc {
-        /// Of the bytes that came.
+        /// Computed from the received bytes.
         expected: u32,
-        /// As it stands in the frame.
+        /// As received in the frame.
         received: u32,
     },
-    /// A lock state that does not exist.
-    #[error("{0} is no lock state; they go from 0 to 7")]
+    /// The number of the lock state is undefined.
+    #[error("{0} is not a lock state; allowed: 0 to 7")]
     Lock(u8),
 }
 
@@ -115,7 +116,7 @@ impl PoseFrame {
         }
     }
 
-    /// The 192 bytes of this frame.
+    /// Encodes this frame.
     pub fn encode(&self) -> FrameBytes {
         let mut w = Writer { bytes: [0; FRAME_SIZE], at: 0 };
         w.put(message::header(Kind::Pose, FRAME_SIZE as u16));
@@ -144,7 +145,10 @@ impl PoseFrame {
         w.bytes
     }
 
-    /// The frame in these bytes. A higher minor version is read as far as this one goes.
+    /// Decodes a frame. A frame with a higher minor version is read without its additions.
+    ///
+    /// # Errors
+    /// The length, magic, major version, size, CRC or lock state is wrong.
     pub fn decode(bytes: &[u8]) -> Result<Self, FrameError> {
         let bytes = checked(bytes)?;
         let mut r = Reader { bytes, at: message::HEADER_SIZE };
@@ -173,7 +177,7 @@ impl PoseFrame {
     }
 }
 
-/// Bytes that are a whole, undamaged frame of this major version.
+/// Checks that the bytes are a complete, undamaged frame of this major version.
 fn checked(bytes: &[u8]) -> Result<&FrameBytes, FrameError> {
     let header = message::Header::read(bytes).ok_or(FrameError::Length(bytes.len()))?;
     if header.magic != Kind::Pose.magic() {

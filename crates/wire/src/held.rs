@@ -1,17 +1,17 @@
-//! The last valid pose, for those who asked to keep it (`POSE_HELD`).
+//! Keeps the last valid pose, for clients that request it (`POSE_HELD`).
 
 use crate::{PoseFrame, Status};
 
-/// Remembers the last valid pose of a stream.
+/// The last valid pose of a stream.
 #[derive(Clone, Debug, Default)]
 pub struct Hold {
     last: Option<PoseFrame>,
 }
 
 impl Hold {
-    /// Takes every frame of a stream in turn. If a frame has no valid pose: the same with the last
-    /// pose that was, marked as held. None if there is nothing to hold: the pose is valid, or none was
-    /// since the daemon's start or since its geometry last changed.
+    /// Takes every frame of a stream in turn. For a frame without a valid pose, returns the same frame with
+    /// the last valid pose, marked as held. Returns `None` if the pose is valid, or if there has been no
+    /// valid pose since the start of the daemon or since the last change of its geometry.
     pub fn next(&mut self, frame: &PoseFrame) -> Option<PoseFrame> {
         if frame.status.has(Status::POSE_VALID) {
             self.last = Some(*frame);
@@ -43,13 +43,13 @@ mod tests {
             ..valid
         };
         let mut hold = Hold::default();
-        assert_eq!(hold.next(&dark), None, "nothing to hold yet");
+        assert_eq!(hold.next(&dark), None, "no pose to hold yet");
         assert_eq!(hold.next(&valid), None);
         let held = hold.next(&dark).unwrap();
         assert_eq!(held.pose, valid.pose);
         assert_eq!(held.deviations, [f32::INFINITY; 6]);
         assert_eq!(held.status, Status::PSD_A_LOW | Status::POSE_HELD);
         assert_eq!((held.sequence, held.time_ns), (10, 11));
-        assert_eq!(hold.next(&PoseFrame { config: 99, ..dark }), None, "of another geometry");
+        assert_eq!(hold.next(&PoseFrame { config: 99, ..dark }), None, "another geometry");
     }
 }

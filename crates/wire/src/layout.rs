@@ -1,4 +1,5 @@
-//! The byte table of the pose frame as data, which the descriptor carries to every client; the names of its values in text.
+//! The byte table of the pose frame as data (sent to every client in the descriptor), and the names of its
+//! values in text formats.
 
 /// Bytes of a pose frame.
 pub const FRAME_SIZE: usize = 192;
@@ -14,7 +15,7 @@ pub struct Field {
     pub kind: &'static str,
     /// Number of elements.
     pub count: u16,
-    /// Unit of an element; empty where there is none.
+    /// Unit of an element; empty if it has none.
     pub unit: &'static str,
 }
 
@@ -34,7 +35,7 @@ const fn field(offset: u16, kind: &'static str, count: u16, name: &'static str, 
     Field { name, offset, kind, count, unit }
 }
 
-/// Every field of the pose frame, in order, without holes.
+/// Every field of the pose frame, in order, without gaps.
 pub const FIELDS: [Field; 32] = [
     field(0, "u8", 4, "magic", ""),
     field(4, "u8", 1, "major", ""),
@@ -70,7 +71,7 @@ pub const FIELDS: [Field; 32] = [
     field(188, "u32", 1, "crc", ""),
 ];
 
-/// The names of a frame's values in text (JSON, CSV), in order.
+/// The names of a frame's values in text formats (JSON, CSV), in order.
 pub const COLUMNS: [&str; 41] = [
     "sequence",
     "sample_index",
@@ -115,9 +116,9 @@ pub const COLUMNS: [&str; 41] = [
     "config",
 ];
 
-/// The names of a pose: m and rad.
+/// The names of the pose components: m and rad.
 pub const POSE: [&str; 6] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "yaw_rad"];
-/// The names of its deviations.
+/// The names of their standard uncertainties.
 pub const DEVIATIONS: [&str; 6] =
     ["sd_tx_m", "sd_ty_m", "sd_tz_m", "sd_roll_rad", "sd_pitch_rad", "sd_yaw_rad"];
 /// The names of the beam offset, metres.

@@ -1,12 +1,12 @@
-//! Everything that trifacet puts on a wire, byte by byte, for both ends of it.
+//! Byte formats of everything that trifacet sends or receives, for both ends of the connection.
 //!
-//! - [`PoseFrame`]: one pose with its uncertainty and status, 192 bytes (`docs/stream.md`). [`layout`] is its byte
-//!   table, [`byte_order`] the same frame in network byte order, [`held`] keeps the last valid pose.
+//! - [`PoseFrame`]: one pose with its uncertainty and status, 192 bytes (`docs/stream.md`). [`layout`] is its
+//!   byte table, [`byte_order`] the same frame in network byte order, [`held`] keeps the last valid pose.
 //! - [`Status`]: the status bits of a frame. [`LockState`]: the state of the centering loop.
 //! - [`message`]: header and CRC of every message on a TCP stream.
-//! - [`channel`], [`actuator`]: what a converter board measures and moves.
+//! - [`channel`], [`actuator`]: channels and outputs of a converter board.
 //! - `board` (feature `board`): the protocol of the acquisition board (`docs/board-protocol.md`).
-//! - `stream` (feature `stream`): messages in JSON and the requests of clients.
+//! - `stream` (feature `stream`): messages in JSON, and the requests of clients.
 //!
 //! `no_std`; the feature `board` needs an allocator, `stream` the standard library.
 //!

@@ -1,25 +1,27 @@
-//! The lock state, as frames and people see it.
+//! The lock state, as sent in frames.
 
-/// What the centering loop is doing; the numbers are those of the pose frame.
+/// State of the centering loop; the numbers are those of the pose frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
 pub enum LockState {
     /// The loop is switched off.
     #[default]
     Off = 0,
-    /// A person moves the laser.
+    /// The operator moves the laser.
     Manual = 1,
-    /// Looking for light.
+    /// The loop searches for light.
     Searching = 2,
-    /// Light is there; the offset is not yet within limits for long enough.
+    /// The loop regulates or approaches the apex; the offset has not yet been within limits for the
+    /// confirmation time.
     Acquiring = 3,
-    /// The offset, its rms and the light are within limits, and the actuator is off its rails.
+    /// The offset, its rms and the light are within limits, and the actuator is not at a limit.
     Locked = 4,
-    /// The actuator stands at a limit.
+    /// The actuator is at a limit.
     Railed = 5,
-    /// No light for longer than the confirmation time.
+    /// Light, samples or stage have failed for longer than the lost time of the loop.
     Lost = 6,
-    /// The actuator holds: no light, or no trustworthy sample, for less than that.
+    /// The actuator holds: light, samples or stage have failed for less than that, or all searches have
+    /// failed.
     Held = 7,
 }
 
@@ -36,8 +38,8 @@ impl LockState {
         LockState::Held,
     ];
 
-    /// What may be claimed of this state on a frame without samples or without light. The loop may have
-    /// said it a moment before, or after.
+    /// The state to report in a frame without samples or without light. The loop may have reported another
+    /// state just before, or may report it just after.
     #[must_use]
     pub fn without_observation(self) -> LockState {
         match self {
@@ -46,7 +48,7 @@ impl LockState {
         }
     }
 
-    /// The state as a word: "off", "locked".
+    /// Name of the state: "off", "locked".
     pub fn name(self) -> &'static str {
         match self {
             LockState::Off => "off",

@@ -1,13 +1,13 @@
-//! Header and CRC of the messages that follow each other on TCP: an 8-byte header, a body, a CRC-32 of both.
+//! Header and CRC of the messages on TCP: an 8-byte header, a body, a CRC-32 of both.
 //!
-//! The header never changes, not even with a new major version, so that any reader can step over what
-//! it does not know.
+//! The header never changes, not even in a new major version, so that any reader can skip messages that it
+//! does not know.
 
 use crate::layout::FRAME_SIZE;
 
 /// Major version of the stream: the layout of frames and messages.
 pub const MAJOR: u8 = 1;
-/// Minor version: what readers may ignore (new status bits, new kinds of message, new JSON keys).
+/// Minor version: additions that readers may ignore (new status bits, kinds of message, JSON keys).
 pub const MINOR: u8 = 0;
 /// Magic (4 bytes), major, minor, size (u16, of the whole message, little-endian).
 pub const HEADER_SIZE: usize = 8;
@@ -24,7 +24,7 @@ pub enum Kind {
     Heartbeat,
     /// The answer to a query, as a string in JSON.
     Answer,
-    /// Why the daemon ends the connection, in JSON.
+    /// The reason why the daemon closes the connection, in JSON.
     Refusal,
 }
 
@@ -43,7 +43,7 @@ impl Kind {
         }
     }
 
-    /// The key under which such a message stands in JSON lines; none if it has one of its own.
+    /// The key of such a message in JSON lines; `None` if the message has keys of its own.
     pub const fn key(self) -> Option<&'static str> {
         match self {
             Kind::Descriptor => Some("descriptor"),
@@ -68,13 +68,13 @@ pub struct Header {
 }
 
 impl Header {
-    /// The header at the beginning of `bytes`, whatever it says; none if there are too few.
+    /// The header at the beginning of `bytes`, valid or not; `None` if there are too few bytes.
     pub fn read(bytes: &[u8]) -> Option<Self> {
         let &[a, b, c, d, major, minor, low, high] = bytes.first_chunk()?;
         Some(Self { magic: [a, b, c, d], major, minor, size: u16::from_le_bytes([low, high]) })
     }
 
-    /// Whether a message could begin so.
+    /// Whether these can be the first bytes of a message.
     pub fn plausible(self) -> bool {
         let size = usize::from(self.size);
         let pose = self.magic == Kind::Pose.magic() && self.major == MAJOR;
@@ -82,14 +82,14 @@ impl Header {
     }
 }
 
-/// The header of a message of this version with `size` bytes in all.
+/// The header of a message of this version with a total of `size` bytes.
 pub fn header(kind: Kind, size: u16) -> [u8; HEADER_SIZE] {
     let [a, b, c, d] = kind.magic();
     let [low, high] = size.to_le_bytes();
     [a, b, c, d, MAJOR, MINOR, low, high]
 }
 
-/// The CRC of a whole message as its bytes give it, and as it says; none if it is too short for one.
+/// The computed and the received CRC of a complete message; `None` if it is too short.
 pub fn crcs(message: &[u8]) -> Option<(u32, u32)> {
     let (body, received) = message.split_last_chunk::<CRC_SIZE>()?;
     Some((crc32fast::hash(body), u32::from_le_bytes(*received)))

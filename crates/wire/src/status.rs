@@ -1,8 +1,8 @@
-//! The status bits of a pose.
+//! The status bits of a pose frame.
 
 use core::ops::{BitOr, BitOrAssign};
 
-/// A set of status bits; the numbers are those of the pose frame (`docs/stream.md`).
+/// A set of status bits, numbered as in the pose frame (`docs/stream.md`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Status(pub u32);
 
@@ -14,8 +14,8 @@ macro_rules! bits {
             /// Every bit with its name, in order.
             pub const NAMES: &'static [(Status, &'static str)] = &[$((Status::$name, stringify!($name))),*];
 
-            /// What each of them means, in the order of [`Status::NAMES`]; those that say so are fatal
-            /// or a warning.
+            /// The meaning of each bit, in the order of [`Status::NAMES`]. The text starts with `Fatal:` or
+            /// `Warning:` for such bits.
             pub const MEANINGS: &'static [&'static str] = &[$(concat!($($doc),*).trim_ascii()),*];
         }
     };
@@ -30,11 +30,11 @@ bits! {
     PSD_B_LOW = 2,
     /// Fatal: too little light on PSD C.
     PSD_C_LOW = 3,
-    /// Fatal: a channel of PSD A stands at its rail.
+    /// Fatal: a channel of PSD A is at its rail.
     PSD_A_CLIPPED = 4,
-    /// Fatal: a channel of PSD B stands at its rail.
+    /// Fatal: a channel of PSD B is at its rail.
     PSD_B_CLIPPED = 5,
-    /// Fatal: a channel of PSD C stands at its rail.
+    /// Fatal: a channel of PSD C is at its rail.
     PSD_C_CLIPPED = 6,
     /// Warning: the spot on PSD A is near the edge of the detector.
     PSD_A_EDGE = 7,
@@ -46,7 +46,7 @@ bits! {
     UNBALANCED = 10,
     /// Warning: the centering loop is not locked.
     NOT_LOCKED = 11,
-    /// Warning: the steering stands at a limit.
+    /// Warning: the steering is at a limit.
     STEERING_RAILED = 12,
     /// Fatal: the solver found no pose for these signals.
     NOT_CONVERGED = 13,
@@ -54,30 +54,30 @@ bits! {
     OUT_OF_RANGE = 14,
     /// Warning: samples were lost just before this one.
     SAMPLE_GAP = 15,
-    /// Fatal: no samples come.
+    /// Fatal: no samples.
     SOURCE_DOWN = 16,
     /// Warning: the acquisition time is not tied to UTC.
     CLOCK_UNSYNCED = 17,
     /// Warning: a PSD has no correction table.
     UNCALIBRATED = 18,
-    /// Warning: the steering position that is read back contradicts the pose.
+    /// Warning: the steering readback contradicts the pose.
     INCONSISTENT = 19,
-    /// The light is computed, not measured.
+    /// The light is simulated, not measured.
     SIMULATED = 20,
     /// The samples come from a recording.
     REPLAYED = 21,
-    /// The pose is an old one, kept for a client that asked for that.
+    /// The pose is the last valid one, sent to a client that asked for `held`.
     POSE_HELD = 22,
-    /// The steering position is read back, not just commanded.
+    /// The steering position is read back, not only commanded.
     STEERING_MEASURED = 23,
     /// Warning: the recorder lost data.
     RECORDING_FAULT = 24,
-    /// Fatal: the power of the laser made a step.
+    /// Fatal: the laser power has stepped.
     POWER_STEP = 25,
 }
 
 impl Status {
-    /// With any of these there is no pose.
+    /// Bits with which a frame has no pose.
     pub const FATAL: Status = Status(
         Status::PSD_A_LOW.0
             | Status::PSD_B_LOW.0

@@ -1,4 +1,4 @@
-//! Whether a board can be used.
+//! Checks whether a board can be used with the configuration.
 
 use trifacet_core::signals::Identity;
 use trifacet_wire::board::{BoardIdentity, required_baud};
@@ -6,22 +6,25 @@ use trifacet_wire::channel::{MAX_CHANNELS, SIGNALS};
 
 use super::Settings;
 
-/// The board's clock has to resolve the time of a scan, and its ticks have to be told apart.
+/// Range of the board's clock: fine enough for the time of a scan, and slow enough to distinguish its ticks.
 const TICK_HZ: std::ops::RangeInclusive<u32> = 10_000..=1_000_000_000;
 
-/// Bits of converters and outputs.
+/// Resolution of converters and outputs, bits.
 const BITS: std::ops::RangeInclusive<u8> = 8..=24;
 
-/// Says what is wrong with the board, if anything is: what it has, and what is needed.
+/// Checks a board.
+///
+/// # Errors
+/// A text with the property of the board that is not supported, and the supported range.
 pub fn check(board: &BoardIdentity, settings: &Settings) -> Result<(), String> {
     let channels = board.roles.len();
     if !(SIGNALS.len()..=MAX_CHANNELS).contains(&channels) {
-        return Err(format!("it has {channels} channels; 9 to {MAX_CHANNELS} can be used"));
+        return Err(format!("it has {channels} channels; supported: 9 to {MAX_CHANNELS}"));
     }
     for signal in SIGNALS {
         let count = board.roles.iter().filter(|role| **role == signal).count();
         if count != 1 {
-            return Err(format!("{count} of its channels are {signal}; each signal is needed exactly once"));
+            return Err(format!("{count} of its channels carry {signal}; exactly one is required"));
         }
     }
     check_numbers(board)?;
@@ -31,16 +34,16 @@ pub fn check(board: &BoardIdentity, settings: &Settings) -> Result<(), String> {
 fn check_numbers(board: &BoardIdentity) -> Result<(), String> {
     let (bits, output_bits) = (board.converter.bits, board.output_bits);
     if !BITS.contains(&bits) {
-        return Err(format!("its converter has {bits} bits; 8 to 24 can be used"));
+        return Err(format!("its converter has {bits} bits; supported: 8 to 24"));
     }
     if !BITS.contains(&output_bits) {
-        return Err(format!("its steering outputs have {output_bits} bits; 8 to 24 can be used"));
+        return Err(format!("its steering outputs have {output_bits} bits; supported: 8 to 24"));
     }
     if board.converter.range_v <= 0.0 {
         return Err("its converter has a range of 0 V".into());
     }
     if !TICK_HZ.contains(&board.tick_hz) {
-        return Err(format!("its clock ticks at {} Hz; 10 kHz to 1 GHz can be used", board.tick_hz));
+        return Err(format!("its clock runs at {} Hz; supported: 10 kHz to 1 GHz", board.tick_hz));
     }
     Ok(())
 }
@@ -61,7 +64,7 @@ fn check_rate(board: &BoardIdentity, settings: &Settings) -> Result<(), String> 
     Ok(())
 }
 
-/// As the rest of the house knows a source.
+/// The identity of the board as a source.
 pub fn identity(board: &BoardIdentity, rate_hz: f64) -> Identity {
     Identity {
         name: board.name.clone(),
@@ -74,7 +77,7 @@ pub fn identity(board: &BoardIdentity, rate_hz: f64) -> Identity {
     }
 }
 
-/// The output codes of a position given in parts of full scale.
+/// The output codes for a position given as a fraction of full scale.
 pub fn output_codes(board: &BoardIdentity, parts: [f64; 2]) -> [i32; 2] {
     let full = f64::from(1_u32 << (board.output_bits - 1));
     parts.map(|part| (part * full).round().clamp(-full, full - 1.0) as i32)

@@ -1,11 +1,11 @@
-//! Losses, counted one by one and told to people once a second.
+//! Faults of the link to the board: counted individually, logged at most once a second.
 
 use std::sync::Arc;
 
 use trifacet_core::telemetry::Counters;
 use trifacet_core::time::{Mono, NS_PER_S};
 
-/// What goes wrong between the board and here; in the order of the names below.
+/// Faults between board and host, in the order of the names below.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum LinkFault {
     /// A scan never arrived.
@@ -13,21 +13,21 @@ pub(super) enum LinkFault {
     Repeated,
     Late,
     Corrupted,
-    /// A whole frame that makes no sense.
+    /// An undamaged frame with invalid contents.
     Unknown,
-    /// The board did not understand a frame of ours.
+    /// The board did not understand a frame of the host.
     BoardError,
-    /// The converter was read too late.
+    /// The board read its converter too late.
     Overrun,
-    /// The outputs hold or park because commands stopped coming in time.
+    /// The outputs hold or park because no command arrived in time.
     LeaseExpired,
 }
 
-/// Counts what no event tells into the daemon's counters, and logs what came together.
+/// Counts faults without an event of their own in the daemon's counters, and logs them in summary lines.
 #[derive(Debug)]
 pub(super) struct Tally {
     counters: Arc<Counters>,
-    /// Since the last line: each kind with its name.
+    /// Counts since the last line: the name of each kind, and its number.
     recent: [(&'static str, u64); 8],
     told: Option<Mono>,
 }
@@ -47,7 +47,7 @@ impl Tally {
         Self { counters, recent: names.map(|name| (name, 0)), told: None }
     }
 
-    /// So many scans never arrived.
+    /// Counts `n` lost scans.
     pub(super) fn lost(&mut self, n: u32) {
         self.add(LinkFault::Lost, n.into());
     }
@@ -72,7 +72,7 @@ impl Tally {
         self.recent[mishap as usize].1 += n;
     }
 
-    /// Logs what came together since the last line, at most once a second.
+    /// Logs the faults since the last line, at most once a second.
     pub(super) fn tell(&mut self, now: Mono) {
         let quiet = self.recent.iter().all(|(_, n)| *n == 0);
         if quiet || self.told.is_some_and(|told| now - told < NS_PER_S) {

@@ -1,7 +1,7 @@
-//! The host's side of the conversation with an acquisition board. Pure: bytes and times in, bytes and events out.
+//! The host side of the board protocol. Pure: bytes and times in, bytes and events out.
 //!
-//! The messages themselves are in [`trifacet_wire::board`]; [`Sequence`] finds what was lost on the way, and
-//! [`Session`] leads the conversation.
+//! The messages are in [`trifacet_wire::board`]. [`Sequence`] detects lost scans, and [`Session`] is the
+//! state machine of the connection.
 
 mod compatibility;
 mod link_faults;

@@ -1,39 +1,39 @@
-//! Sequence numbers to an index that never wraps and never goes back.
+//! From sequence numbers to an index that never wraps and never decreases.
 
-/// Numbers remembered behind the newest one, to tell a frame that came twice from one that came late.
+/// Number of sequence numbers remembered, to distinguish repeated frames from late ones.
 const MEMORY: u32 = 64;
 
-/// What a sequence number says about its frame.
+/// Classification of a frame by its sequence number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Arrival {
-    /// Newer than all before.
+    /// Newer than all previous ones.
     New {
-        /// Counts all scans since the daemon began.
+        /// Counts all scans since the start of the daemon.
         index: u64,
-        /// Scans between this one and the one before that have not arrived.
+        /// Number of scans between this one and the previous one that have not arrived.
         lost: u32,
     },
-    /// It was here already.
+    /// The frame has arrived before.
     Repeated,
-    /// A younger one was here before. It has been counted as lost.
+    /// A newer frame arrived before; this one has been counted as lost.
     Late,
 }
 
-/// Follows the sequence numbers of a board through wraps and restarts.
+/// Tracks the sequence numbers of a board through wraps and restarts.
 #[derive(Clone, Debug, Default)]
 pub struct Sequence {
     /// Index of the next scan if nothing is lost.
     index: u64,
-    /// Its sequence number.
+    /// Sequence number of that scan.
     expected: u32,
     /// Bit k: the frame with the number `expected - 1 - k` has arrived.
     seen: u64,
-    /// Scans missed while the board was away, not yet told.
+    /// Scans missed while the board was disconnected, not yet reported.
     missed: u64,
 }
 
 impl Sequence {
-    /// The board begins again at number 0, about `missed` scans after the last one that arrived.
+    /// The board restarts at number 0, about `missed` scans after the last one that arrived.
     pub fn restart(&mut self, missed: u64) {
         self.index += missed;
         self.missed += missed;
@@ -41,7 +41,7 @@ impl Sequence {
         self.seen = 0;
     }
 
-    /// Places a number. Anything up to half the range ahead is new.
+    /// Classifies a number. A number up to half the range ahead is new.
     pub fn arrived(&mut self, sequence: u32) -> Arrival {
         let ahead = sequence.wrapping_sub(self.expected);
         if ahead > u32::MAX / 2 {

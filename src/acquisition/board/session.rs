@@ -1,4 +1,4 @@
-//! The host's side of the conversation, without the wire: bytes and times in, events and bytes out.
+//! The session with a board, without the port: bytes and times in, events and bytes out.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -17,25 +17,25 @@ use crate::acquisition::{SourceError, SourceEvent};
 use crate::config::{Config, SteeringKind};
 
 const MS: i64 = NS_PER_S / 1000;
-/// How long a board may take to answer, milliseconds.
+/// Time limit for an answer of the board, milliseconds.
 const ANSWER_MS: u32 = 500;
-/// How long the host keeps still after something went wrong, before it asks again.
+/// Pause after a fault before the next request, nanoseconds.
 const REST_NS: i64 = NS_PER_S;
-/// Scans have stalled after this long ...
+/// Scans have stalled after this time ...
 const STALL_NS: i64 = 20 * MS;
-/// ... or after so many periods, whichever is longer.
+/// ... or after this many periods, whichever is longer.
 const STALL_PERIODS: f64 = 5.0;
 
-/// What the host wants of the board.
+/// Settings of the session.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     /// Scans per second.
     pub rate_hz: f64,
-    /// Bits per second on the wire.
+    /// Baud rate of the port.
     pub baud: u32,
-    /// Fixed time from scan to arrival, nanoseconds.
+    /// Constant delay from a scan to its arrival, nanoseconds.
     pub latency_ns: i64,
-    /// Parking position in parts of full scale.
+    /// Parking position as a fraction of full scale.
     pub park: [f64; 2],
 }
 
@@ -48,24 +48,24 @@ impl From<&Config> for Settings {
             latency_ns: (serial.latency_us * 1e3).round() as i64,
             park: match config.steering.kind {
                 SteeringKind::Outputs => config.steering.park_um.map(|um| um / config.steering.full_scale_um),
-                SteeringKind::Gcs => [0.0; 2], // another stage parks; the outputs are never commanded
+                SteeringKind::Gcs => [0.0; 2], // with another stage the outputs are never commanded
             },
         }
     }
 }
 
-/// Where the conversation stands.
+/// State of the session.
 #[derive(Debug)]
 enum State {
-    /// No wire.
+    /// The port is not open.
     Unlinked,
-    /// IDENTIFY was sent.
+    /// IDENTIFY has been sent.
     Identifying { until: Mono },
-    /// START was sent.
+    /// START has been sent.
     Starting { board: BoardIdentity, until: Mono },
-    /// Scans are coming.
+    /// Scans are arriving.
     Running(Running),
-    /// Something went wrong; scans that come all the same are welcome if they had only stalled.
+    /// Pause after a fault. If scans have only stalled, scans that arrive in the meantime are accepted.
     Resting { until: Mono, stalled: Option<Running> },
 }
 
@@ -73,14 +73,14 @@ enum State {
 struct Running {
     channels: usize,
     timebase: Timebase,
-    /// Silence that counts as a stall.
+    /// Silence that counts as a stall, nanoseconds.
     patience_ns: i64,
     /// Arrival of the last new scan.
     heard: Mono,
     lease_expired: bool,
 }
 
-/// The conversation with one board, through all its failures.
+/// The session with one board, across all faults and reconnections.
 #[derive(Debug)]
 pub struct Session {
     settings: Settings,
@@ -88,21 +88,21 @@ pub struct Session {
     deframer: Deframer,
     sequence: Sequence,
     tally: Tally,
-    /// Time of the last scan of all.
+    /// Time of the last scan.
     last: Option<Mono>,
     events: VecDeque<SourceEvent>,
-    /// Why no scans come, as last told.
+    /// The last reported reason for missing scans.
     told: Option<SourceError>,
-    /// Frames under way to the wire.
+    /// Bytes that wait to be written.
     out: Vec<u8>,
-    /// The newest command, not yet under way.
+    /// The newest command, not yet encoded.
     command: Option<OutputCommand>,
-    /// Corrupted frames while no answer came.
+    /// Number of corrupted frames while waiting for an answer.
     garbage: u32,
 }
 
 impl Session {
-    /// A conversation that has not begun.
+    /// A session without a connection.
     pub fn new(settings: Settings, counters: Arc<Counters>) -> Self {
         Self {
             settings,
@@ -119,34 +119,34 @@ impl Session {
         }
     }
 
-    /// The wire is there.
+    /// Records that the port is open.
     pub fn connected(&mut self, now: Mono) {
         self.deframer = Deframer::default();
         self.identify(now);
     }
 
-    /// The wire is not there, for this reason.
+    /// Records that the port is not open, for this reason.
     pub fn disconnected(&mut self, reason: SourceError) {
         self.state = State::Unlinked;
         self.out.clear();
         self.down(reason);
     }
 
-    /// The next thing to tell.
+    /// The next event.
     pub fn event(&mut self) -> Option<SourceEvent> {
         self.events.pop_front()
     }
 
-    /// Takes a command; it replaces one that is not yet under way. Without a running board it is
-    /// dropped: it would be an old one by the time the board is back. A board that has only fallen silent
-    /// may well hear, and the last command of a loop that ends is worth saying.
+    /// Takes a command, which replaces an older one that has not been sent. Without a running board the
+    /// command is dropped, because it would be outdated when the board is back. A stalled board may still
+    /// receive, so that the last command of a loop that ends is sent to it.
     pub fn steer(&mut self, command: OutputCommand) {
         if self.scanning() {
             self.command = Some(command);
         }
     }
 
-    /// Asks the board to scan no more, after the last command.
+    /// Requests the board to stop scanning, after the last command.
     pub fn stop(&mut self) {
         if let Some(command) = self.command.take() {
             Request::Steer(command).encode(&mut self.out);
@@ -154,7 +154,7 @@ impl Session {
         Request::Stop.encode(&mut self.out);
     }
 
-    /// What is to be written next.
+    /// The bytes to write next.
     pub fn output(&mut self) -> &[u8] {
         if self.out.is_empty()
             && let Some(command) = self.command.take()
@@ -164,12 +164,12 @@ impl Session {
         &self.out
     }
 
-    /// So many bytes of the output are written.
+    /// Records that `bytes` bytes of the output have been written.
     pub fn written(&mut self, bytes: usize) {
         self.out.drain(..bytes);
     }
 
-    /// When [`Session::timed_out`] wants to be called, if nothing comes before.
+    /// Time at which [`Session::timed_out`] must be called if nothing arrives before.
     pub fn deadline(&self) -> Option<Mono> {
         match &self.state {
             State::Unlinked => None,
@@ -180,7 +180,7 @@ impl Session {
         }
     }
 
-    /// Does what is due at `now`.
+    /// Handles the deadline, if `now` has reached it.
     pub fn timed_out(&mut self, now: Mono) {
         self.tally.tell(now);
         if self.deadline().is_none_or(|deadline| now < deadline) {
@@ -199,7 +199,7 @@ impl Session {
         }
     }
 
-    /// Takes what arrived at `now`.
+    /// Takes bytes that arrived at `now`.
     pub fn received(&mut self, mut bytes: &[u8], now: Mono) {
         let mut deframer = std::mem::take(&mut self.deframer);
         while let Some(frame) = deframer.next(&mut bytes) {
@@ -214,7 +214,7 @@ impl Session {
         self.tally.tell(now);
     }
 
-    /// Whether scans are expected, so that what is damaged is a loss.
+    /// Whether scans are expected, so that damaged data counts as a loss.
     fn scanning(&self) -> bool {
         matches!(self.state, State::Running(_) | State::Resting { stalled: Some(_), .. })
     }
@@ -222,7 +222,7 @@ impl Session {
     fn identify(&mut self, now: Mono) {
         self.command = None;
         self.out.clear();
-        self.out.push(0); // ends whatever half a frame the board may have seen
+        self.out.push(0); // terminates an incomplete frame in the board's buffer
         Request::Identify.encode(&mut self.out);
         self.garbage = 0;
         self.state = State::Identifying { until: now + i64::from(ANSWER_MS) * MS };
@@ -241,10 +241,10 @@ impl Session {
                 self.started(reply, now);
             }
             (Answer::Error { reason: ErrorReason::Version, .. }, State::Identifying { .. }) => {
-                self.unfit("it does not speak version 1 of the protocol".into(), now);
+                self.unfit("it does not support version 1 of the protocol".into(), now);
             }
             (Answer::Error { .. }, _) => self.tally.count(LinkFault::BoardError),
-            // Scans from before START, and answers that come after the time for them.
+            // Scans from before START, and answers after their time limit.
             (Answer::Scan(_) | Answer::Ack { .. } | Answer::Identity(_) | Answer::Reply(_), _) => {}
         }
     }
@@ -284,7 +284,7 @@ impl Session {
             timebase: Timebase::new(board.tick_hz, self.settings.latency_ns, self.last),
             patience_ns: STALL_NS.max((STALL_PERIODS / rate_hz * NS_PER_S as f64) as i64),
             heard: now,
-            lease_expired: true, // of the daemon before this one: no news
+            lease_expired: true, // a lease of the previous daemon is not counted
         });
         tracing::debug!("board started: {}, {} channels at {rate_hz} Hz", board.name, board.roles.len());
         self.told = None;
@@ -326,12 +326,12 @@ impl Session {
         self.resume();
     }
 
-    /// Scans that had stalled are back.
+    /// Records that scans have resumed after a stall.
     fn resume(&mut self) {
         if let State::Resting { stalled, .. } = &mut self.state
             && let Some(running) = stalled.take()
         {
-            tracing::info!("scans are back");
+            tracing::info!("scans have resumed");
             self.state = State::Running(running);
             self.told = None;
         }
@@ -356,7 +356,7 @@ impl Session {
         self.down(reason);
     }
 
-    /// Tells why no scans come, once for each reason.
+    /// Reports the reason for missing scans, once for each reason.
     fn down(&mut self, reason: SourceError) {
         self.command = None;
         if self.told.as_ref() != Some(&reason) {

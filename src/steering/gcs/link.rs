@@ -1,4 +1,4 @@
-//! The line to a controller: one question at a time, each with its time-out.
+//! The line to a controller: one query at a time, each with a time-out.
 
 use std::future::poll_fn;
 use std::io;
@@ -16,12 +16,12 @@ use super::protocol::Answer;
 use super::settings::{Line, Settings};
 use crate::acquisition::port;
 
-/// A serial line counts as quiet after this.
+/// A serial line counts as quiet after this time without data.
 const QUIET: Duration = Duration::from_millis(50);
-/// How often a line that is not quiet is listened to before it counts as in use by somebody else.
+/// Number of attempts to find the line quiet, before it counts as used by another program.
 const LISTENS: usize = 20;
 
-/// Either kind of line.
+/// A serial or a TCP connection.
 trait Wire: AsyncRead + AsyncWrite + Unpin + Send {}
 impl<T: AsyncRead + AsyncWrite + Unpin + Send> Wire for T {}
 
@@ -33,7 +33,10 @@ pub struct Link {
 }
 
 impl Link {
-    /// Opens the line. What an earlier conversation has left on a serial line is let go by.
+    /// Opens the line. Data left from an earlier session on a serial line is discarded.
+    ///
+    /// # Errors
+    /// The line cannot be opened, or is not quiet.
     pub async fn open(settings: &Settings) -> Result<Self, Fault> {
         let name = settings.line.to_string();
         let no_way = |reason: String| Fault::Connect { line: name.clone(), reason };
@@ -62,7 +65,7 @@ impl Link {
         Ok(link)
     }
 
-    /// Waits until nothing comes any more.
+    /// Waits until no more data arrives.
     async fn settle(&mut self) -> Result<(), Fault> {
         let mut buffer = [0; 256];
         let mut heard = 0;
@@ -76,7 +79,10 @@ impl Link {
         Err(Fault::Unasked(buffer[..heard].iter().copied().map(char::from).collect()))
     }
 
-    /// Sends lines of which the last is a question, and waits for its answer.
+    /// Sends lines, of which the last one is a query, and waits for its answer.
+    ///
+    /// # Errors
+    /// The connection is lost, the controller does not answer in time, or data arrives unexpectedly.
     pub async fn ask(&mut self, lines: &str) -> Result<Answer, Fault> {
         self.nothing_waits(lines).await?;
         let mut answer = Answer::default();
@@ -106,7 +112,7 @@ impl Link {
         }
     }
 
-    /// Before a question nothing may lie on the line: it would be taken for the answer.
+    /// Checks that no data is waiting before a query: it would be taken for the answer.
     async fn nothing_waits(&mut self, lines: &str) -> Result<(), Fault> {
         let mut buffer = [0; 80];
         let waits = poll_fn(|cx| match poll_read(&mut self.wire, &mut buffer, cx) {
@@ -125,7 +131,7 @@ impl Link {
     }
 }
 
-/// Lines as they are told to people.
+/// Lines as shown in messages.
 pub fn label(lines: &str) -> String {
     lines.trim_end().replace('\n', ", ")
 }
@@ -134,11 +140,11 @@ async fn read(wire: &mut Box<dyn Wire>, buffer: &mut [u8]) -> io::Result<usize> 
     poll_fn(|cx| poll_read(wire, buffer, cx)).await
 }
 
-/// Reads at least a byte: nothing to read at all means that the other side has closed the line.
+/// Reads at least one byte; an empty read means that the other side has closed the connection.
 fn poll_read(wire: &mut Box<dyn Wire>, buffer: &mut [u8], cx: &mut Context) -> Poll<io::Result<usize>> {
     let mut buffer = ReadBuf::new(buffer);
     Pin::new(wire).poll_read(cx, &mut buffer).map(|read| match (read, buffer.filled().len()) {
-        (Ok(()), 0) => Err(io::Error::other("the other side has closed it")),
+        (Ok(()), 0) => Err(io::Error::other("the other side has closed the connection")),
         (Ok(()), bytes) => Ok(bytes),
         (Err(error), _) => Err(error),
     })

@@ -1,11 +1,11 @@
 //! Stages of PI (Physik Instrumente) that speak the General Command Set 2.0, on a serial line or TCP.
 //!
-//! - [`protocol`]: lines and answers; pure. [`fault`]: what goes wrong, and the controller's error codes.
-//! - `link`: the line, one question at a time. `session`: a conversation. [`task`]: one after the other.
-//! - [`Gcs`]: the end that the loop holds.
+//! - [`protocol`]: lines and answers; pure. [`fault`]: faults, and the error codes of the controller.
+//! - `link`: the line, one query at a time. `session`: one connection. [`task`]: successive connections.
+//! - [`Gcs`]: the driver for the centering task.
 //!
-//! The task stands on the main thread. It gets the newest command only, and the loop never waits for it.
-//! These controllers know no lease: a stage whose daemon was killed stays where it was sent last.
+//! The task runs on the main thread. It gets only the newest command, and the loop never waits for it. These
+//! controllers have no lease: if the daemon is killed, the stage stays at its last commanded position.
 
 pub mod fault;
 mod link;
@@ -24,19 +24,19 @@ use trifacet_wire::actuator::Ack;
 use super::{Driver, StageEvent};
 use crate::config::{Config, SteeringConfig};
 
-/// A command, and the connection of which its sender knew.
+/// A command, and the connection that its sender assumed.
 type Addressed = (u32, Command);
 
-/// What the task knows of the stage.
+/// State of the stage, as the task reports it.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Report {
-    /// Counts connections; zero before the first.
+    /// Number of connections so far; zero before the first.
     connection: u32,
-    /// Why there is none at present, if that is known.
+    /// Reason why there is no connection at present, if known.
     down: Option<String>,
-    /// Where the stage stands, with a count of how often that was told.
+    /// Position of the stage, with the number of position reports.
     at: Option<(u64, Xy)>,
-    /// The last answer to a command.
+    /// The last acknowledgement.
     ack: Option<Ack>,
 }
 
@@ -58,12 +58,11 @@ impl Report {
 pub struct Gcs {
     commands: watch::Sender<Option<Addressed>>,
     reports: watch::Receiver<Report>,
-    /// What was told of the reports.
+    /// The part of the reports that has been passed on.
     told: Report,
 }
 
-/// The driver and its task, if the configuration has such a stage. `steering` has the limits that hold
-/// at present.
+/// The driver and its task, if such a stage is configured. `steering` receives the present limits.
 pub fn pair(config: &Config, steering: watch::Receiver<SteeringConfig>) -> Option<(Gcs, Task)> {
     let settings = Settings::new(config)?;
     let (commands, commanded) = watch::channel(None);
@@ -74,7 +73,7 @@ pub fn pair(config: &Config, steering: watch::Receiver<SteeringConfig>) -> Optio
 }
 
 impl Gcs {
-    /// What is new: a connection first, then what came over it, then its end.
+    /// The next unreported event: a new connection first, then its results, then its end.
     fn news(&mut self) -> Option<StageEvent> {
         let report = self.reports.borrow_and_update();
         let told = &mut self.told;
@@ -99,7 +98,7 @@ impl Gcs {
 }
 
 impl Driver for Gcs {
-    /// Nothing goes to a stage of which it is not known where it stands.
+    /// A command is dropped while the position of the stage is unknown.
     fn steer(&mut self, command: Command) {
         if self.told.connection > 0 && self.told.down.is_none() {
             self.commands.send_replace(Some((self.told.connection, command)));
@@ -112,7 +111,7 @@ impl Driver for Gcs {
                 return event;
             }
             if self.reports.changed().await.is_err() {
-                std::future::pending::<()>().await; // the task has ended; the daemon sees that
+                std::future::pending::<()>().await; // the task has ended; the daemon detects that
             }
         }
     }
@@ -136,7 +135,7 @@ mod tests {
         let (_steering_in, steering) = watch::channel(config.steering.clone());
         let (mut driver, task) = pair(&config, steering).unwrap();
         driver.steer(command(1));
-        assert_eq!(*task.commands.borrow(), None, "there is nothing to steer yet");
+        assert_eq!(*task.commands.borrow(), None, "no connection yet");
         assert_eq!(driver.next().await, StageEvent::Down("no controller has answered yet".into()));
 
         task.reports.send_modify(|report| report.down = Some("unplugged".into()));
@@ -150,7 +149,7 @@ mod tests {
 
         let ack = Ack { id: 3, accepted: true };
         task.reports.send_modify(|report| report.ack = Some(ack));
-        // The same place again is news, too: it still stands there.
+        // The same position again is a new event: the stage is still there.
         task.reports.send_modify(|report| report.stands([3e-6, 4e-6]));
         task.reports.send_modify(|report| report.down = Some("no answer".into()));
         assert_eq!(driver.next().await, StageEvent::At([3e-6, 4e-6]));
@@ -159,7 +158,7 @@ mod tests {
         assert_eq!(driver.news(), None);
         driver.steer(command(4));
         assert_eq!(*task.commands.borrow(), Some((1, command(3))));
-        // Down and up again between two looks: it may be another stage.
+        // Down and up again between two checks: the stage may have been replaced.
         task.reports.send_modify(|report| report.up([0.0; 2]));
         assert_eq!(driver.next().await, StageEvent::Up);
         assert_eq!(driver.next().await, StageEvent::At([0.0; 2]));

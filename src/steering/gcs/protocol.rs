@@ -1,42 +1,42 @@
-//! PI's General Command Set 2.0, as far as a stage of two axes needs it: lines of ASCII. Pure.
+//! PI's General Command Set 2.0, as far as a stage with two axes needs it: lines of ASCII. Pure.
 //!
-//! A command is a line and has no answer; what became of it is the answer to `ERR?`. A question is a line
-//! that ends its name with a question mark. Its answer has one or more lines; every line but the last ends
-//! with a space before the line feed.
+//! A command is a line without an answer; its result is the answer to `ERR?`. A query is a line whose name
+//! ends with a question mark. Its answer has one or more lines; every line but the last ends with a space
+//! before the line feed.
 
-/// The names of two axes, as the controller knows them.
+/// Names of two axes, as configured in the controller.
 pub type Axes = [String; 2];
 
-/// A line of an answer never has more bytes than this.
+/// Largest length of a line of an answer, bytes.
 const LINE: usize = 256;
-/// An answer never has more lines than this: two axes need two.
+/// Largest number of lines of an answer; two axes need two.
 const LINES: usize = 8;
 
-/// What a controller is asked.
+/// Queries to a controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GcsQuery {
-    /// Who it is.
+    /// Maker, model, serial number and version.
     Identity,
-    /// The code of the last error, which is forgotten thereby.
+    /// Code of the last error; the query clears it.
     Error,
     /// Whether the axes are in closed loop.
     Servo,
     /// Whether the axes are referenced.
     Referenced,
-    /// The unit of position of the axes.
+    /// Unit of position of the axes.
     Unit,
-    /// The low end of the travel.
+    /// Lower end of the travel.
     Lowest,
-    /// The high end of the travel.
+    /// Upper end of the travel.
     Highest,
-    /// The velocity of a motion.
+    /// Velocity of motions.
     Velocity,
-    /// Where the axes stand.
+    /// Position of the axes.
     Position,
 }
 
 impl GcsQuery {
-    /// The line that asks it.
+    /// The line of the query.
     pub fn line(self, axes: &Axes) -> String {
         let name = match self {
             Self::Identity => return "*IDN?\n".into(),
@@ -53,53 +53,56 @@ impl GcsQuery {
     }
 }
 
-/// The line that moves both axes, and the question what became of it; positions in the controller's
-/// unit. None if one of them is no number: such a line never goes out.
+/// The line that moves both axes, followed by the query for its result; positions in the unit of the
+/// controller. `None` if a position is not finite: such a line is never sent.
 pub fn move_to(axes: &Axes, position: [f64; 2]) -> Option<String> {
     let [x, y] = position;
     let fine = x.is_finite() && y.is_finite();
-    // Seven digits are 0.1 nm where the unit is the millimetre.
+    // Seven digits are 0.1 nm if the unit is the millimetre.
     fine.then(|| format!("MOV {} {x:.7} {} {y:.7}\nERR?\n", axes[0], axes[1]))
 }
 
-/// The line that closes the loop of both axes, and the question what became of it.
+/// The line that switches the servo of both axes on, followed by the query for its result.
 pub fn servo_on(axes: &Axes) -> String {
     format!("SVO {} 1 {} 1\nERR?\n", axes[0], axes[1])
 }
 
-/// Why bytes are not the answer that was asked for.
+/// Reasons why bytes are not a valid answer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum AnswerError {
-    /// More than any answer has.
-    #[error("more than an answer can have: lines of {LINE} bytes, {LINES} of them")]
+    /// Longer than any answer.
+    #[error("longer than {LINES} lines of {LINE} bytes")]
     TooLong,
-    /// Bytes that are no text.
-    #[error("the byte 0x{0:02x}, which is no text")]
+    /// A byte that is not text.
+    #[error("the byte 0x{0:02x} is not text")]
     NotText(u8),
-    /// Something after the end of the answer.
-    #[error("{0:?} after its end")]
+    /// Data after the end of the answer.
+    #[error("{0:?} after the end of the answer")]
     Surplus(String),
-    /// Text that means something else.
-    #[error("{received:?} where {expected} was expected")]
+    /// Text with another meaning.
+    #[error("{received:?}, expected {expected}")]
     Unexpected {
-        /// What it should have looked like.
+        /// The expected form.
         expected: String,
-        /// What came.
+        /// The received text.
         received: String,
     },
 }
 
-/// Puts an answer together from the bytes as they come.
+/// Assembles an answer from bytes as they arrive.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Answer {
     lines: Vec<String>,
-    /// The last line, as far as it has come.
+    /// The last line, as far as received.
     line: String,
     complete: bool,
 }
 
 impl Answer {
-    /// Takes bytes; says whether the answer is complete.
+    /// Takes bytes; returns whether the answer is complete.
+    ///
+    /// # Errors
+    /// The answer is too long, not text, or followed by more data.
     pub fn push(&mut self, bytes: &[u8]) -> Result<bool, AnswerError> {
         for (i, &byte) in bytes.iter().enumerate() {
             if self.complete {
@@ -123,12 +126,15 @@ impl Answer {
         if self.lines.len() == LINES && !self.complete { Err(AnswerError::TooLong) } else { Ok(()) }
     }
 
-    /// What has come so far, for people.
+    /// The received part, as shown in messages.
     pub fn so_far(&self) -> String {
         shown(self.lines.iter().flat_map(|line| line.chars().chain([' '])).chain(self.line.chars()))
     }
 
-    /// The answer as its single line.
+    /// The answer as a single line.
+    ///
+    /// # Errors
+    /// The answer has more than one line.
     pub fn line(&self, expected: &str) -> Result<&str, AnswerError> {
         match &self.lines[..] {
             [line] => Ok(line),
@@ -136,18 +142,27 @@ impl Answer {
         }
     }
 
-    /// The error code that the answer is.
+    /// The answer as an error code.
+    ///
+    /// # Errors
+    /// The answer is not an integer.
     pub fn code(&self) -> Result<i32, AnswerError> {
         const EXPECTED: &str = "an error code";
         self.line(EXPECTED)?.trim().parse().map_err(|_| self.unexpected(EXPECTED))
     }
 
-    /// The finite number of each axis.
+    /// The answer as one finite number per axis.
+    ///
+    /// # Errors
+    /// The answer has another form.
     pub fn numbers(&self, axes: &Axes) -> Result<[f64; 2], AnswerError> {
         self.of_axes(axes, "a number", |text| text.parse().ok().filter(|x: &f64| x.is_finite()))
     }
 
-    /// The yes or no of each axis.
+    /// The answer as one flag per axis.
+    ///
+    /// # Errors
+    /// The answer has another form.
     pub fn flags(&self, axes: &Axes) -> Result<[bool; 2], AnswerError> {
         self.of_axes(axes, "0 or 1", |text| match text {
             "0" => Some(false),
@@ -156,12 +171,15 @@ impl Answer {
         })
     }
 
-    /// The words of each axis.
+    /// The answer as one word per axis.
+    ///
+    /// # Errors
+    /// The answer has another form.
     pub fn words(&self, axes: &Axes) -> Result<[String; 2], AnswerError> {
         self.of_axes(axes, "a word", |text| Some(text.to_owned()))
     }
 
-    /// The values of the axes, one a line, in the order in which they were asked for.
+    /// The values of the axes, one per line, in the order of the query.
     fn of_axes<T>(
         &self,
         axes: &Axes,
@@ -177,7 +195,7 @@ impl Answer {
         {
             return Ok([a, b]);
         }
-        Err(self.unexpected(&format!("{}= and {}=, each with {kind},", axes[0], axes[1])))
+        Err(self.unexpected(&format!("{}= and {}=, each with {kind}", axes[0], axes[1])))
     }
 
     fn unexpected(&self, expected: &str) -> AnswerError {
@@ -185,7 +203,7 @@ impl Answer {
     }
 }
 
-/// Not more of it than fits into a message.
+/// The text, shortened for a message.
 fn shown(text: impl Iterator<Item = char>) -> String {
     text.take(80).collect()
 }

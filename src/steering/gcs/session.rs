@@ -1,4 +1,4 @@
-//! A conversation with a controller: first who it is and whether it can be used, then motions.
+//! A session with a controller: checks of its identity and settings, then motions.
 
 use trifacet_core::steering::Xy;
 
@@ -9,10 +9,10 @@ use super::settings::Settings;
 use super::unit;
 use crate::config::SteeringConfig;
 
-/// So much of its travel a stage may stand beyond it: a controller regulates, and rounds.
+/// Fraction of its travel by which a stage may be beyond its ends: a controller regulates, and rounds.
 const BEYOND: f64 = 0.01;
 
-/// A controller that can be used.
+/// A controller that has passed the checks.
 pub struct Session<'a> {
     settings: &'a Settings,
     link: Link,
@@ -21,8 +21,11 @@ pub struct Session<'a> {
 }
 
 impl<'a> Session<'a> {
-    /// Finds out who is there and whether it can be used as configured. Moves nothing, unless
-    /// a servo may be switched on.
+    /// Connects, and checks whether the controller can be used as configured. Moves nothing, except by
+    /// switching a servo on if that is allowed.
+    ///
+    /// # Errors
+    /// The connection fails, or the controller cannot be used; the message names the remedy.
     pub async fn open(settings: &'a Settings, steering: &SteeringConfig) -> Result<Self, Fault> {
         let mut session = Self { settings, link: Link::open(settings).await?, travel: [[0.0; 2]; 2] };
         let identity = session.identify().await?;
@@ -44,8 +47,8 @@ impl<'a> Session<'a> {
         Ok(session)
     }
 
-    /// Who it is: maker, model, serial number, version, with commas between. What an earlier
-    /// conversation has left on the line looks otherwise.
+    /// The identity: maker, model, serial number, version, separated by commas. Data left from an earlier
+    /// session has another form.
     async fn identify(&mut self) -> Result<String, Fault> {
         const EXPECTED: &str = "maker, model, serial number and version";
         let (asked, answer) = self.ask(GcsQuery::Identity).await?;
@@ -57,7 +60,7 @@ impl<'a> Session<'a> {
         Ok(line)
     }
 
-    /// Positions mean something only in closed loop.
+    /// Checks that the axes are in closed loop, where positions have a meaning.
     async fn close_loops(&mut self) -> Result<(), Fault> {
         let (asked, answer) = self.ask(GcsQuery::Servo).await?;
         let servo = answer.flags(&self.settings.axes).map_err(|error| Fault::Answer { asked, error })?;
@@ -76,8 +79,8 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Referencing moves the stage to wherever its switch is: that is for a person to start. Stages that
-    /// need none do not know the question.
+    /// Checks that the axes are referenced. Referencing moves the stage to its reference switch, so the
+    /// operator must start it. Stages without a reference switch do not know the query.
     async fn check_references(&mut self) -> Result<(), Fault> {
         let Some((asked, answer)) = self.ask_if_known(GcsQuery::Referenced).await? else { return Ok(()) };
         let done = answer.flags(&self.settings.axes).map_err(|error| Fault::Answer { asked, error })?;
@@ -85,7 +88,7 @@ impl<'a> Session<'a> {
             None => Ok(()),
             Some(axis) => Err(Fault::Unfit(format!(
                 "axis {axis} is not referenced: reference it with the maker's program (FRF {axis} moves the \
-                 stage to its reference), with nothing in its way; trifacet then goes on by itself"
+                 stage to its reference), with nothing in its way; trifacet then continues automatically"
             ))),
         }
     }
@@ -99,14 +102,17 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    /// The stage can go wherever it may be sent.
+    /// Checks that the stage can reach all positions within the limits.
+    ///
+    /// # Errors
+    /// The travel of an axis is smaller than the limits.
     pub fn check_travel(&self, steering: &SteeringConfig) -> Result<(), Fault> {
         let limit_um = steering.limit_um;
         for (axis, [low, high]) in self.settings.axes.iter().zip(self.travel) {
             let [low_um, high_um] = [low, high].map(rounded_um);
             if !(low_um <= -limit_um && limit_um <= high_um) {
                 return Err(Fault::Unfit(format!(
-                    "axis {axis} travels from {low_um} to {high_um} um, seen from steering.gcs.zero_um: \
+                    "axis {axis} travels from {low_um} to {high_um} um, relative to steering.gcs.zero_um: \
                      plus and minus steering.limit_um, {limit_um}, must lie within"
                 )));
             }
@@ -114,7 +120,7 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    /// A stage that is slower than the commands lags behind them. That is no harm, but good to know.
+    /// Warns if the stage is slower than the commands. It then lags behind them, which is not a fault.
     async fn check_velocity(&mut self, steering: &SteeringConfig) -> Result<(), Fault> {
         let Some((asked, answer)) = self.ask_if_known(GcsQuery::Velocity).await? else { return Ok(()) };
         let axes = &self.settings.axes;
@@ -124,17 +130,18 @@ impl<'a> Session<'a> {
             if mm_per_s < steering.slew_mm_per_s {
                 tracing::warn!(
                     %axis, mm_per_s, slew_mm_per_s = steering.slew_mm_per_s,
-                    "the axis is slower than steering.slew_mm_per_s: it will lag behind"
+                    "the axis is slower than steering.slew_mm_per_s: the stage will lag behind its commands"
                 );
             }
         }
         Ok(())
     }
 
-    /// Where the stage stands, metres.
+    /// The position of the stage, metres.
     ///
     /// # Errors
-    /// Also a place where it cannot be: then the units are others, or another stage answers.
+    /// The query fails, or the position is outside the travel: then the unit is wrong, or another stage
+    /// answers.
     pub async fn position(&mut self) -> Result<Xy, Fault> {
         let position = self.settings.position(self.numbers(GcsQuery::Position).await?);
         for ((axis, at), [low, high]) in self.settings.axes.iter().zip(position).zip(self.travel) {
@@ -142,20 +149,23 @@ impl<'a> Session<'a> {
             if !(low - slack..=high + slack).contains(&at) {
                 let [at, low, high] = [at, low, high].map(rounded_um);
                 return Err(Fault::Unfit(format!(
-                    "axis {axis} says that it stands at {at} um, and that it travels from {low} to {high} um"
+                    "axis {axis} reports the position {at} um, outside its travel from {low} to {high} um"
                 )));
             }
         }
         Ok(position)
     }
 
-    /// Whether the stage can go there at all.
+    /// Whether the position is within the travel.
     pub fn reaches(&self, position: Xy) -> bool {
         self.travel.iter().zip(position).all(|([low, high], at)| (*low..=*high).contains(&at))
     }
 
-    /// Sends the stage somewhere; returns the controller's error code. None, and nothing is sent, if
-    /// that is nowhere.
+    /// Sends the stage to a position; returns the command and the error code of the controller. `None`,
+    /// without sending anything, if the position is not finite.
+    ///
+    /// # Errors
+    /// The query for the error code fails.
     pub async fn go(&mut self, position: Xy) -> Result<Option<(String, i32)>, Fault> {
         let line = move_to(&self.settings.axes, self.settings.counted(position));
         let Some(line) = line else { return Ok(None) };
@@ -176,7 +186,8 @@ impl<'a> Session<'a> {
         Ok((label(&line), self.link.ask(&line).await?))
     }
 
-    /// Asks what not every controller knows; those that do not are silent, and have an error afterwards.
+    /// Sends a query that not every controller knows; those that do not stay silent and have an error
+    /// afterwards.
     async fn ask_if_known(&mut self, question: GcsQuery) -> Result<Option<(String, Answer)>, Fault> {
         match self.ask(question).await {
             Err(silent @ Fault::Silent { so_far: None, .. }) => match self.error().await? {
@@ -188,19 +199,19 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// The code of the last error; it is forgotten by that.
+    /// Code of the last error; the query clears it.
     async fn error(&mut self) -> Result<i32, Fault> {
         self.command(&GcsQuery::Error.line(&self.settings.axes)).await
     }
 
-    /// Sends lines that end with the question for the error code.
+    /// Sends lines that end with the query for the error code.
     async fn command(&mut self, lines: &str) -> Result<i32, Fault> {
         let answer = self.link.ask(lines).await?;
         answer.code().map_err(|error| Fault::Answer { asked: label(lines), error })
     }
 }
 
-/// Micrometres without the dust of the conversion.
+/// Micrometres, rounded to remove the error of the conversion.
 pub fn rounded_um(metres: f64) -> f64 {
     (metres * 1e12).round() * 1e-6
 }

@@ -1,4 +1,4 @@
-//! A controller as the configuration describes it, in metres.
+//! Settings of a controller from the configuration, in metres.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -8,16 +8,16 @@ use trifacet_core::steering::Xy;
 use super::protocol::Axes;
 use crate::config::{Config, SteeringKind};
 
-/// The way to a controller.
+/// Connection to a controller.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Line {
     /// Host and port.
     Tcp(String),
     /// A serial port.
     Serial {
-        /// Its path.
+        /// Path of the port.
         port: PathBuf,
-        /// Bits per second.
+        /// Baud rate.
         baud: u32,
     },
 }
@@ -31,25 +31,25 @@ impl fmt::Display for Line {
     }
 }
 
-/// What the driver knows of its stage.
+/// Settings of the driver.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
-    /// The way to the controller.
+    /// Connection to the controller.
     pub line: Line,
-    /// The names of the axes.
+    /// Names of the axes.
     pub axes: Axes,
-    /// The controller's unit of position, metres.
+    /// Unit of position of the controller, metres.
     pub unit: f64,
-    /// What the controller says where the daemon says zero, metres.
+    /// Position of the controller at the zero of the daemon, metres.
     pub zero: Xy,
-    /// A servo that is off may be switched on.
+    /// Whether a servo that is off may be switched on.
     pub servo_on: bool,
-    /// How long an answer may take.
+    /// Time limit for an answer, milliseconds.
     pub timeout_ms: u16,
 }
 
 impl Settings {
-    /// From a checked configuration, if it has such a stage.
+    /// Settings from a checked configuration, if it has such a stage.
     pub fn new(config: &Config) -> Option<Self> {
         let gcs = &config.steering.gcs;
         let line = match (&gcs.address, &gcs.port) {
@@ -68,12 +68,12 @@ impl Settings {
         })
     }
 
-    /// A position as the controller counts it.
+    /// A position in units of the controller.
     pub fn counted(&self, position: Xy) -> [f64; 2] {
         [0, 1].map(|axis| (position[axis] + self.zero[axis]) / self.unit)
     }
 
-    /// A position that the controller has told.
+    /// A position from units of the controller, metres.
     pub fn position(&self, counted: [f64; 2]) -> Xy {
         [0, 1].map(|axis| counted[axis] * self.unit - self.zero[axis])
     }

@@ -1,5 +1,5 @@
-//! The task: keeps a conversation with the controller, and begins another one when it ends. Runs on the
-//! main thread, as slowly as the controller is.
+//! The task of a controller: keeps a session open, and opens another one when it ends. Runs on the main
+//! thread, at the speed of the controller.
 
 use std::time::Duration;
 
@@ -15,14 +15,14 @@ use super::settings::Settings;
 use super::{Addressed, Report};
 use crate::config::SteeringConfig;
 
-/// How often the stage is asked where it stands.
+/// Interval of the position queries.
 const READBACK: Duration = Duration::from_millis(50);
-/// Between two attempts: at first, and at most.
+/// Pause between two attempts: shortest and longest.
 const PAUSE: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(5)];
-/// What the stage may be beyond a limit by rounding, metres.
+/// Tolerance of the limits for rounding, metres.
 const DUST: f64 = 1e-9;
 
-/// The stage at its controller, with the ends of its channels.
+/// The stage with its controller, and the ends of its channels.
 pub struct Task {
     pub(super) settings: Settings,
     /// The limits, which may change while the daemon runs.
@@ -32,7 +32,7 @@ pub struct Task {
 }
 
 impl Task {
-    /// Runs until the driver is gone: by then its last command was answered, or given up.
+    /// Runs until the driver is dropped: by then its last command was acknowledged, or given up.
     pub async fn run(mut self, counters: &Counters) {
         let reports = self.reports.clone();
         tokio::select! {
@@ -53,7 +53,7 @@ impl Task {
         }
     }
 
-    /// A conversation from its begin to its end. `pause` starts anew when a command was accepted.
+    /// One session from its start to its end. `pause` is reset when a command is accepted.
     async fn converse(
         &mut self,
         settings: &Settings,
@@ -79,7 +79,7 @@ impl Task {
                 }
                 Ok(()) = self.commands.changed() => {
                     let Some((connection, command)) = *self.commands.borrow_and_update() else { continue };
-                    // One for an earlier connection knows nothing of where the stage stands now.
+                    // A command for an earlier connection was computed from an outdated position.
                     if connection != self.reports.borrow().connection {
                         continue;
                     }
@@ -97,12 +97,12 @@ impl Task {
         }
     }
 
-    /// Sends the stage where the command says, unless that is nowhere it may go; says whether it goes.
+    /// Sends the stage to the commanded position if it may go there; returns whether it goes.
     async fn obey(&self, session: &mut Session<'_>, command: Command, at: Xy) -> Result<bool, Fault> {
         let limit = self.steering.borrow().limit_um * 1e-6;
         let position = command.position;
         if !(session.reaches(position) && allowed(position, at, limit)) {
-            tracing::error!(?position, limit, "a defect: a command beyond the limits was not sent");
+            tracing::error!(?position, limit, "internal error: a command beyond the limits was not sent");
             return Ok(false);
         }
         match session.go(position).await? {
@@ -119,14 +119,14 @@ impl Task {
     }
 }
 
-/// Within the limits; or, for a stage that stands beyond them, on its way back. NaN is nowhere.
+/// Whether the position is within the limits, or on the way back for a stage beyond them. False for NaN.
 fn allowed(position: Xy, at: Xy, limit: f64) -> bool {
     position.iter().zip(at).all(|(to, at)| (-limit.max(-at) - DUST..=limit.max(at) + DUST).contains(to))
 }
 
 fn readback() -> Interval {
     let mut interval = interval(READBACK);
-    // After an answer that was slow the commands have their turn first.
+    // After a slow answer, commands come first.
     interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
     interval.reset();
     interval

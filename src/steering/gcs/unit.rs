@@ -1,7 +1,7 @@
-//! The unit of position that an axis tells, against the one that is configured.
+//! Comparison of the unit that an axis reports with the configured one.
 
-/// Names of units of length, and how many micrometres they are. What `PUN?` answers differs in case and
-/// spelling from model to model; the micro sign comes in several encodings, of which these are left.
+/// Names of units of length, and their size in micrometres. Case and spelling in the answer to `PUN?` differ
+/// between models. The micro sign comes in several encodings; these are the ones that remain after decoding.
 const LENGTHS: [(&str, f64); 8] = [
     ("nm", 1e-3),
     ("um", 1.0),
@@ -15,8 +15,11 @@ const LENGTHS: [(&str, f64); 8] = [
 /// Names of units of angle.
 const ANGLES: [&str; 6] = ["rad", "mrad", "urad", "\u{b5}rad", "\u{c2}\u{b5}rad", "deg"];
 
-/// Whether positions of an axis in the unit `name` are those of `um_per_unit`; a name that is not known
-/// may mean anything.
+/// Checks that positions of an axis in the unit `name` are in units of `um_per_unit`. An unknown name is
+/// accepted.
+///
+/// # Errors
+/// The axis is rotary, or the configured unit is wrong.
 pub fn check(axis: &str, name: &str, um_per_unit: f64) -> Result<(), String> {
     let lower = name.to_ascii_lowercase();
     if ANGLES.contains(&lower.as_str()) {

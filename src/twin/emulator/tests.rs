@@ -38,7 +38,7 @@ impl Bench {
         answers
     }
 
-    /// Lets time pass and returns the scans of it.
+    /// Advances the time and returns the scans.
     fn run(&mut self, ms: i64) -> Vec<BoardScan> {
         let mut scans = Vec::new();
         for _ in 0..ms {
@@ -90,7 +90,7 @@ fn what_is_out_of_range_is_refused_and_changes_nothing() {
     assert_eq!(bench.steer([0, 40_000], 50, LeaseAction::Park), SteerResult::OutOfRange);
     assert_eq!(bench.steer([0, 0], 0, LeaseAction::Park), SteerResult::OutOfRange);
     bench.run(20);
-    assert_eq!(bench.board.state().steering, Steering::Parked, "the old lease ran on");
+    assert_eq!(bench.board.state().steering, Steering::Parked, "the previous lease continues");
 }
 
 #[test]
@@ -116,7 +116,7 @@ fn faults_of_the_link_use_up_numbers() {
     bench.run(10);
     bench.board.inject(FaultKind::Stalled, Some(0.01)).unwrap();
     bench.run(5);
-    assert_eq!(bench.ask(Request::Identify), [], "a stalled board does not listen");
+    assert_eq!(bench.ask(Request::Identify), [], "a stalled board ignores requests");
     bench.run(5);
     assert_eq!(bench.run(1)[0].sequence, 20);
     let state = bench.board.state();

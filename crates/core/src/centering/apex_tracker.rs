@@ -1,4 +1,4 @@
-//! What the loop knows of the mirror: where its apex is, and how fast it moves.
+//! Position and velocity of the apex, from samples and poses.
 
 use trifacet_optics::{Optics, Pose};
 
@@ -9,34 +9,34 @@ use crate::centering::{LoopParams, Target, TimedPose};
 use crate::signals::{PsdState, Sample};
 use crate::steering::Xy;
 
-/// Looks for the apex, sample by sample.
+/// Tracks the apex, sample by sample.
 #[derive(Clone, Debug)]
 pub struct ApexTracker {
     optics: Optics,
-    /// The last pose that was told.
+    /// The last valid pose.
     pose: Pose,
-    /// Where the apex is, seen across the beam, as far as is known.
+    /// Last known position of the apex across the beam, metres.
     apex: Option<Xy>,
-    /// It was once seen by all three PSDs.
+    /// All three PSDs have seen the apex at least once.
     known: bool,
     tracking: Tracking,
-    /// The tracking filter starts over after a longer pause.
+    /// The tracking filter starts again after a longer pause.
     patience_s: f64,
 }
 
 impl ApexTracker {
-    /// Knows nothing yet.
+    /// A tracker without any observation.
     pub fn new(optics: Optics, patience_s: f64) -> Self {
         let tracking = Tracking::default();
         Self { optics, pose: Pose::default(), apex: None, known: false, tracking, patience_s }
     }
 
-    /// Standard deviation of the beam, metres.
+    /// Standard deviation of the Gaussian beam profile (a quarter of the 1/e^2 diameter), metres.
     pub fn beam_sigma(&self) -> f64 {
         self.optics.sigma()
     }
 
-    /// Whether the apex was once seen by all three PSDs.
+    /// Whether all three PSDs have seen the apex at least once.
     pub fn knows_apex(&self) -> bool {
         self.known
     }
@@ -46,18 +46,18 @@ impl ApexTracker {
         self.tracking.velocity()
     }
 
-    /// The velocity is to be found anew.
+    /// Resets the velocity.
     pub fn interrupt(&mut self) {
         self.tracking.reset();
     }
 
-    /// The beam is elsewhere than was thought, and so is the apex.
+    /// Discards the position of the apex: the map from stage to beam has changed.
     pub fn forget(&mut self) {
         (self.apex, self.known) = (None, false);
         self.interrupt();
     }
 
-    /// What the sample says, with the stage standing at `stage`. `pose` is the last valid one, if it is fresh.
+    /// Evaluates a sample, with the stage at `stage`. `pose` is the last valid pose, if it is recent.
     pub fn look(
         &mut self,
         sample: &Sample,
@@ -70,9 +70,9 @@ impl ApexTracker {
         }
         let all_lit = sample.psds.iter().all(|psd| *psd == PsdState::Good);
         let mirror = match (params.target, pose) {
-            _ if !all_lit => self.pose, // the best there is
+            _ if !all_lit => self.pose, // the best known pose
             (Target::Apex, Some(told)) => told.pose,
-            // Nominal wedges: there equal powers are zero offset.
+            // With nominal wedges, equal powers mean zero offset.
             (Target::Apex, None) | (Target::Balance, _) => Pose::default(),
         };
         let beam = params.map.beam(stage);
@@ -90,9 +90,9 @@ impl ApexTracker {
         observation
     }
 
-    /// Position of the apex for the tracking filter, by the quieter of two sources: readback less offset (0.1 um
-    /// with good parts), or the solved pose of nine signals (1 um). The pose of eleven signals is as good as
-    /// the former, and comes a sample later.
+    /// Passes the position of the apex to the tracking filter, from the better of two sources: readback minus
+    /// offset (0.1 um with good parts), or the solved pose of nine signals (1 um). The pose of eleven signals
+    /// has as little noise as readback minus offset, but is available one sample later.
     fn track(&mut self, sample: &Sample, apex: Xy, pose: Option<&TimedPose>, bandwidth_hz: f64) {
         let (position, time) = match (read_back(sample), pose) {
             (Some(_), _) => (apex, sample.time),

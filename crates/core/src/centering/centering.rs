@@ -1,4 +1,4 @@
-//! The loop: a sample and the last pose in, a steering command out. Pure.
+//! The centering loop: a sample and the last pose in, a steering command out. Pure.
 
 use trifacet_optics::Optics;
 use trifacet_wire::LockState;
@@ -14,17 +14,17 @@ use crate::signals::Sample;
 use crate::steering::{Command, Xy};
 use crate::time::Mono;
 
-/// The time between samples counts as at most so many periods.
+/// The time between two samples counts as at most this many periods.
 const MOST_PERIODS: f64 = 5.0;
-/// A jump is worth it from this part of the beam's radius on.
+/// A jump begins if it is longer than this fraction of the beam radius.
 const WORTH_A_JUMP: f64 = 0.25;
 
-pub(super) const TOO_LATE: &str = "samples come later than centering.loop_delay_ms";
+pub(super) const TOO_LATE: &str = "samples arrive later than centering.loop_delay_ms";
 pub(super) const STUCK: &str = "the stage does not follow its commands";
 pub(super) const REFUSED: &str = "the stage refuses its commands";
 pub(super) const NO_STAGE: &str = "the stage takes no commands";
 
-/// The loop.
+/// The centering loop.
 #[derive(Clone, Debug)]
 pub struct Centering {
     params: LoopParams,
@@ -32,11 +32,11 @@ pub struct Centering {
     tracker: ApexTracker,
     lock: Lock,
     open_loop: OpenLoopMove,
-    /// Where the stage was when the loop was last locked, or when it was first taken over.
+    /// Position of the stage at the last lock, or where the loop first took over.
     good_place: Option<Xy>,
-    /// Where the stage would have to be by what was seen when the loop gave up looking for the apex.
+    /// Position of the stage for the apex that was computed when the loop gave up its searches.
     gave_up: Option<Xy>,
-    /// For how long samples have come too late.
+    /// How long samples have been too old, seconds.
     late_s: f64,
     last: Option<(u64, Mono)>,
     offset: Option<Xy>,
@@ -63,12 +63,12 @@ impl Centering {
         }
     }
 
-    /// What the loop does now.
+    /// The current state of the loop.
     pub fn state(&self) -> LoopState {
         LoopState { lock: self.lock.state(), position: self.stage.commanded() }
     }
 
-    /// The same, and more, for people.
+    /// The current state in detail, for the operator.
     pub fn view(&self) -> LoopView {
         LoopView {
             mode: self.params.mode,
@@ -81,8 +81,8 @@ impl Centering {
         }
     }
 
-    /// Goes on with another params, without a jump of the stage. When the loop lets go of the stage, its
-    /// last command is to stay there, whatever the lease would have done.
+    /// Continues with other parameters, without a jump of the stage. When the loop releases the stage, its
+    /// last command holds the stage, whatever the lease is configured to do.
     pub fn retune(&mut self, params: LoopParams) -> Outcome {
         let old = std::mem::replace(&mut self.params, params);
         let step = [0, 1].map(|axis| params.setpoint[axis] - old.setpoint[axis]);
@@ -96,7 +96,7 @@ impl Centering {
         self.lock.retune(params.limits);
         let mut outcome = Outcome::default();
         if let (Some(offset), true) = (self.offset, params.setpoint != old.setpoint) {
-            // Locked there, and not yet here.
+            // The loop may have been locked at the old setpoint, and is not yet at the new one.
             let error = self.error(offset);
             let seen = LockInput::Error { size: error[0].hypot(error[1]), railed: false };
             outcome.transition = self.lock.update(seen, false, 0.0).transition;
@@ -113,25 +113,25 @@ impl Centering {
         outcome
     }
 
-    /// Sends the stage to a position within the limits, metres.
+    /// Sends the stage to a position, clipped to the limits, metres.
     ///
     /// # Errors
-    /// The loop is not in manual mode: then the stage is not a person's.
+    /// The loop is not in manual mode.
     pub fn move_to(&mut self, position: Xy) -> Result<(), &'static str> {
         if self.params.mode != LoopMode::Manual {
-            return Err("the stage is moved by hand only while the loop is \"manual\"");
+            return Err("the stage can be moved manually only while the loop is \"manual\"");
         }
         self.open_loop = OpenLoopMove::jump(self.params.controller.within(position), 0.0);
         Ok(())
     }
 
-    /// A person wants the loop to look for the apex now.
+    /// Starts a search for the apex, on request of the operator.
     ///
     /// # Errors
-    /// The loop is not on, or must not search.
+    /// The loop is not on, or searches are disabled.
     pub fn search(&mut self) -> Result<(), &'static str> {
         if self.params.mode != LoopMode::On {
-            return Err("the loop looks for the apex only while it is \"on\"");
+            return Err("the loop searches for the apex only while it is \"on\"");
         }
         if !self.params.limits.search {
             return Err("centering.search is false");
@@ -140,47 +140,49 @@ impl Centering {
         Ok(())
     }
 
-    /// Samples that came and went between `sample` and the last one seen; `None` if it is not newer.
+    /// Number of samples missed between the last one and `sample`, without those that the source reports as
+    /// lost; `None` if `sample` is not newer than the last one.
     pub fn skipped(&self, sample: &Sample) -> Option<u64> {
         let Some((last, _)) = self.last else { return Some(0) };
         (sample.index > last).then(|| (sample.index - last - 1).saturating_sub(sample.lost.into()))
     }
 
-    /// The stage is another one, or came back: it may stand elsewhere. So may the counter of the samples.
+    /// Records that the stage is back, or was replaced: its position may differ, and so may the sample
+    /// counter.
     pub fn stage_up(&mut self) {
         self.last = None;
         self.stage.back();
         self.released();
     }
 
-    /// The stage takes no commands until it comes back.
+    /// Records that the stage takes no commands.
     pub fn stage_down(&mut self) {
         self.stage.gone();
     }
 
-    /// The stage has taken or refused a command.
+    /// Records that the stage has accepted or rejected a command.
     pub fn stage_answers(&mut self, answer: Ack) {
         self.stage.answers(answer.id, answer.accepted);
     }
 
-    /// Where the stage says that it stands, metres.
+    /// Records the position that the stage reports, metres.
     pub fn stage_at(&mut self, position: Xy) {
         self.stage.set_reported(position);
     }
 
-    /// The stage has acted by itself.
+    /// The stage has acted on its own.
     fn released(&mut self) {
         let parks = self.params.on_lease == LeaseAction::Park;
         self.stage.released(parks.then_some(self.params.park));
         self.open_loop = OpenLoopMove::Still;
     }
 
-    /// Takes a sample, which must be newer than all before, at the moment `now`. `pose` is the last valid
-    /// pose, if it is fresh.
+    /// Takes a sample, which must be newer than all before, at time `now`. `pose` is the last valid pose, if
+    /// it is recent.
     pub fn sample(&mut self, sample: &Sample, pose: Option<&TimedPose>, now: Mono) -> Outcome {
         let dt = self.seconds_since_last(sample);
         if self.last.is_some_and(|(_, time)| sample.time.seconds_since(time) >= self.params.lease_s()) {
-            self.released(); // the board has acted by itself in the meantime
+            self.released(); // the lease has expired, and the board has acted on its own
         }
         self.last = Some((sample.index, sample.time));
         match self.params.mode {
@@ -201,7 +203,7 @@ impl Centering {
         }
     }
 
-    /// The loop is on.
+    /// One step in mode on.
     fn act(&mut self, sample: &Sample, pose: Option<&TimedPose>, now: Mono, dt: f64) -> Outcome {
         let late = now.seconds_since(sample.time) > self.params.loop_delay_s;
         self.late_s = if late { self.late_s + dt } else { 0.0 };
@@ -225,10 +227,10 @@ impl Centering {
             self.good_place = self.stage.commanded();
         }
         let action = match observation {
-            // What is late is looked at, and not acted upon. The stage still gets its command: that renews the
-            // lease, which is for a daemon that is dead.
+            // A late sample is evaluated, but not acted on. The stage still gets its command, which renews
+            // the lease; the lease is meant for a daemon that has stopped.
             _ if late => Action::Holding,
-            // It may be stuck because the command is where it cannot go.
+            // The stage may be stuck because the command is at a position that it cannot reach.
             BeamObservation::Offset(_) if stuck => Action::Regulating,
             _ => decision.action,
         };
@@ -236,7 +238,7 @@ impl Centering {
         Outcome { command, late, transition: decision.transition }
     }
 
-    /// Why nothing can be done with what is seen.
+    /// The reason why the loop cannot act on observations, if there is one.
     fn trouble(&self) -> Option<&'static str> {
         match self.stage.command_status() {
             CommandStatus::Gone => Some(NO_STAGE),
@@ -257,7 +259,7 @@ impl Centering {
         observation
     }
 
-    /// What the state machine is to know of it.
+    /// The input of the lock state machine for an observation.
     fn seen(&self, observation: &BeamObservation, error: Xy, sample: &Sample) -> LockInput {
         match *observation {
             BeamObservation::Offset(_) => {
@@ -282,7 +284,7 @@ impl Centering {
         }
     }
 
-    /// What is seen until the stage has come to rest at the last good place is no news.
+    /// Observations count as known until the stage has come to rest at the last good position.
     fn note_giving_up(&mut self, observation: &BeamObservation) {
         if !matches!(self.open_loop, OpenLoopMove::Jump { .. }) {
             let back = self.good_place.unwrap_or_default();
@@ -293,7 +295,7 @@ impl Centering {
                 self.gave_up = Some(self.place_for(apex))
             }
             BeamObservation::Partial { .. } => {}
-            _ => self.gave_up = None, // any light would be news
+            _ => self.gave_up = None, // any light then starts a new search
         }
     }
 
@@ -304,7 +306,7 @@ impl Centering {
             (Action::Jumping, BeamObservation::Partial { apex, .. }) => {
                 OpenLoopMove::jump(self.place_for(*apex), self.params.settling_s())
             }
-            // From the last good place, or around where there is some light.
+            // From the last good position, or around the present one if there is some light.
             (Action::Searching, observation) => {
                 let dark = *observation == BeamObservation::Dark;
                 let centre = if dark { self.good_place.unwrap_or(here) } else { here };
@@ -314,7 +316,7 @@ impl Centering {
         }
     }
 
-    /// Where the stage must stand for the beam to be where it shall be, if the apex is there; within limits.
+    /// Position of the stage that brings the beam to the setpoint, for an apex at `apex`; within the limits.
     fn place_for(&self, apex: Xy) -> Xy {
         let beam = [0, 1].map(|i| apex[i] + self.params.setpoint[i]);
         self.params.controller.within(self.params.map.stage(beam))
@@ -325,7 +327,8 @@ impl Centering {
         2.0 * self.tracker.beam_sigma() / self.params.map.largest_gain()
     }
 
-    /// The next command, unless there is no stage to take it. `behind` is where it stands if it does not follow.
+    /// The next command, unless no stage takes it. `behind` is the actual position if the stage does not
+    /// follow.
     fn steer(
         &mut self,
         action: Action,
@@ -354,7 +357,7 @@ impl Centering {
         Some(self.command(next.position))
     }
 
-    /// In the shadow: what the loop would do next if it took over now.
+    /// Shadow mode: computes what the loop would do next if it took over now.
     fn watch(&mut self, sample: &Sample, pose: Option<&TimedPose>, dt: f64) {
         let stage = self.stage.found(sample, &self.params, dt);
         self.look(sample, pose);
@@ -364,19 +367,20 @@ impl Centering {
         });
     }
 
-    /// From where the beam is to where it shall be.
+    /// Error: setpoint minus offset, metres.
     fn error(&self, offset: Xy) -> Xy {
         [0, 1].map(|axis| self.params.setpoint[axis] - offset[axis])
     }
 
-    /// `dt` seconds have passed without a sample. No command: the lease decides what the stage does.
+    /// Records `dt` seconds without a sample. There is no command: the lease determines what the stage does.
     pub fn silence(&mut self, dt: f64) -> Option<Transition> {
         (self.offset, self.shadow) = (None, None);
         self.tracker.interrupt();
-        self.lock.update(LockInput::Unclear("no samples come"), false, dt).transition
+        self.lock.update(LockInput::Unclear("no samples"), false, dt).transition
     }
 
-    /// The last command: hold or park. `None` if the stage is not the loop's, or takes no commands.
+    /// The last command: hold or park. `None` if the loop does not control the stage, or the stage takes no
+    /// commands.
     pub fn finish(&mut self) -> Option<Command> {
         let memory = self.stage.memory()?;
         let position = match self.params.on_exit {

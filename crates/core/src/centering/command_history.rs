@@ -1,20 +1,20 @@
-//! Where the stage was sent lately: what its readback must agree with, and where it is without one.
+//! Recent commands: the reference for the readback of the stage, and its position if there is no readback.
 
 use std::collections::VecDeque;
 
 use crate::steering::Xy;
 use crate::time::{Mono, NS_PER_S};
 
-/// The time that is remembered is divided into so many parts.
+/// The history is divided into this many intervals.
 const PARTS: f64 = 64.0;
 
-/// The commands of the last moments.
+/// The recent commands.
 #[derive(Clone, Debug, Default)]
 pub struct CommandHistory {
     parts: VecDeque<Part>,
 }
 
-/// The commands of one part of the time.
+/// The commands of one interval.
 #[derive(Clone, Copy, Debug)]
 struct Part {
     from: Mono,
@@ -24,12 +24,13 @@ struct Part {
 }
 
 impl CommandHistory {
-    /// Forgets everything.
+    /// Discards all commands.
     pub fn clear(&mut self) {
         self.parts.clear();
     }
 
-    /// The stage was sent to `position` after the sample of `time`; `span_s` is for how long that matters.
+    /// Records that the stage was sent to `position` after the sample of `time`. `span_s` is the length of
+    /// the history, seconds.
     pub fn push(&mut self, position: Xy, time: Mono, span_s: f64) {
         match self.parts.back_mut() {
             Some(part) if time.seconds_since(part.from) < span_s / PARTS => {
@@ -39,21 +40,21 @@ impl CommandHistory {
             }
             _ => self.parts.push_back(Part { from: time, last: position, least: position, most: position }),
         }
-        // The last part before the span is the one that the stage comes from.
+        // Keeps the last interval before the span: the stage comes from there.
         while self.parts.get(1).is_some_and(|part| time.seconds_since(part.from) > span_s) {
             self.parts.pop_front();
         }
     }
 
-    /// Where it was sent by the sample of `delay_s` before `time`; the oldest that is known if none is so old.
+    /// The command `delay_s` seconds before `time`; the oldest recorded one if all are younger.
     pub fn before(&self, time: Mono, delay_s: f64) -> Option<Xy> {
         let then = time + -((delay_s * NS_PER_S as f64) as i64);
         let part = self.parts.iter().rev().find(|part| part.from <= then).or(self.parts.front());
         part.map(|part| part.last)
     }
 
-    /// Whether a stage that stands at `position` is, to within `tolerance`, where it was sent to, or between
-    /// such places. True if nothing is known.
+    /// Whether `position` is, to within `tolerance`, inside the range of the recorded commands on each axis.
+    /// True if no command is recorded. Lengths in metres.
     pub fn leads_to(&self, position: Xy, tolerance: f64) -> bool {
         let axis = |i: usize| {
             let least = self.parts.iter().map(|part| part.least[i]).reduce(f64::min);
@@ -72,7 +73,7 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    /// One micrometre per millisecond along x, for 100 ms; 20 ms matter.
+    /// One micrometre per millisecond along x, for 100 ms, with a history of 20 ms.
     fn ramp() -> CommandHistory {
         let mut history = CommandHistory::default();
         for k in 0..=100 {

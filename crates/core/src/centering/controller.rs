@@ -1,39 +1,40 @@
-//! The controller: a PI controller in metres, with limits. Configuration and state are apart, so that
-//! retuning keeps the state.
+//! The PI controller in metres, with limits.
+//!
+//! Parameters and state are separate, so that new gains keep the state.
 
 use crate::steering::Xy;
 
 /// Gains and limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Controller {
-    /// Metres of steering per metre of offset.
+    /// Proportional gain: metres of steering per metre of error.
     pub kp: f64,
-    /// The same per second.
+    /// Integral gain: metres of steering per metre of error and second.
     pub ki_per_s: f64,
-    /// The command stays within plus and minus this, metres.
+    /// Limit of the command on each axis, plus and minus, metres.
     pub limit: f64,
-    /// The command moves at most so fast, metres per second.
+    /// Largest speed of the command on each axis, metres per second.
     pub slew: f64,
 }
 
-/// What the controller remembers. There is no integral in it, only where the stage is and what was seen
-/// there: so neither gains nor setpoint can change without the next command following from the last one.
+/// State of the controller: the last command and its error. There is no separate integrator. With new gains
+/// or a new setpoint, the next command therefore continues from the last one without a jump.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ControllerState {
     /// The last command, metres.
     pub position: Xy,
-    /// The error at that command; none after taking over.
+    /// The error at that command; `None` just after the stage was taken over.
     error: Option<Xy>,
 }
 
 impl ControllerState {
-    /// The state of a stage at rest at `position`: taking over there makes no jump.
+    /// The state of a stage at rest at `position`. Control starts there without a jump.
     pub fn at(position: Xy) -> Self {
         Self { position, error: None }
     }
 
-    /// The same state, but no axis farther from `at`, where the stage stands, than it is in `before`: a stage
-    /// that stays behind is waited for, and nothing winds up that would send it far away once it comes free.
+    /// The same state, but with no axis farther from `at`, the actual position of the stage, than in
+    /// `before`. The command thus waits for a stage that does not follow, and does not wind up.
     #[must_use]
     pub fn hold_if_stalled(self, before: &ControllerState, at: Xy) -> Self {
         let nearer = |i: usize| (self.position[i] - at[i]).abs() <= (before.position[i] - at[i]).abs();
@@ -41,14 +42,16 @@ impl ControllerState {
         Self { position, ..self }
     }
 
-    /// The same state, for a setpoint that has moved by `step`.
+    /// The same state for a setpoint that has moved by `step`.
     #[must_use]
     pub fn shifted(self, step: Xy) -> Self {
         Self { error: self.error.map(|e| [e[0] + step[0], e[1] + step[1]]), ..self }
     }
 }
 
-/// The SIMC rule for a delay of 2.5 ms and a lag of 0.5 ms, and a stage with a range of plus and minus 400 um.
+/// Gains by the SIMC rule for a delay of 2.5 ms and a lag of 0.5 ms, for a stage with a range of plus and
+/// minus 400 um. Source: S. Skogestad, "Simple analytic rules for model reduction and PID controller tuning",
+/// J. Process Control 13 (2003) 291-309.
 impl Default for Controller {
     fn default() -> Self {
         Self { kp: 0.1, ki_per_s: 200.0, limit: 400.0 * 1e-6, slew: 50.0 * 1e-3 }
@@ -56,15 +59,15 @@ impl Default for Controller {
 }
 
 impl Controller {
-    /// The next command for an error (where the beam shall be, less where it is, in lengths of the stage),
-    /// `dt` seconds after the last one. `velocity` is what the stage shall do anyway, metres per second: that
-    /// of the apex, with feed-forward.
+    /// The next command, `dt` seconds after the last one. `error` is setpoint minus offset, in lengths of the
+    /// stage. `velocity` is the feed-forward, metres per second: the velocity of the apex.
     ///
-    /// The limits act on the sum of all parts, from which the next step goes on: nothing winds up.
+    /// The limits act on the sum of all parts, and the next step starts from the limited command, so that
+    /// nothing winds up.
     #[must_use]
     pub fn update(&self, memory: &ControllerState, error: Xy, velocity: Xy, dt: f64) -> ControllerState {
         if !error.iter().chain(&velocity).all(|x| x.is_finite()) {
-            return self.hold(memory, dt); // no reason to move
+            return self.hold(memory, dt); // not finite: do not move
         }
         let before = memory.error.unwrap_or(error);
         let mut next = ControllerState { position: memory.position, error: Some(error) };
@@ -75,32 +78,34 @@ impl Controller {
         next
     }
 
-    /// The next command when nothing is seen: the last one, or towards it if the limits have come closer.
+    /// The next command without an error: the last command, or a step towards the limits if they have been
+    /// reduced.
     #[must_use]
     pub fn hold(&self, memory: &ControllerState, dt: f64) -> ControllerState {
         self.go(memory, memory.position, dt)
     }
 
-    /// The next command on the way to `target`, whatever is seen.
+    /// The next command on the way to `target`, without feedback.
     #[must_use]
     pub fn go(&self, memory: &ControllerState, target: Xy, dt: f64) -> ControllerState {
         let position = [0, 1].map(|axis| self.rate_limit(memory.position[axis], target[axis], dt));
         ControllerState { position, error: None }
     }
 
-    /// As near to a position as the limits allow.
+    /// The nearest position within the limits.
     pub fn within(&self, position: Xy) -> Xy {
         position.map(|p| p.clamp(-self.limit, self.limit))
     }
 
-    /// As near to `wanted` as the limits allow. A stage outside of its limits goes back at its speed.
+    /// The nearest position to `wanted` within the limits. A stage outside the limits returns at the slew
+    /// limit.
     fn rate_limit(&self, from: f64, wanted: f64, dt: f64) -> f64 {
         let reach = self.slew * dt;
         let wanted = if wanted.is_finite() { wanted } else { from };
         wanted.clamp(-self.limit, self.limit).clamp(from - reach, from + reach)
     }
 
-    /// Whether a command stands at a limit.
+    /// Whether a command is at a limit.
     pub fn railed(&self, position: Xy) -> bool {
         position.iter().any(|p| p.abs() >= self.limit * (1.0 - 1e-9))
     }
@@ -114,7 +119,7 @@ mod tests {
     const DT: f64 = 1e-3;
     const STILL: Xy = [0.0; 2];
 
-    /// Steers a stage that follows after two samples; the mirror stands at `apex`.
+    /// Controls a stage with a delay of two samples; the mirror is at `apex`.
     fn settle(controller: &Controller, apex: f64, steps: usize) -> Vec<ControllerState> {
         let mut run = vec![ControllerState::default(); 3];
         for k in 2..steps {
@@ -170,13 +175,13 @@ mod tests {
     fn no_change_of_gains_setpoint_or_limits_makes_it_jump() {
         let memory = CONTROLLER.update(&ControllerState::at([100e-6, 0.0]), [5e-6, 0.0], STILL, DT);
         let next = CONTROLLER.update(&memory, [5e-6, 0.0], STILL, DT).position[0];
-        // Three times the proportional gain: the same next step, since the error has not moved.
+        // With three times the proportional gain the next step is the same, since the error has not changed.
         let retuned = Controller { kp: 0.3, ..CONTROLLER };
         assert_eq!(retuned.update(&memory, [5e-6, 0.0], STILL, DT).position[0], next);
-        // A setpoint 20 um away moves it by the integral alone.
+        // A setpoint 20 um away acts through the integral alone.
         let moved = CONTROLLER.update(&memory.shifted([20e-6, 0.0]), [25e-6, 0.0], STILL, DT).position[0];
         assert!((moved - memory.position[0] - 0.2 * 25e-6).abs() < 1e-12, "{moved}");
-        // Limits that have come closer are reached at the slew limit, seeing or blind.
+        // Reduced limits are approached at the slew limit, with and without an error.
         let tight = Controller { limit: 20e-6, ..CONTROLLER };
         let mut memory = memory;
         for step in 0..3 {

@@ -1,17 +1,17 @@
-//! Centering: finds the apex, brings the beam onto it, and keeps it there. Pure.
+//! The centering loop: finds the apex, moves the beam onto it, and keeps it there. Pure.
 //!
-//! - [`centering`]: a sample and the last pose in, a steering command out.
-//! - [`params`]: gains, limits and times of the loop. [`modes`]: what the loop does.
-//! - [`state`]: what goes in besides samples, and what comes out.
-//! - [`observation`], [`apex_tracker`]: where a sample shows the beam, and where the apex is.
-//! - [`stage`], [`command_history`]: where the stage was commanded to, and whether it follows.
+//! - [`centering`]: the loop: a sample and the last pose in, a steering command out.
+//! - [`params`]: gains, limits and times of the loop. [`modes`]: its modes.
+//! - [`state`]: inputs besides samples, and outputs.
+//! - [`observation`], [`apex_tracker`]: what a sample shows, and where the apex is.
+//! - [`stage`], [`command_history`]: the commanded position of the stage, and whether the stage follows.
 //! - [`lock`]: the lock state and the next action.
-//! - [`controller`], [`tracking`]: the PI controller with its limits, and its feed-forward.
+//! - [`controller`], [`tracking`]: the PI controller with its limits, and the feed-forward.
 //! - [`open_loop`], [`search`]: moves while the offset is unknown.
 //! - [`stability`]: whether the closed loop is stable with given gains and delay.
 
 pub mod apex_tracker;
-#[allow(clippy::module_inception)] // the loop has the name of its folder
+#[allow(clippy::module_inception)] // the main type of the folder has its name
 pub mod centering;
 pub mod command_history;
 pub mod controller;

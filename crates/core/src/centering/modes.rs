@@ -1,29 +1,29 @@
-//! What the loop does, what it regulates, and how it leaves the stage.
+//! Modes of the loop, its control target, and its action on exit.
 
 use serde::{Deserialize, Serialize};
 use trifacet_wire::actuator::LeaseAction;
 
-/// What the loop brings to zero.
+/// The quantity that the loop brings to zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Target {
-    /// The offset between beam and apex, by the wedges of the last pose.
+    /// The offset between beam and apex, computed with the wedges of the facets at the last valid pose.
     Apex,
-    /// The differences between the three powers, as in the paper.
+    /// The differences between the three powers, as in section 2.1 of the paper.
     Balance,
 }
 
-/// What the loop does.
+/// Mode of the loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LoopMode {
-    /// It moves the stage.
+    /// The loop moves the stage.
     On,
-    /// It does nothing.
+    /// The loop does nothing.
     Off,
-    /// It computes what it would do, reports it, and moves nothing: for the first contact with hardware.
+    /// The loop computes its next command and reports it, but moves nothing. For commissioning.
     Shadow,
-    /// The stage stands where a person puts it.
+    /// The operator moves the stage.
     Manual,
 }
 
@@ -31,7 +31,7 @@ impl LoopMode {
     /// Every mode.
     pub const ALL: [LoopMode; 4] = [LoopMode::On, LoopMode::Off, LoopMode::Shadow, LoopMode::Manual];
 
-    /// The mode as a word: "on", "shadow".
+    /// Name of the mode, as in commands and configuration: "on", "shadow".
     pub fn name(self) -> &'static str {
         match self {
             LoopMode::On => "on",
@@ -42,13 +42,13 @@ impl LoopMode {
     }
 }
 
-/// What the steering does when the daemon ends, or the lease of a command.
+/// What the steering does when the daemon ends, or when the lease of a command expires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum OnExit {
-    /// Stays where it is.
+    /// Stays at its position.
     Hold,
-    /// Goes to the parking position.
+    /// Moves to the parking position.
     Park,
 }
 

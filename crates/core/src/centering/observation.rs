@@ -1,36 +1,36 @@
-//! What a sample says of the beam and the apex.
+//! What a sample shows of the beam and the apex.
 
 use trifacet_optics::{Model, Optics, Pose, Vec2};
 
 use crate::signals::{PsdState, Sample};
 use crate::steering::Xy;
 
-/// A PSD is covered if it is dark although this fraction of the beam should fall on it.
+/// A PSD counts as covered if it is dark although this fraction of the beam should reach it.
 const COVERED: f64 = 0.05;
 
-/// What a sample says. Lengths in metres, across the beam.
+/// What a sample shows. Lengths in metres, across the beam.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum BeamObservation {
-    /// All PSDs see light: the offset of the beam from the apex, by the powers.
+    /// All PSDs see light: the offset of the beam from the apex, from the powers.
     Offset(Xy),
-    /// Some do.
+    /// One or two PSDs see light, or a channel is clipped.
     Partial {
-        /// Where the apex should be, as far as their spots show.
+        /// Position of the apex, as far as the spots show it.
         apex: Xy,
-        /// The beam may well be on the apex: a PSD is covered, or a channel is clipped.
+        /// The beam may be on the apex although light is missing: a PSD is covered, or a channel is clipped.
         covered: bool,
-        /// What is missing.
+        /// The reason why the observation is incomplete.
         cause: &'static str,
     },
-    /// None does.
+    /// No PSD sees light.
     Dark,
-    /// Nothing can be said, for this reason.
+    /// The sample gives no information, for this reason.
     Unclear(&'static str),
 }
 
 impl BeamObservation {
-    /// Looks at a sample, with the beam at `beam`. `pose` is that of the mirror, as far as it is known, and
-    /// `apex` where its apex was when it was last seen.
+    /// Evaluates a sample, with the beam at `beam`. `pose` is the best known pose of the mirror, `apex` the
+    /// last known position of its apex.
     pub fn of(sample: &Sample, beam: Xy, pose: &Pose, apex: Xy, optics: &Optics) -> Self {
         let count = |state| sample.psds.iter().filter(|psd| **psd == state).count();
         match (count(PsdState::Low), count(PsdState::Clipped)) {
@@ -38,10 +38,10 @@ impl BeamObservation {
                 Ok(offset) => BeamObservation::Offset(offset.into()),
                 Err(_) => BeamObservation::Unclear("the powers give no offset"),
             },
-            // Too much light, and no movement would help.
+            // Too much light; no move of the stage would help.
             (0, 3) => BeamObservation::Unclear("every PSD is clipped"),
-            // One channel may be broken, or nearly all light fall on one PSD: that is three times what it gets at
-            // the apex.
+            // Either one channel is broken, or nearly all light falls on one PSD, which then receives three
+            // times the power that it receives with the beam on the apex.
             (0, _) => BeamObservation::Partial { apex, covered: true, cause: "a channel is clipped" },
             (3, _) => BeamObservation::Dark,
             _ => {
@@ -58,8 +58,8 @@ impl BeamObservation {
         }
     }
 
-    /// Whether a PSD is dark that the beam should light, and the other spots are where they are with the beam
-    /// on this apex.
+    /// Whether a PSD is dark that the beam should light, while the other spots are where they belong with the
+    /// beam at this offset from the apex.
     fn covered(sample: &Sample, beam: Xy, pose: &Pose, apex: Xy, optics: &Optics) -> bool {
         let offset = Vec2::from(beam) - Vec2::from(apex);
         let (spots, fractions) = optics.trace_each(Model::Gaussian, pose, offset);
@@ -73,8 +73,8 @@ impl BeamObservation {
         (0..3).all(as_expected) && (0..3).any(|i| sample.psds[i] == PsdState::Low && fractions[i] > COVERED)
     }
 
-    /// Each spot shows how far downhill from the apex the beam is; along the contour of its facet, where the
-    /// apex was must do.
+    /// Each spot gives the distance of the beam from the apex along the steepest descent of its facet. Along
+    /// the contour lines of the facet, the last known position of the apex is used.
     fn apex_by_spots(sample: &Sample, beam: Xy, pose: &Pose, apex: Xy, optics: &Optics) -> Xy {
         let (beam, mut apex) = (Vec2::from(beam), Vec2::from(apex));
         for facet in (0..3).filter(|i| sample.psds[*i] == PsdState::Good) {

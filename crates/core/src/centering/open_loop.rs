@@ -1,46 +1,47 @@
-//! Where the stage is led while the error is not known: straight to a place, or along a spiral.
+//! Moves of the stage while the error is unknown: straight to a position, or along a spiral.
 
 use super::search::Spiral;
 use crate::centering::LoopParams;
 use crate::steering::Xy;
 
-/// A movement that does not depend on what is seen.
+/// A move that does not depend on the observed beam.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OpenLoopMove {
-    /// None.
+    /// No move.
     Still,
-    /// Straight to a place.
+    /// Straight to a position.
     Jump {
-        /// Metres.
+        /// Destination, metres.
         to: Xy,
-        /// For so long it is waited there, seconds: the samples are to show that place.
+        /// Remaining wait at the destination, seconds: the samples must show the new position before the next
+        /// decision.
         left_s: f64,
     },
-    /// Along a spiral; `at` is its last point, none at the start and at the end.
+    /// Along a spiral over the range of the stage.
     Search {
-        /// The rest of the way.
+        /// The spiral, at its current angle.
         spiral: Spiral,
-        /// Metres.
+        /// The last point of the spiral, metres.
         at: Xy,
-        /// All of the range was passed.
+        /// The whole range has been covered.
         over: bool,
     },
 }
 
 impl OpenLoopMove {
-    /// To a place, and waits there.
+    /// A move to a position, followed by a wait of `wait_s` seconds.
     pub fn jump(to: Xy, wait_s: f64) -> Self {
         OpenLoopMove::Jump { to, left_s: wait_s }
     }
 
-    /// From a place over all of the range, for a beam of this radius, metres.
+    /// A search of the whole range, starting at `centre`, for a beam with this 1/e^2 radius, metres.
     pub fn search(centre: Xy, radius: f64, params: &LoopParams) -> Self {
         let centre = params.controller.within(centre);
         let spiral = Spiral::of(params, centre, radius);
         OpenLoopMove::Search { spiral, at: centre, over: false }
     }
 
-    /// The same movement under another params: a spiral starts over, where it is, within the new limits.
+    /// The same move with other parameters. A spiral starts again at its last point, within the new limits.
     #[must_use]
     pub fn anew(self, params: &LoopParams, radius: f64) -> Self {
         match self {
@@ -52,7 +53,7 @@ impl OpenLoopMove {
         }
     }
 
-    /// Whether it has come to its end.
+    /// Whether the move has ended.
     pub fn arrived(&self) -> bool {
         match *self {
             OpenLoopMove::Still => true,
@@ -61,8 +62,8 @@ impl OpenLoopMove {
         }
     }
 
-    /// Where to go next, with the stage sent to `from` last, `dt` seconds ago. It does not go on before the
-    /// stage is there: the slew limit may be slower than the way.
+    /// The next target, given that the stage was last commanded to `from`, `dt` seconds ago. The move waits
+    /// for the command to reach the target, because the slew limit may be lower than the speed of the move.
     pub fn next(&mut self, from: Xy, dt: f64) -> Option<Xy> {
         match self {
             OpenLoopMove::Still => None,

@@ -1,4 +1,4 @@
-//! Parameters of the loop, in SI units. All of them can change while it runs.
+//! Parameters of the loop, in SI units. All of them can change while the loop runs.
 
 use trifacet_wire::actuator::LeaseAction;
 
@@ -7,43 +7,44 @@ use super::lock::LockLimits;
 use super::{LoopMode, OnExit, Target};
 use crate::steering::{BeamMap, Xy};
 
-/// A step of the stage has settled after this many time constants: 0.7 % of it remain.
+/// A step of the stage has settled after this many time constants: 0.7 % of the step remain.
 const SETTLED: f64 = 5.0;
-/// A stage that is farther than this part of its range from its command does not follow. The readback of a stage
-/// that is not calibrated may be off by this much, and a stage that sticks leaps by as much when it comes free.
+/// A stage that is farther from its command than this fraction of its range does not follow. The readback of
+/// an uncalibrated stage may be off by this much, and a sticking stage may jump by this much when it comes
+/// free.
 const FOLLOWING: f64 = 0.05;
 
-/// Parameters of the loop. The default is a nominal head with a piezo stage, sampled at 1 kHz.
+/// Parameters of the loop. The default suits a nominal head with a piezo stage, sampled at 1 kHz.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LoopParams {
-    /// What the loop does.
+    /// Mode of the loop.
     pub mode: LoopMode,
-    /// What the loop brings to zero.
+    /// The quantity that the loop brings to zero.
     pub target: Target,
     /// The beam offset that the loop regulates to, metres.
     pub setpoint: Xy,
-    /// From the stage to the beam.
+    /// Map from stage positions to beam positions.
     pub map: BeamMap,
     /// Gains and limits of the controller.
     pub controller: Controller,
     /// Conditions of the lock states.
     pub limits: LockLimits,
-    /// Whether the command follows the tracked velocity of the apex.
+    /// Whether the command includes the tracked velocity of the apex (feed-forward).
     pub feed_forward: bool,
     /// Bandwidth of the tracking filter, hertz.
     pub tracking_hz: f64,
-    /// Time from a sample to the effect of its command, seconds. The gains are made for this delay: the loop does
-    /// not act on a sample that is older.
+    /// Time from a sample to the effect of its command, seconds. The gains are computed for this delay; the
+    /// loop does not act on older samples.
     pub loop_delay_s: f64,
     /// Time constant of the stage, seconds.
     pub lag_s: f64,
     /// Sampling period, seconds.
     pub period_s: f64,
-    /// Park position of the stage, metres.
+    /// Parking position of the stage, metres.
     pub park: Xy,
-    /// What the stage does when the loop ends.
+    /// What the stage does when the daemon ends.
     pub on_exit: OnExit,
-    /// What the stage does when no command renews the lease of the last one.
+    /// What the stage does when the lease of the last command expires.
     pub on_lease: LeaseAction,
     /// Lease of a command, milliseconds.
     pub lease_ms: u16,
@@ -76,17 +77,17 @@ impl LoopParams {
         f64::from(self.lease_ms) * 1e-3
     }
 
-    /// After this time the samples show the effect of a command, seconds.
+    /// Time from a command until the samples show its full effect, seconds.
     pub(super) fn settling_s(&self) -> f64 {
         self.loop_delay_s + SETTLED * self.lag_s + 2.0 * self.period_s
     }
 
-    /// Commands of this long ago may still move the stage, seconds.
+    /// Age up to which a command may still move the stage, seconds.
     pub(super) fn span_s(&self) -> f64 {
         self.loop_delay_s + self.settling_s()
     }
 
-    /// Largest distance from its command at which a stage follows, metres.
+    /// Largest distance between stage and command at which the stage counts as following, metres.
     pub(super) fn following(&self) -> f64 {
         self.limits.offset + FOLLOWING * self.controller.limit
     }

@@ -1,25 +1,25 @@
 //! The search: a spiral over the range of the stage.
 //!
-//! Its turns are [`PITCH`] beam radii apart, so that no point of the range is farther from the path than
-//! three quarters of the beam's radius: there all three PSDs see some percent of the beam. It runs so fast
-//! that the beam moves by a quarter of its radius within the loop delay: when the light is seen, it is
-//! still there. What lies outside of the range is left out.
+//! The turns of the spiral are [`PITCH`] beam radii apart. No point of the range is therefore farther from
+//! the path than three quarters of the beam radius; at that distance all three PSDs receive a few percent of
+//! the beam. The beam moves by a quarter of its radius within the loop delay, so that the light is still
+//! there when the loop detects it. Points outside the range are skipped.
 
 use std::f64::consts::TAU;
 
 use crate::centering::LoopParams;
 use crate::steering::Xy;
 
-/// Distance of the turns, radii of the beam (1/e^2).
+/// Distance between turns, in beam radii (1/e^2).
 const PITCH: f64 = 1.5;
-/// What the beam moves within the loop delay, radii of the beam.
+/// Path of the beam within the loop delay, in beam radii.
 const REACH: f64 = 0.25;
-/// The path is looked at in such steps where it is outside of the range, parts of the pitch.
+/// Step along the path where the path is outside the range, as a fraction of the pitch.
 const SKIP: f64 = 0.25;
-/// Of these in one call; the next call goes on.
+/// Largest number of such steps in one call; the next call continues.
 const MOST_SKIPS: u32 = 500;
 
-/// A spiral about a point, in the axes of the stage; metres.
+/// A spiral about a point, in the axes of the stage, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spiral {
     centre: Xy,
@@ -27,26 +27,26 @@ pub struct Spiral {
     angle: f64,
     pitch: f64,
     speed: f64,
-    /// The range: plus and minus, each axis.
+    /// The range of each axis: plus and minus this.
     limit: f64,
 }
 
 impl Spiral {
-    /// A spiral from `centre` over the range of plus and minus `limit`, for a beam whose radius is `radius` in
-    /// lengths of the stage, with a loop delay of `delay_s`. It moves at most at `slew`, metres per second.
+    /// A spiral from `centre` over the range of plus and minus `limit`. `radius` is the radius of the beam in
+    /// lengths of the stage, `delay_s` the loop delay. The speed is at most `slew`, metres per second.
     pub fn new(centre: Xy, radius: f64, delay_s: f64, limit: f64, slew: f64) -> Self {
         let speed = (REACH * radius / delay_s).min(slew);
         Self { centre, angle: 0.0, pitch: PITCH * radius, speed, limit }
     }
 
-    /// The spiral that a loop of this params goes along, for a beam of this radius, metres.
+    /// The spiral for a loop with these parameters and a beam with this radius, metres.
     pub fn of(params: &LoopParams, centre: Xy, radius: f64) -> Self {
         let controller = &params.controller;
         let radius = radius / params.map.largest_gain();
         Self::new(centre, radius, params.loop_delay_s, controller.limit, controller.slew)
     }
 
-    /// The next point, `dt` seconds after the last one; `None` when all of the range was passed.
+    /// The next point, `dt` seconds after the last one; `None` when the whole range has been covered.
     pub fn next(&mut self, dt: f64) -> Option<Xy> {
         self.advance(self.speed * dt);
         for _ in 0..MOST_SKIPS {
@@ -54,7 +54,8 @@ impl Spiral {
             if self.radius() > self.farthest() {
                 return None;
             }
-            // Just outside it runs along the edge, which would else be passed too far away.
+            // Just outside the range the path runs along the edge; otherwise it would pass the edge too far
+            // away.
             if point.iter().all(|p| p.abs() <= self.limit + 0.5 * self.pitch) {
                 return Some(self.within(point));
             }
@@ -67,8 +68,8 @@ impl Spiral {
         point.map(|p| p.clamp(-self.limit, self.limit))
     }
 
-    /// Seconds until all of the range is passed, for points every `dt` seconds; infinite if that takes more than ten
-    /// million of them.
+    /// Time until the whole range is covered, seconds, for one point every `dt` seconds. Infinite if that
+    /// takes more than ten million points.
     pub fn duration(mut self, dt: f64) -> f64 {
         (0..10_000_000_u32).find(|_| self.next(dt).is_none()).map_or(f64::INFINITY, |n| f64::from(n) * dt)
     }
@@ -82,13 +83,14 @@ impl Spiral {
         [self.centre[0] + self.radius() * cos, self.centre[1] + self.radius() * sin]
     }
 
-    /// A length further along the path, by the radius in the middle of it.
+    /// Moves along the path by a length, using the radius at the middle of the step.
     fn advance(&mut self, length: f64) {
         let turn = |angle: f64| length / (self.pitch / TAU) / angle.hypot(1.0);
         self.angle += turn(self.angle + 0.5 * turn(self.angle));
     }
 
-    /// From the centre to the farthest corner of the range, and a turn more: the last turn is complete.
+    /// Distance from the centre to the farthest corner of the range, plus one turn so that the last turn is
+    /// complete.
     fn farthest(&self) -> f64 {
         let [x, y] = self.centre.map(|c| c.abs() + self.limit);
         x.hypot(y) + self.pitch

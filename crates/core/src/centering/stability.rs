@@ -1,19 +1,21 @@
-//! Whether gains and delay go together.
+//! Checks whether the closed loop is stable with given gains and delay.
 
-/// The loop is computed in steps of at least this part of its delay.
+/// The step of the simulation is at least this fraction of the delay.
 const FINEST: f64 = 1.0 / 32.0;
-/// It is looked at over so many delays and time constants.
+/// The simulation covers this many delays and time constants.
 const HORIZON: f64 = 100.0;
 
-/// Whether an error of a loop with these gains (proportional, and integral per second) dies out, rather than ring ever louder: for a stage of gain 1 that follows
-/// after `delay_s` with the time constant `lag_s`, sampled every `period_s`.
+/// Whether the error of a loop with these gains (proportional, and integral per second) decays. The stage has
+/// gain 1, the delay `delay_s` and a first-order lag with the time constant `lag_s`; the loop is sampled
+/// every `period_s`. All times are in seconds.
 ///
-/// The loop itself is computed, and the largest errors of an early and of a late time are compared.
+/// The function simulates the step response and compares the largest errors of an early and of a late
+/// interval.
 pub fn is_stable([kp, ki_per_s]: [f64; 2], delay_s: f64, lag_s: f64, period_s: f64) -> bool {
     let dt = period_s.max(FINEST * delay_s);
     let delay = (delay_s / dt).round().max(1.0) as usize;
     let left = if lag_s > 0.0 { (-dt / lag_s).exp() } else { 0.0 };
-    // Slower than a thousand delays a lag does no harm.
+    // A lag longer than a thousand delays does no harm to stability.
     let steps = (HORIZON * (delay as f64 + (lag_s / dt).min(1e3 * delay as f64))) as usize;
     let mut commands = vec![0.0; steps + delay];
     let (mut beam, mut last, mut command) = (0.0_f64, 1.0, 0.0);
@@ -45,14 +47,15 @@ mod tests {
 
     #[test]
     fn the_limit_is_that_of_theory() {
-        // An integrator with a delay is stable up to Ki delay = pi/2; sampled it acts a half period earlier.
+        // An integrator with a delay is stable up to Ki delay = pi/2; a sampled one acts half a period
+        // earlier.
         let limit = |period_s| {
             (1..400)
                 .map(|k| f64::from(k) * 0.01)
                 .find(|k| !is_stable([0.0, k / 2.5e-3], 2.5e-3, 0.0, period_s))
         };
         assert!((limit(1e-6).unwrap() - 1.57).abs() < 0.05, "{:?}", limit(1e-6));
-        assert!(stable(0.0, 0.0, 0.5), "a loop that does nothing");
+        assert!(stable(0.0, 0.0, 0.5), "zero gains");
         assert!(stable(0.1, 200.0, 0.5) && stable(0.0, 1.0, 0.5) && stable(0.1, 200.0, 1e6));
         assert!(!stable(0.1, 2000.0, 0.5) && !stable(10.0, 200.0, 0.5) && !stable(0.0, 1e5, 0.0));
     }

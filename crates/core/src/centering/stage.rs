@@ -1,4 +1,4 @@
-//! The stage as the loop knows it: where it was sent, where it stands, whether it follows.
+//! Model of the stage in the loop: commanded position, actual position, and whether the stage follows.
 
 use std::collections::VecDeque;
 
@@ -8,38 +8,39 @@ use crate::centering::command_history::CommandHistory;
 use crate::signals::Sample;
 use crate::steering::Xy;
 
-/// Commands whose answers are waited for.
+/// Largest number of commands that wait for an acknowledgement.
 const MOST_UNANSWERED: usize = 1024;
 
-/// What becomes of commands.
+/// How the stage treats commands.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CommandStatus {
-    /// They are taken, as far as is known.
+    /// The stage accepts commands, as far as is known.
     #[default]
     Obeys,
-    /// The last one was refused.
+    /// The stage rejected the last command.
     Refuses,
-    /// There is nothing to take them.
+    /// No stage takes commands.
     Gone,
 }
 
 /// The stage.
 #[derive(Clone, Debug)]
 pub struct StageModel {
-    /// Where it was sent last.
+    /// The last command.
     memory: Option<ControllerState>,
-    /// It is to be taken over, where it stands, before it is moved.
+    /// The loop does not control the stage; it must take over at the actual position before it moves the
+    /// stage.
     apart: bool,
-    /// Nothing but the loop has moved it since it was taken over.
+    /// Nothing but the loop has moved the stage since the loop took over.
     ours: bool,
     command_status: CommandStatus,
-    /// Ids and positions of the commands that it has not answered, and the last position that it has taken.
+    /// Ids and positions of the commands without an acknowledgement.
     unanswered: VecDeque<(u32, Xy)>,
     accepted: Option<Xy>,
-    /// Where it says itself that it stands, if not in the samples.
+    /// Position that the stage reports outside the samples.
     reported: Option<Xy>,
     history: CommandHistory,
-    /// For how long it has not followed.
+    /// Time since the stage stopped following its commands, seconds.
     stuck_s: f64,
 }
 
@@ -60,40 +61,42 @@ impl Default for StageModel {
 }
 
 impl StageModel {
-    /// What the controller goes on from; none unless the stage is the loop's, and takes commands.
+    /// The state from which the controller continues; `None` unless the loop controls the stage and the stage
+    /// takes commands.
     pub fn memory(&self) -> Option<ControllerState> {
         self.memory.filter(|_| !self.apart && self.command_status != CommandStatus::Gone)
     }
 
-    /// Where it was last commanded to, metres; none unless it is the loop's.
+    /// The last commanded position, metres; `None` unless the loop controls the stage.
     pub fn commanded(&self) -> Option<Xy> {
         self.memory.filter(|_| !self.apart).map(|memory| memory.position)
     }
 
-    /// It takes no commands until it comes back.
+    /// Records that the stage takes no commands.
     pub fn gone(&mut self) {
         self.command_status = CommandStatus::Gone;
     }
 
-    /// It is there again, or another one is.
+    /// Records that the stage is back, or was replaced.
     pub fn back(&mut self) {
         self.command_status = CommandStatus::Obeys;
     }
 
-    /// What becomes of its commands.
+    /// How the stage treats commands.
     pub fn command_status(&self) -> CommandStatus {
         self.command_status
     }
 
-    /// A command with this id goes out.
+    /// Records a command that goes out with this id.
     pub fn commands(&mut self, id: u32, position: Xy) {
         if self.unanswered.len() >= MOST_UNANSWERED {
-            self.unanswered.pop_front(); // a stage that answers nothing, or only the newest
+            self.unanswered.pop_front(); // the stage acknowledges none, or only the newest
         }
         self.unanswered.push_back((id, position));
     }
 
-    /// It has taken the command with this id, or refused it: then the last one that it has taken counts.
+    /// Records an acknowledgement of the command with this id. After a rejected command, the control
+    /// continues from the last accepted one.
     pub fn answers(&mut self, id: u32, accepted: bool) {
         let Some(place) = self.unanswered.iter().position(|(sent, _)| *sent == id) else { return };
         let position = self.unanswered[place].1;
@@ -108,28 +111,28 @@ impl StageModel {
         }
     }
 
-    /// Where it says itself that it stands, metres.
+    /// Records the position that the stage reports, metres.
     pub fn set_reported(&mut self, position: Xy) {
         self.reported = Some(position).filter(|at| at.iter().all(|p| p.is_finite()));
     }
 
-    /// For how long it has not followed its commands, seconds.
+    /// How long the stage has not followed its commands, seconds.
     pub fn stuck_s(&self) -> f64 {
         self.stuck_s
     }
 
-    /// The setpoint has moved by this, in lengths of the stage.
+    /// Adapts the state to a setpoint that has moved by `step`, in lengths of the stage.
     pub fn shift_setpoint(&mut self, step: Xy) {
         self.memory = self.memory.map(|memory| memory.shifted(step));
     }
 
-    /// The loop lets go of it.
+    /// The loop releases the stage.
     pub fn let_go(&mut self) {
         self.apart = true;
     }
 
-    /// It has acted by itself, and gone to `park` if that is what it does. Until a readback says better, it
-    /// stands there.
+    /// Records that the stage has acted on its own, and has moved to `park` if given. The model assumes the
+    /// stage there until a readback shows otherwise.
     pub fn released(&mut self, park: Option<Xy>) {
         let park = park.filter(|_| !self.apart);
         self.memory = self.memory.map(|m| ControllerState::at(park.unwrap_or(m.position)));
@@ -140,7 +143,8 @@ impl StageModel {
         self.unanswered.clear();
     }
 
-    /// Takes it over where it stands, if it is not the loop's yet; says whether it was not.
+    /// Takes over the stage at its actual position, unless the loop already controls the stage. Returns true
+    /// if it took over.
     pub fn take_over(&mut self, sample: &Sample, params: &LoopParams, dt: f64) -> bool {
         if !self.apart || self.command_status == CommandStatus::Gone {
             return false;
@@ -152,8 +156,9 @@ impl StageModel {
         true
     }
 
-    /// The stage as it stands: as it says itself, or where it was sent last. If nothing but this loop has
-    /// moved it (`ours`), and it stands there to within a step, the last command is the better number.
+    /// The stage at its actual position: readback, or else the last command. If only this loop has moved the
+    /// stage (`ours`) and the readback is within one step of the last command, the command is the more
+    /// accurate value.
     pub fn found(&self, sample: &Sample, params: &LoopParams, dt: f64) -> ControllerState {
         let reach = params.controller.slew * dt;
         let sent = self.memory.map(|memory| memory.position);
@@ -163,36 +168,36 @@ impl StageModel {
         {
             return ControllerState::at(sent);
         }
-        // A readback beyond the limits is not believed, unless the stage was sent there before they came closer:
-        // then it goes back at its speed.
+        // A readback beyond the limits is clipped to them, unless the stage was sent there before the limits
+        // were reduced: then it returns at the slew limit.
         let farthest = |axis: usize| sent.map_or(0.0, |sent| sent[axis].abs()).max(params.controller.limit);
         let at = read.or(sent).unwrap_or_default();
         ControllerState::at([0, 1].map(|axis| at[axis].clamp(-farthest(axis), farthest(axis))))
     }
 
-    /// It was sent there after this sample.
+    /// Records that the stage was sent to a position after this sample.
     pub fn sent(&mut self, memory: ControllerState, sample: &Sample, params: &LoopParams) {
         self.memory = Some(memory);
         self.history.push(memory.position, sample.time, params.span_s());
     }
 
-    /// Where it stood when the sample was taken, as well as it is known.
+    /// Best known position of the stage when the sample was taken, metres.
     pub fn stands_at(&self, sample: &Sample, params: &LoopParams) -> Xy {
         let sent = || self.history.before(sample.time, params.loop_delay_s).or(self.commanded());
         read_back(sample).or_else(sent).or(self.reported).unwrap_or_default()
     }
 
-    /// Where it stands if it does not follow its commands, as far as its readback in the sample, `dt` seconds
-    /// after the last one, shows.
+    /// Actual position if the readback in the sample shows that the stage does not follow its commands. `dt`
+    /// is the time since the previous sample, seconds.
     pub fn behind(&mut self, sample: &Sample, params: &LoopParams, dt: f64) -> Option<Xy> {
         let behind = read_back(sample).filter(|at| !self.history.leads_to(*at, params.following()));
-        // At its own limit it cannot follow, and says so.
+        // A stage at its own limit reports that in the sample, and cannot follow.
         self.stuck_s = if behind.is_none() || sample.output_railed { 0.0 } else { self.stuck_s + dt };
         behind
     }
 }
 
-/// The position of the stage in the sample.
+/// The position of the stage in the sample, if it is finite.
 pub(super) fn read_back(sample: &Sample) -> Option<Xy> {
     sample.steering.filter(|at| at.iter().all(|p| p.is_finite()))
 }

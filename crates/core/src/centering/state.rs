@@ -1,4 +1,4 @@
-//! What the loop is told, and what it tells.
+//! Inputs and outputs of the loop.
 
 use trifacet_optics::Pose;
 use trifacet_wire::LockState;
@@ -8,59 +8,60 @@ use crate::centering::LoopMode;
 use crate::steering::{Command, Xy};
 use crate::time::Mono;
 
-/// What the rest of the house is told of the loop.
+/// State of the loop for the frames and the other parts of the daemon.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LoopState {
     /// The lock state.
     pub lock: LockState,
-    /// Where the stage was last commanded to, metres; none unless the loop has it.
+    /// Last commanded position of the stage, metres; `None` while the loop does not control the stage.
     pub position: Option<Xy>,
 }
 
 impl LoopState {
-    /// What may be claimed of it while the loop gets no samples, or makes no turns.
+    /// The state to report while the loop gets no samples, or while its task is stalled.
     #[must_use]
     pub fn without_observation(self) -> Self {
-        // A command is no news of the stage any more: its lease runs out, and the board acts by itself.
+        // The last command no longer shows where the stage is: its lease expires, and the board acts on its
+        // own.
         Self { lock: self.lock.without_observation(), position: None }
     }
 }
 
-/// What a person may want to know of the loop.
+/// State of the loop for the operator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LoopView {
-    /// What it does.
+    /// Mode of the loop.
     pub mode: LoopMode,
     /// The lock state.
     pub lock: LockState,
-    /// The offset of the beam in the last sample, metres; not looked at while the loop is off.
+    /// Offset of the beam in the last sample, metres; `None` while the loop is off or no offset is known.
     pub offset: Option<Xy>,
-    /// Velocity of the apex by the tracking filter, metres per second; with the offset.
+    /// Velocity of the apex from the tracking filter, metres per second; `None` without an offset.
     pub velocity: Option<Xy>,
-    /// Where the stage was last commanded to, metres; none unless the loop has it.
+    /// Last commanded position of the stage, metres; `None` while the loop does not control the stage.
     pub commanded: Option<Xy>,
-    /// In the shadow: where the stage stands, and where the loop would send it next, metres.
+    /// In shadow mode: the position of the stage, and the position that the loop would command next, metres.
     pub shadow: Option<(Xy, Xy)>,
-    /// Searches in vain since it was last locked.
+    /// Failed searches since the last lock.
     pub attempts: u32,
 }
 
-/// What follows from a sample.
+/// Result of one sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// The command for the stage, unless it is not the loop's.
+    /// Command for the stage; `None` while the loop does not control the stage.
     pub command: Option<Command>,
-    /// The sample came too late to act on it: the command holds.
+    /// The sample was too old to act on; the command holds the stage.
     pub late: bool,
-    /// The lock state has changed.
+    /// The change of the lock state, if the sample caused one.
     pub transition: Option<Transition>,
 }
 
 /// A pose with the time of its sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimedPose {
-    /// The pose, in the sensor's world.
+    /// The pose, in the world frame of the head.
     pub pose: Pose,
-    /// When its signals were taken.
+    /// Time at which its signals were sampled.
     pub time: Mono,
 }

@@ -1,4 +1,4 @@
-//! The loop with a stage that does at once what it is told, and a mirror at rest.
+//! The loop with a stage that follows at once, and a mirror at rest.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -18,7 +18,7 @@ struct Bench {
     params: LoopParams,
     centering: Centering,
     optics: Optics,
-    /// Where the beam is while the stage stands at zero, micrometres.
+    /// Position of the beam while the stage is at zero, micrometres.
     laser_um: [f64; 2],
     stage_um: [f64; 2],
     readback: bool,
@@ -60,13 +60,13 @@ impl Bench {
         }
     }
 
-    /// Of a stage that stands still with the beam 20 um off.
+    /// A sample of a stage at rest with the beam 20 um off.
     fn beside_the_point(&mut self) -> Sample {
         (self.laser_um, self.stage_um) = ([20.0, 0.0], [0.0; 2]);
         self.sample()
     }
 
-    /// Moves the stage as told; it never goes faster than its limit, nor beyond it.
+    /// Moves the stage as commanded, and checks its speed and its limits.
     fn obey(&mut self, outcome: Outcome) -> bool {
         let Some(command) = outcome.command else { return false };
         let to = command.position.map(|metres| metres * 1e6);
@@ -80,7 +80,7 @@ impl Bench {
         true
     }
 
-    /// Runs for so many samples; returns how many commands came.
+    /// Runs for `samples` samples; returns the number of commands.
     fn run(&mut self, samples: usize) -> usize {
         let mut commands = 0;
         for _ in 0..samples {
@@ -104,7 +104,7 @@ impl Bench {
         self.centering.state().lock
     }
 
-    /// Where the beam is, off the apex.
+    /// Position of the beam relative to the apex.
     fn offset_um(&self) -> [f64; 2] {
         [0, 1].map(|i| self.laser_um[i] + self.stage_um[i])
     }
@@ -123,11 +123,11 @@ fn in_the_shadow_it_says_what_it_would_do_and_does_nothing() {
     assert_eq!(bench.centering.state().position, None);
     let (at, to) = bench.centering.view().shadow.unwrap();
     assert!(near(at.map(|m| m * 1e6), [20.0, 10.0]), "{at:?}");
-    // Towards the apex, by the integral of one period: 0.2 of the offset of 120 and -50 um (a beam so far
-    // off is seen somewhat nearer or farther than it is).
+    // Towards the apex, by the integral of one period: 0.2 of the offset of 120 and -50 um (the offset of a
+    // beam so far off is measured somewhat too small or too large).
     let step = [0, 1].map(|i| (to[i] - at[i]) * 1e6);
     assert!((-30.0..-18.0).contains(&step[0]) && (8.0..14.0).contains(&step[1]), "{step:?}");
-    assert_eq!(bench.centering.finish(), None, "what it never had it does not park");
+    assert_eq!(bench.centering.finish(), None, "a stage that the loop never controlled is not parked");
     assert!(!bench.retune(|params| params.mode = LoopMode::On));
     assert_eq!(bench.run(500), 500);
     assert_eq!(bench.lock(), LockState::Locked);
@@ -140,7 +140,7 @@ fn it_lets_go_where_the_stage_is_and_takes_over_where_it_finds_it() {
         bench.readback = readback;
         bench.run(500);
         assert!(near(bench.offset_um(), [0.0; 2]), "{:?}", bench.offset_um());
-        // The lease must not park what was let go.
+        // The lease must not park a stage that was released.
         assert!(bench.retune(|params| params.mode = LoopMode::Off));
         assert_eq!(bench.expiry, Some(LeaseAction::Hold));
         assert_eq!((bench.run(500), bench.lock()), (0, LockState::Off));
@@ -149,7 +149,7 @@ fn it_lets_go_where_the_stage_is_and_takes_over_where_it_finds_it() {
         bench.retune(|params| params.mode = LoopMode::On);
         let before = bench.stage_um;
         bench.run(1);
-        // The integral of one period, 0.2 of 30 um, and no jump to zero or elsewhere.
+        // The integral of one period, 0.2 of 30 um, without a jump to zero or elsewhere.
         assert!((bench.stage_um[0] - before[0] + 6.0).abs() < 1.0, "{before:?} {:?}", bench.stage_um);
         bench.run(500);
         assert!(near(bench.offset_um(), [0.0; 2]) && bench.lock() == LockState::Locked);
@@ -177,7 +177,7 @@ fn it_goes_to_another_setpoint_and_is_locked_there() {
     let before = bench.stage_um;
     bench.run(1);
     assert!((bench.stage_um[0] - before[0] - 4.0).abs() < 0.5, "no kick: {:?}", bench.stage_um);
-    assert_eq!(bench.lock(), LockState::Acquiring, "it is not where it shall be");
+    assert_eq!(bench.lock(), LockState::Acquiring, "not yet at the new setpoint");
     bench.run(500);
     assert!(near(bench.offset_um(), [20.0, -5.0]), "{:?}", bench.offset_um());
     assert_eq!(bench.lock(), LockState::Locked);
@@ -192,8 +192,8 @@ fn gains_change_without_a_step() {
     let next =
         |centering: &mut Centering| centering.sample(&sample, None, sample.time).command.unwrap().position[0];
     let unchanged = next(&mut bench.centering.clone());
-    // Ten times the proportional gain acts on what the error has changed since the last sample, about 6 um,
-    // and not on the 18 um that are left.
+    // Ten times the proportional gain acts on the change of the error since the last sample, about 6 um, and
+    // not on the remaining 18 um.
     bench.retune(|params| (params.controller.kp, params.controller.ki_per_s) = (1.0, 200.0));
     let changed = next(&mut bench.centering);
     let step_um = (changed - unchanged) * 1e6;
@@ -234,7 +234,7 @@ fn no_nonsense_reaches_the_stage() {
         bench.obey(outcome);
         assert!(near(bench.stage_um, at), "{nonsense}: {:?}", bench.stage_um);
     }
-    // Also while taking over.
+    // Also while the loop takes over.
     bench.retune(|params| params.mode = LoopMode::Off);
     bench.retune(|params| params.mode = LoopMode::On);
     let mut sample = bench.sample();
@@ -254,11 +254,11 @@ fn what_was_late_is_not_acted_upon_again_and_again() {
             bench.centering.sample(&sample, None, now)
         })
         .collect();
-    // After a pause of 50 ms only what is younger than the loop delay of 2.5 ms counts.
+    // After a pause of 50 ms, only samples younger than the loop delay of 2.5 ms count.
     for (k, outcome) in outcomes.iter().enumerate() {
         assert_eq!(outcome.late, k < 48);
         let still = outcome.command.is_some_and(|command| command.position == [0.0; 2]);
-        assert_eq!(still, outcome.late, "late ones hold, and renew the lease");
+        assert_eq!(still, outcome.late, "commands of late samples hold the stage and renew the lease");
     }
     let [x, _] = bench.centering.state().position.unwrap();
     assert!((-20e-6..-5e-6).contains(&x), "{x}");
@@ -311,7 +311,7 @@ fn a_search_goes_on_within_limits_that_have_come_closer() {
     assert_eq!(bench.lock(), LockState::Searching);
     bench.retune(|params| params.controller.limit = 50e-6);
     (0..3000).for_each(|_| dark(&mut bench));
-    assert_eq!(bench.lock(), LockState::Held, "searched in vain, not for ever");
+    assert_eq!(bench.lock(), LockState::Held, "the failed search ends");
     assert!(bench.stage_um.iter().all(|um| um.abs() <= 50.001), "{:?}", bench.stage_um);
 }
 
@@ -329,19 +329,19 @@ fn it_is_not_lost_by_a_stage_that_sticks_and_comes_free() {
         bench.stage_um = stuck;
         held |= bench.lock() == LockState::Held;
         let [x, _] = bench.centering.state().position.unwrap();
-        // Until it is noticed, within two delays and the lag, the integral has gone this far; and no farther.
+        // Until the fault is noticed, within two delays and the lag, the integral has moved this far, and no
+        // farther.
         assert!((x * 1e6 - stuck[0]).abs() < 200.0, "it does not wind up: {x}");
     }
     assert!(held && bench.lock() == LockState::Lost, "{:?}", bench.lock());
-    // What follows is a stage that goes where it was sent, and then where it should.
+    // Then the stage comes free: it moves to its last command, and then to the apex.
     bench.stage_um[0] = bench.centering.state().position.unwrap()[0] * 1e6;
     bench.run(500);
     assert!(near(bench.offset_um(), [0.0; 2]) && bench.lock() == LockState::Locked);
 }
 
-/// Whatever comes in, commands stay finite, within the limits (or on the way back to limits that have come closer)
-/// and no faster than allowed: with nonsense for samples, poses and times, and parameters that change in
-/// the middle of everything.
+/// For any input, commands stay finite, within the limits (or on the way back to reduced limits) and no
+/// faster than allowed: with nonsense in samples, poses and times, and parameters that change at any time.
 #[test]
 fn no_command_ever_leaves_the_limits() {
     let mut random = Pcg64::seed_from_u64(11);
@@ -368,7 +368,7 @@ fn no_command_ever_leaves_the_limits() {
                 let before = last.map_or(limit, |last| last[axis].abs());
                 assert!(at.abs() <= limit.max(before) * (1.0 + 1e-12), "{at} beyond {limit}");
                 let step = last.map_or(0.0, |last| (at - last[axis]).abs());
-                // Five periods at the slew limit, and what a readback is off when the stage is taken over.
+                // Five periods at the slew limit, plus the error of a readback at take-over.
                 assert!(step <= 5.0 * 20e-6 + 1e-6, "a step of {step}");
             }
             last = Some(command.position);
@@ -377,7 +377,7 @@ fn no_command_ever_leaves_the_limits() {
     }
 }
 
-/// Something ordinary, large, or none at all.
+/// An ordinary value, a very large one, or not a number.
 fn odd(random: &mut Pcg64, size: f64) -> f64 {
     let ordinary = size * (random.random::<f64>() - 0.5);
     let nonsense = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 0.0, 5e-324];

@@ -1,30 +1,33 @@
-//! The tracking filter: where the apex is and how fast it moves, from noisy positions.
+//! The tracking filter: position and velocity of the apex, from noisy positions.
 //!
-//! An alpha-beta filter: it predicts with constant velocity and corrects position and velocity by what the
-//! next position differs from the prediction (the innovation). Its poles are those of a second-order
-//! system with the damping 0.7 and the natural frequency that the configuration calls its bandwidth, placed
-//! anew for the time between every two samples. The velocity of a sine of frequency f comes out with the
-//! gain 1/sqrt(1 + (f/bandwidth)^4) and late by 1.4/(2 pi bandwidth); white noise of the position comes
-//! through with sqrt(1.11 bandwidth * 2 / rate) of its deviation. A wider band follows faster, and lets
-//! more noise into the stage.
+//! An alpha-beta filter: it predicts with constant velocity, and corrects position and velocity by the
+//! innovation, the difference between the next position and the prediction. Its poles are those of a
+//! second-order system with damping 0.7 and the configured bandwidth as natural frequency. They are placed
+//! anew for each time step.
 //!
-//! A jump of the mirror is no velocity. An innovation beyond [`GATE`] of its usual size is passed over
-//! once; the second in a row re-seats the position and leaves the velocity alone, and the controller
-//! takes the jump as what it is, an error. What comes through the gate, and as much of the rest as would
-//! open it soon if it went on, makes the usual size.
+//! - The velocity of a sine of frequency f has the gain 1/sqrt(1 + (f/bandwidth)^4) and the delay 1.4/(2 pi
+//!   bandwidth).
+//! - White noise of the position passes with the factor sqrt(1.11 bandwidth * 2 / rate) on its standard
+//!   deviation.
+//! - A larger bandwidth follows faster motion, and passes more noise to the stage.
+//!
+//! A jump of the mirror is not a velocity. An innovation beyond [`GATE`] times its usual size is ignored
+//! once. The second one in a row resets the position and keeps the velocity; the controller then corrects the
+//! jump as an error. The usual size is a running rms of the innovations; an innovation beyond the gate enters
+//! it with a bound.
 
 use std::f64::consts::TAU;
 
 use crate::steering::Xy;
 use crate::time::Mono;
 
-/// An innovation beyond so many of its usual sizes is a jump.
+/// An innovation beyond this many times its usual size is a jump.
 const GATE: f64 = 6.0;
-/// Innovations over which their usual size is formed.
+/// Number of innovations over which the usual size is averaged.
 const WINDOW: f64 = 64.0;
-/// The usual size of an innovation before any was seen, metres.
+/// Usual size of an innovation before the first one, metres.
 const UNKNOWN: f64 = 3e-6;
-/// Damping of the poles: that of the flattest response.
+/// Damping of the poles: maximally flat (Butterworth) response.
 const DAMPING: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
 /// The state of the filter.
@@ -33,31 +36,31 @@ pub struct Tracking {
     track: Option<Track>,
 }
 
-/// What is tracked: metres, metres per second.
+/// State of the track: metres, metres per second.
 #[derive(Clone, Copy, Debug)]
 struct Track {
     time: Mono,
     position: Xy,
     velocity: Xy,
-    /// Of the innovations.
+    /// Of the innovations, square metres.
     variance: f64,
     /// The last innovation was beyond the gate.
     suspect: bool,
 }
 
 impl Tracking {
-    /// Forgets everything: what comes next has no connection with it.
+    /// Discards the track: the next position is unrelated to it.
     pub fn reset(&mut self) {
         self.track = None;
     }
 
-    /// Velocity of the apex, metres per second; zero while nothing is known of it.
+    /// Velocity of the apex, metres per second; zero while it is unknown.
     pub fn velocity(&self) -> Xy {
         self.track.map_or([0.0; 2], |track| track.velocity)
     }
 
-    /// Takes a position, which must be finite, with the time at which it was taken. After a pause longer than
-    /// `patience_s` it starts over.
+    /// Takes a position (must be finite, metres) with its time. The filter starts again after a pause longer
+    /// than `patience_s` seconds.
     pub fn update(&mut self, position: Xy, time: Mono, bandwidth_hz: f64, patience_s: f64) {
         let passed = self.track.map(|track| time.seconds_since(track.time));
         match (&mut self.track, passed) {
@@ -81,7 +84,7 @@ impl Track {
         let innovation = [0, 1].map(|i| measured[i] - predicted[i]);
         let square = innovation[0].powi(2) + innovation[1].powi(2);
         let most = GATE * GATE * self.variance;
-        // One far beyond the gate widens it by the root of three at most.
+        // One innovation far beyond the gate increases the usual size by a factor of sqrt(3) at most.
         self.variance += (square.min(2.0 * WINDOW * self.variance) - self.variance) / WINDOW;
         if square > most {
             self.position = if self.suspect { measured } else { predicted };
@@ -95,7 +98,7 @@ impl Track {
     }
 }
 
-/// Gains for position and velocity, for a bandwidth in cycles per sample: the poles of the filter are those
+/// Gains for position and velocity, for a bandwidth in cycles per sample. The poles of the filter are those
 /// of the second-order system, sampled.
 fn gains(bandwidth: f64) -> [f64; 2] {
     let decay = (-DAMPING * TAU * bandwidth).exp();
@@ -113,7 +116,7 @@ mod tests {
     const RATE: f64 = 10_000.0;
     const BAND: f64 = 200.0;
 
-    /// Velocities that come out for a course of the apex along x, metres over seconds.
+    /// Velocities for a motion of the apex along x, metres as a function of seconds.
     fn track(course: impl Fn(f64) -> f64, noise: f64, samples: u32) -> Vec<f64> {
         let mut random = rand_pcg::Pcg64::seed_from_u64(5);
         let mut tracking = Tracking::default();
@@ -149,7 +152,7 @@ mod tests {
 
     #[test]
     fn noise_comes_through_as_the_documentation_says() {
-        // The velocity's noise as a position: through the integral of the controller.
+        // The noise of the velocity, expressed as a position: integrated as the controller does.
         let velocity = track(|_| 0.0, 1e-6, 200_000);
         let mut position = 0.0;
         let mut moved: Vec<f64> = Vec::new();
@@ -167,7 +170,7 @@ mod tests {
         let velocity = track(course, 0.1e-6, 1000);
         let worst = velocity[480..520].iter().map(|v| (v - 1e-3).abs()).fold(0.0, f64::max);
         assert!(worst < 0.3e-3, "{worst}");
-        // 100 um within the bandwidth of 200 Hz would have been taken for 60 mm/s.
+        // Without the gate, 100 um at a bandwidth of 200 Hz would appear as 60 mm/s.
     }
 
     #[test]
@@ -184,7 +187,7 @@ mod tests {
         }
         assert!(tracking.velocity()[0] > 1e-3);
         tracking.update([0.0; 2], Mono(99 * 100_000), BAND, 0.001);
-        assert!(tracking.velocity()[0] > 1e-3, "the same sample twice is no news");
+        assert!(tracking.velocity()[0] > 1e-3, "the same sample twice changes nothing");
         tracking.update([1.0, 0.0], Mono(200 * 100_000), BAND, 0.001);
         assert_eq!(tracking.velocity(), [0.0; 2]);
     }

@@ -1,12 +1,12 @@
-//! Correction table of a PSD's non-linearity.
+//! Correction table for the non-linearity of a PSD.
 //!
-//! The points form a rectangular grid, in any order, that covers the whole sensitive area. Between them the
-//! corrections are interpolated bilinearly.
+//! The points form a rectangular grid, in any order, that covers the whole sensitive area. Corrections
+//! between the points are interpolated bilinearly.
 
-/// By so much a table may end before the edge, metres: that is rounding.
+/// A table may end this far before the edge, metres: rounding.
 const SLACK: f64 = 1e-9;
 
-/// The largest correction, relative to half the side: twenty times what a lateral-effect PSD needs.
+/// Largest correction relative to half the side: twenty times what a lateral-effect PSD needs.
 const LARGEST: f64 = 0.4;
 
 /// A correction table.
@@ -14,47 +14,47 @@ const LARGEST: f64 = 0.4;
 pub struct Correction {
     u: Vec<f64>,
     v: Vec<f64>,
-    /// Corrections in metres; row by row, `u` runs faster.
+    /// Corrections in metres; row by row, with `u` as the inner index.
     d: Vec<[f64; 2]>,
 }
 
-/// Why points make no correction table.
+/// Reasons why points do not form a correction table.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CorrectionError {
     /// A number is not finite.
     #[error("row {row}: every value must be a finite number of metres")]
     NotFinite {
-        /// Counted from 1, without the header.
+        /// Row of the table, counted from 1, without the header.
         row: usize,
     },
-    /// The points are no grid.
-    #[error("the points must be a full grid: {columns} x {rows} places, but {points} points")]
+    /// The points do not form a grid.
+    #[error("the points must form a full grid: {columns} x {rows} positions, but there are {points} points")]
     NoGrid {
-        /// Different values of u.
+        /// Number of different values of u.
         columns: usize,
-        /// Different values of v.
+        /// Number of different values of v.
         rows: usize,
-        /// Rows in the file.
+        /// Number of rows in the file.
         points: usize,
     },
-    /// A number that no PSD has: most likely another unit.
+    /// A value out of range for the PSD: probably in another unit.
     #[error(
-        "row {row}: {value} m is no {what} of a PSD with +-{:.3} mm, allowed is +-{:.3} mm; the columns are in metres",
+        "row {row}: the {what} {value} m is out of range for a PSD of +-{:.3} mm (limit +-{:.3} mm); use metres",
         half_size * 1e3, limit * 1e3
     )]
     Unit {
-        /// Counted from 1, without the header.
+        /// Row of the table, counted from 1, without the header.
         row: usize,
-        /// "place" or "correction".
+        /// "position" or "correction".
         what: &'static str,
-        /// What was found, metres.
+        /// The value, metres.
         value: f64,
-        /// What is allowed, metres.
+        /// The limit, metres.
         limit: f64,
         /// Half the side of the area, metres.
         half_size: f64,
     },
-    /// The grid leaves parts of the area out.
+    /// The grid does not cover the whole area.
     #[error("the grid must cover +-{:.3} mm in u and v", half_size * 1e3)]
     TooSmall {
         /// Half the side of the area, metres.
@@ -65,9 +65,9 @@ pub enum CorrectionError {
 /// A point of a table: at the reading (u, v) the true spot is (u + du, v + dv). Metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CorrectionPoint {
-    /// Reading.
+    /// Reading along u.
     pub u: f64,
-    /// Reading.
+    /// Reading along v.
     pub v: f64,
     /// Correction of `u`.
     pub du: f64,
@@ -79,7 +79,7 @@ impl Correction {
     /// The table of these points, for a PSD whose half edge length is `half_size` metres.
     ///
     /// # Errors
-    /// The points are no full grid that covers the PSD, or a number is not what a PSD has.
+    /// The points do not form a full grid that covers the PSD, or a number is not finite or out of range.
     pub fn new(rows: &[CorrectionPoint], half_size: f64) -> Result<Self, CorrectionError> {
         let finite = |r: &CorrectionPoint| [r.u, r.v, r.du, r.dv].iter().all(|x| x.is_finite());
         if let Some(i) = rows.iter().position(|r| !finite(r)) {
@@ -92,7 +92,7 @@ impl Correction {
                     Err(CorrectionError::Unit { row: i + 1, what, value, limit, half_size })
                 })
             };
-            within("place", [r.u, r.v], 2.0 * half_size)?;
+            within("position", [r.u, r.v], 2.0 * half_size)?;
             within("correction", [r.du, r.dv], LARGEST * half_size)?;
         }
         let (u, v) = (places(rows.iter().map(|r| r.u)), places(rows.iter().map(|r| r.v)));
@@ -106,9 +106,9 @@ impl Correction {
             d[at(&v, row.v) * u.len() + at(&u, row.u)] = [row.du, row.dv];
         }
         if d.iter().any(|d| d[0].is_nan()) {
-            return Err(no_grid); // a point stands twice, so another one is missing
+            return Err(no_grid); // one point is duplicated, so another one is missing
         }
-        let edge = half_size - SLACK; // 6.5e-3 is not what 13 mm make when they are halved
+        let edge = half_size - SLACK; // 6.5e-3 differs from 13e-3 / 2 by rounding
         let covers = |p: &[f64]| p[0] <= -edge && p[p.len() - 1] >= edge;
         if !(covers(&u) && covers(&v)) {
             return Err(CorrectionError::TooSmall { half_size });
@@ -116,7 +116,8 @@ impl Correction {
         Ok(Self { u, v, d })
     }
 
-    /// The true spot for a reading, metres. A reading outside the grid gets the correction of its rim.
+    /// The true spot for a reading, metres. A reading outside the grid gets the correction of the nearest
+    /// edge.
     pub fn apply(&self, spot: [f64; 2]) -> [f64; 2] {
         let (i, a) = cell(&self.u, spot[0]);
         let (k, b) = cell(&self.v, spot[1]);
@@ -129,7 +130,7 @@ impl Correction {
     }
 }
 
-/// The different values, in order.
+/// The different values, in ascending order.
 fn places(values: impl Iterator<Item = f64>) -> Vec<f64> {
     let mut places: Vec<f64> = values.collect();
     places.sort_by(f64::total_cmp);
@@ -137,7 +138,7 @@ fn places(values: impl Iterator<Item = f64>) -> Vec<f64> {
     places
 }
 
-/// The interval of the grid in which `x` lies, and how far along it, 0 to 1.
+/// The interval of the grid that contains `x`, and the position of `x` in it, 0 to 1.
 fn cell(places: &[f64], x: f64) -> (usize, f64) {
     let i = places.partition_point(|p| *p <= x).clamp(1, places.len() - 1) - 1;
     (i, ((x - places[i]) / (places[i + 1] - places[i])).clamp(0.0, 1.0))
@@ -177,8 +178,8 @@ mod tests {
         rows[3].dv = f64::NAN;
         assert!(say(&rows, 6e-3).contains("row 4"));
         rows[3].dv = 0.07;
-        assert!(say(&rows, 6.5e-3).contains("row 4: 0.07 m is no correction"));
+        assert!(say(&rows, 6.5e-3).contains("row 4: the correction 0.07 m is out of range"));
         rows[0].u = -6.5;
-        assert!(say(&rows, 6.5e-3).contains("row 1: -6.5 m is no place"));
+        assert!(say(&rows, 6.5e-3).contains("row 1: the position -6.5 m is out of range"));
     }
 }

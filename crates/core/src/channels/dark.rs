@@ -1,24 +1,24 @@
-//! Dark offsets: what the nine channels read with the laser off.
+//! Dark offsets: the readings of the nine channels with the laser off.
 
 use trifacet_optics::FACETS;
 use trifacet_wire::channel::SIGNALS;
 
 use crate::signals::{Identity, Scan};
 
-/// Sum signals above so many thresholds are light, not an offset.
+/// A sum signal above this many thresholds is light, not an offset.
 const LIGHT: f64 = 10.0;
 
-/// The channels of PSD A, B, C in order, by their names in messages.
+/// Names of the channels of a PSD in messages, in order.
 const PARTS: [&str; 3] = ["u", "v", "sum"];
 
-/// Means of the nine channels over many scans.
+/// Running means of the nine channels over many scans.
 #[derive(Clone, Debug)]
 pub struct DarkOffsetEstimator {
     places: [usize; 9],
     step_v: f64,
     full_scale: i32,
     count: u32,
-    /// Running mean and sum of squared deviations of each channel, codes.
+    /// Running mean and sum of squared differences from it, per channel, codes.
     means: [f64; 9],
     squares: [f64; 9],
 }
@@ -28,30 +28,30 @@ pub struct DarkOffsetEstimator {
 pub struct DarkOffsets {
     /// u, v, sum of A, B, C in volts.
     pub volts: [[f64; 3]; 3],
-    /// One standard deviation of each mean, volts.
+    /// Standard uncertainty of each mean, volts.
     pub sigma: [[f64; 3]; 3],
 }
 
-/// Why there are no dark offsets.
+/// Reasons why there are no dark offsets.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum DarkError {
-    /// The source lacks one of the nine signals.
+    /// The source has no channel for one of the nine signals.
     #[error("the source has no channel for {0}")]
     Missing(String),
-    /// There is light.
+    /// A PSD sees light.
     #[error(
-        "PSD {psd} sees light: its sum reads {volts:.4} V, in the dark at most {limit:.4} V; switch the laser off"
+        "PSD {psd} sees light: its sum is {volts:.4} V, above the dark limit of {limit:.4} V; switch the laser off"
     )]
     Light {
         /// A, B or C.
         psd: char,
-        /// What its sum channel reads.
+        /// Reading of its sum channel, volts.
         volts: f64,
-        /// What it may read.
+        /// Largest reading in the dark, volts.
         limit: f64,
     },
     /// A channel is at its rail.
-    #[error("the {part} channel of PSD {psd} stands at the rail of the converter; check its amplifier")]
+    #[error("the {part} channel of PSD {psd} is at the rail of the converter; check its amplifier")]
     Clipped {
         /// "u", "v" or "sum".
         part: &'static str,
@@ -61,7 +61,10 @@ pub enum DarkError {
 }
 
 impl DarkOffsetEstimator {
-    /// Nothing measured yet.
+    /// An estimator without any scan.
+    ///
+    /// # Errors
+    /// The source has no channel for one of the nine signals.
     pub fn new(identity: &Identity) -> Result<Self, DarkError> {
         let mut places = [0; 9];
         for (place, role) in places.iter_mut().zip(SIGNALS) {
@@ -72,12 +75,15 @@ impl DarkOffsetEstimator {
         Ok(Self { places, step_v, full_scale, count: 0, means: [0.0; 9], squares: [0.0; 9] })
     }
 
-    /// Scans so far.
+    /// Number of scans so far.
     pub fn count(&self) -> u32 {
         self.count
     }
 
     /// Adds a scan.
+    ///
+    /// # Errors
+    /// A channel is at the rail of the converter.
     pub fn push(&mut self, scan: &Scan) -> Result<(), DarkError> {
         self.count += 1;
         for (i, place) in self.places.into_iter().enumerate() {
@@ -92,7 +98,10 @@ impl DarkOffsetEstimator {
         Ok(())
     }
 
-    /// The offsets, if it was dark.
+    /// The offsets, if no PSD sees light.
+    ///
+    /// # Errors
+    /// The mean of a sum signal is above ten times `sum_threshold_v`.
     pub fn offsets(&self, sum_threshold_v: f64) -> Result<DarkOffsets, DarkError> {
         let n = f64::from(self.count);
         let volts = |i: usize| self.means[i] * self.step_v;

@@ -10,67 +10,67 @@ pub mod dark;
 
 pub use correction::{Correction, CorrectionError};
 
-/// The channels of a head, before the source has reported which channel carries which signal.
+/// The channels of a head, before the source has reported its channel assignment.
 #[derive(Clone, Debug)]
 pub struct Channels {
     /// The PSDs A, B and C.
     pub psds: [PsdChannels; 3],
-    /// Below this sum signal, dark offset subtracted, a PSD has no position. Volts.
+    /// Below this sum signal, dark offset subtracted, a PSD gives no position. Volts.
     pub sum_threshold_v: f64,
-    /// Fraction of the converter's range from which on a code counts as clipped.
+    /// Codes beyond this fraction of the converter's range count as clipped.
     pub clip_limit: f64,
     /// Power on a PSD per volt of its sum signal.
     pub watts_per_volt: f64,
-    /// Position of the stage per volt of its readback signal, metres.
+    /// Position of the stage per volt of its readback signal, metres per volt.
     pub readback_per_volt: f64,
 }
 
 /// One PSD with its amplifier.
 #[derive(Clone, Debug)]
 pub struct PsdChannels {
-    /// What the amplifier puts out.
+    /// Output signals of the amplifier.
     pub amplifier: Amplifier,
-    /// Volts at the edge of the PSD, for a normalised amplifier.
+    /// Output at the edge of the PSD for a normalised amplifier, volts.
     pub full_scale_v: f64,
-    /// Gain of u, v and power on top of the nominal one; negative inverts an axis.
+    /// Gain of u, v and power relative to the nominal gain; a negative value inverts an axis.
     pub gain: [f64; 3],
     /// Readings of u, v and sum with the laser off, volts.
     pub dark_v: [f64; 3],
     /// Half the edge length of the PSD, metres.
     pub half_size: f64,
-    /// Correction of its non-linearity, if it was calibrated.
+    /// Correction of its non-linearity, if calibrated.
     pub correction: Option<Correction>,
 }
 
-/// What the amplifier of a PSD puts out.
+/// Output signals of a PSD amplifier.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Amplifier {
-    /// Positions, already divided by the sum: `full_scale_v` is the edge of the PSD.
+    /// Positions, already divided by the sum; `full_scale_v` is the edge of the PSD.
     Normalised,
-    /// Differences, not divided: a difference equal to the sum is the edge of the PSD.
+    /// Differences, not divided; a difference equal to the sum is the edge of the PSD.
     Difference,
 }
 
-/// The channel map of a source that has reported which channel carries which signal.
+/// The channel map of a source that has reported its channel assignment.
 #[derive(Clone, Debug)]
 pub struct ChannelMap {
     channels: Channels,
     converter: Converter,
-    /// Places of u, v, sum of each PSD in a scan.
+    /// Indices of u, v, sum of each PSD in a scan.
     places: [[usize; 3]; 3],
     steering: Option<[usize; 2]>,
-    /// Skew of each channel as a fraction of the period.
+    /// Skew of each channel as a fraction of the sampling period.
     skew: [f64; MAX_CHANNELS],
     last: Option<Last>,
 }
 
-/// A source that does not measure all nine signals.
+/// Error: the source does not measure all nine signals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("no channel for {0:?}")]
 pub struct MissingSignal(pub Role);
 
-/// The scan before.
+/// The previous scan.
 #[derive(Clone, Copy, Debug)]
 struct Last {
     scan: Scan,
@@ -108,7 +108,7 @@ impl Channels {
     /// The map for a source.
     ///
     /// # Errors
-    /// The source lacks one of the nine signals.
+    /// The source has no channel for one of the nine signals.
     pub fn map(&self, identity: &Identity) -> Result<ChannelMap, MissingSignal> {
         let find = |role| identity.roles.iter().position(|r| *r == role);
         let need = |role: Role| find(role).ok_or(MissingSignal(role));
@@ -132,7 +132,7 @@ impl Channels {
 }
 
 impl ChannelMap {
-    /// Goes on with what else is said of the same channels; no scan is interrupted.
+    /// Continues with other parameters of the same channels, without interrupting the series of scans.
     pub fn retune(&mut self, channels: Channels) {
         self.channels = channels;
         if let Some(Last { scan, .. }) = self.last.take() {
@@ -140,7 +140,7 @@ impl ChannelMap {
         }
     }
 
-    /// Takes a scan as the one before the next.
+    /// Takes a scan as the predecessor of the next one.
     pub fn follow(&mut self, scan: &Scan) {
         let volts = self.volts(scan);
         let psds = [0, 1, 2].map(|i| self.state(i, scan, &volts));
@@ -168,7 +168,7 @@ impl ChannelMap {
             output_railed: scan.output_railed,
         };
         for (i, psd) in self.channels.psds.iter().enumerate() {
-            // What was dark or clipped a moment ago says nothing of the light now.
+            // A channel that was dark or clipped in the last scan must not enter the interpolation.
             let last = last.filter(|last| last.psds[i] == PsdState::Good && psds[i] == PsdState::Good);
             let dark = psd.dark_v;
             let [u, v, sum] =
@@ -197,14 +197,14 @@ impl ChannelMap {
         }
     }
 
-    /// Volts of a channel at the time of the scan: one that is sampled later is interpolated between
-    /// this scan and the last, if there is no gap in between.
+    /// Volts of a channel at the time of the scan. A channel that is sampled later is interpolated between
+    /// the last scan and this one, unless there is a gap in between.
     fn at_scan(&self, channel: usize, volts: &[f64; MAX_CHANNELS], last: Option<&Last>) -> f64 {
         let now = volts[channel];
         last.map_or(now, |last| now - self.skew[channel] * (now - last.volts[channel]))
     }
 
-    /// Whether a code is too near to a rail to be believed.
+    /// Whether a code is at or near a rail of the converter.
     fn clipped(&self, code: i32) -> bool {
         let largest = self.converter.full_scale() - 1;
         f64::from(code.abs()) >= self.channels.clip_limit * f64::from(largest)

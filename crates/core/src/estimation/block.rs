@@ -1,11 +1,11 @@
-//! Means over blocks of samples that do not overlap.
+//! Means over blocks of consecutive samples.
 
 use serde::{Deserialize, Serialize};
 
 use super::power_step::Power;
 use crate::signals::{PsdState, Sample};
 
-/// The samples of a block so far.
+/// The samples of the current block.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Block {
     first: Option<Sample>,
@@ -13,7 +13,7 @@ pub struct Block {
     spots: [f64; 6],
     powers: [f64; 3],
     steering: Option<[f64; 2]>,
-    /// Nanoseconds after the first sample, summed.
+    /// Sum of the times since the first sample, nanoseconds.
     time: i64,
     psds: [PsdState; 3],
     lost: u32,
@@ -22,21 +22,21 @@ pub struct Block {
     output_railed: bool,
 }
 
-/// A full block. Its signals are those of a single sample, only quieter.
+/// A complete block. Its signals are those of a single sample, with less noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mean {
-    /// Means; index of the last sample, losses of all.
+    /// Means of the signals; the index is that of the last sample, the losses are the sum.
     pub sample: Sample,
-    /// Samples in it.
+    /// Number of samples in the block.
     pub count: u16,
-    /// Samples were lost inside the block: it is no mean of equally spaced samples.
+    /// Samples were lost inside the block, so that the mean is not over equally spaced samples.
     pub gap: bool,
-    /// What the power of the laser did, at worst.
+    /// The worst state of the laser power.
     pub power: Power,
 }
 
 impl Block {
-    /// Adds a sample, with what the total power says of it; gives the block when it has `size` samples.
+    /// Adds a sample with the state of its total power; returns the block when it has `size` samples.
     pub fn push(&mut self, sample: &Sample, power: Power, size: u16) -> Option<Mean> {
         if size <= 1 {
             return Some(Mean { sample: *sample, count: 1, gap: false, power });
@@ -79,7 +79,7 @@ impl Block {
         Mean { sample, count: block.count, gap: block.gap, power: block.power }
     }
 
-    /// Drops what is there.
+    /// Discards the current block.
     pub fn clear(&mut self) {
         *self = Self::default();
     }

@@ -1,4 +1,4 @@
-//! Samples to reports. Pure: told the time and the state of the loop.
+//! The estimation: samples to pose reports. Pure: time and loop state are inputs.
 
 use serde::{Deserialize, Serialize};
 use trifacet_optics::{ErrorPropagation, Innovation, Model, Noise, Signals, Solution, SolveError};
@@ -14,7 +14,7 @@ use crate::estimation::signal_checks as light;
 use crate::signals::{PsdState, Sample};
 use crate::time::Mono;
 
-/// In a mean of so many samples the powers of one that was uneasy do no harm.
+/// In a mean of at least this many samples, one sample with an unsteady power does no harm.
 const DILUTED: u16 = 4;
 
 /// Turns samples into reports.
@@ -24,8 +24,8 @@ pub struct Estimation {
     memory: EstimatorState,
 }
 
-/// What estimation has kept of the samples so far. With the same memory and the same settings, the same
-/// samples give the same reports, bit by bit: so it is recorded now and then.
+/// State of the estimation. With the same state and the same settings, the same samples give the same
+/// reports, bit by bit. The state is therefore recorded from time to time.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct EstimatorState {
     noise: LiveNoise,
@@ -33,29 +33,28 @@ pub struct EstimatorState {
     integrity: Integrity,
     block: Block,
     warm: Option<Solution>,
-    /// The computed light of a twin, rather than measured light.
+    /// The light is simulated, not measured.
     simulated: bool,
     index: u64,
 }
 
 impl Estimation {
-    /// An estimation that has seen nothing yet.
+    /// An estimation without any sample.
     pub fn new(settings: Settings) -> Self {
         Self { settings, memory: EstimatorState::default() }
     }
 
-    /// What it has kept of the samples so far.
+    /// The current state.
     pub fn memory(&self) -> &EstimatorState {
         &self.memory
     }
 
-    /// Goes on from there.
+    /// Continues from this state.
     pub fn remember(&mut self, memory: EstimatorState) {
         self.memory = memory;
     }
 
-    /// From the next sample on, all is to be done with other settings: the samples before and after make
-    /// no common mean.
+    /// Uses other settings from the next sample on. Samples from before and after are not averaged together.
     pub fn retune(&mut self, settings: Settings) {
         if settings.readback != self.settings.readback {
             self.memory.integrity = Integrity::default();
@@ -70,14 +69,14 @@ impl Estimation {
         self.settings.fuses()
     }
 
-    /// The samples so far, and those to come, do not belong together.
+    /// Marks the end of a contiguous series of samples.
     fn interrupt(&mut self) {
         self.memory.block.clear();
         self.memory.noise.interrupt();
         self.memory.power_steps.interrupt();
     }
 
-    /// A report as it is published: in the user's frame.
+    /// A report as published: in the user's frame.
     pub fn in_user_frame(&self, report: &PoseReport) -> PoseReport {
         let Some(sensor) = report.pose else { return *report };
         let frames = &self.settings.frames;
@@ -91,15 +90,15 @@ impl Estimation {
         PoseReport { pose: user, covariance, status, ..*report }
     }
 
-    /// A source is up.
+    /// Records that a source is up.
     pub fn source(&mut self, simulated: bool) {
         self.memory.simulated = simulated;
         self.interrupt();
         self.memory.integrity = Integrity::default();
     }
 
-    /// Takes a sample; gives a report at the end of each block. The caller stamps it with the time at
-    /// which it was solved.
+    /// Takes a sample; returns a report at the end of each block. The caller adds the time at which the
+    /// report was solved.
     pub fn sample(&mut self, sample: &Sample, steering: &LoopState) -> Option<PoseReport> {
         self.memory.index = sample.index;
         let good = sample.psds.iter().all(|psd| *psd == PsdState::Good);
@@ -109,7 +108,7 @@ impl Estimation {
         }
         let power = if good { self.power(sample) } else { Power::Steady };
         if power == Power::Step && !self.memory.power_steps.unsteady() {
-            self.memory.noise.interrupt(); // a step is no noise
+            self.memory.noise.interrupt(); // a step is not noise
         } else if good {
             let [a, b, c, d, e, f] = sample.spots;
             let [p, q, r] = sample.powers;
@@ -119,7 +118,8 @@ impl Estimation {
         Some(self.report(&mean, steering))
     }
 
-    /// What the total power says of a sample, by its deviation as configured, or live where that is larger.
+    /// State of the total power of a sample, judged by the configured standard uncertainty, or by the live
+    /// one where that is larger.
     fn power(&mut self, sample: &Sample) -> Power {
         let configured = self.settings.power_noise;
         let each =
@@ -128,7 +128,7 @@ impl Estimation {
         self.memory.power_steps.push(sample.powers.iter().sum(), deviation)
     }
 
-    /// What there is to say while no samples come.
+    /// The report for a moment without samples.
     pub fn silence(&mut self, now: Mono, steering: &LoopState) -> PoseReport {
         self.interrupt();
         let nothing = Sample {
@@ -200,7 +200,7 @@ impl Estimation {
         }
     }
 
-    /// The deviations of the signals of a block: configured, or live where that is larger.
+    /// Standard uncertainties of the signals of a block: configured, or live where that is larger.
     fn stated_noise(&self, mean: &Mean) -> Noise {
         let quieter = f64::from(mean.count.max(1)).sqrt();
         let Settings { spot_noise, power_noise, .. } = self.settings;
@@ -232,8 +232,9 @@ impl Estimation {
         Ok(())
     }
 
-    /// Holds the beam's place by the stage's readback against the solution. What does not fit is not fused,
-    /// nor what rests on powers that change: the fused pose hangs on them more than it states.
+    /// Compares the beam position from the readback of the stage with the solution. A readback that does not
+    /// fit is not fused. Nor is one with changing powers: the fused pose depends on the powers more than its
+    /// stated uncertainty shows.
     fn sighted(
         &mut self,
         mean: &Mean,

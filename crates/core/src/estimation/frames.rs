@@ -1,22 +1,22 @@
-//! Poses in the user's frame, of the point that matters to him.
+//! Poses in the user's frame, at the user's reference point.
 //!
-//! `T_user = T_tare^-1 * T_base * T_sensor * T_tool`. Errors of the angles move a point that is away from
-//! the apex, so the covariance goes the same way as the pose, lever arm included, by the exact derivative.
+//! `T_user = T_tare^-1 * T_base * T_sensor * T_tool`. Errors of the angles move a point that is away from the
+//! apex. The covariance is therefore transformed by the exact derivative of the pose, lever arm included.
 
 use nalgebra::Matrix6;
 use trifacet_optics::{Mat3, Pose, Rigid, Vec3};
 
-/// Nearer than this to a pitch of 90 degrees there is no telling roll from yaw: their deviations are 57
-/// times those of a turn at this place, and grow without bound. Cosine of 89 degrees.
+/// Within a degree of a pitch of 90 degrees, roll and yaw cannot be separated: their standard uncertainties
+/// are 57 times those of a rotation at that limit, and grow without bound beyond it. Cosine of 89 degrees.
 const LEAST_COSINE: f64 = 0.017_452_406_437_283_5;
 
-/// The transformation from the sensor's world to the user's frame.
+/// The transformation from the world frame of the head to the user's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frames {
     /// `T_tare^-1 * T_base`.
     outer: Rigid,
     tool: Rigid,
-    /// Nothing changes, not even the last digit.
+    /// No transformation: poses pass unchanged, bit by bit.
     plain: bool,
 }
 
@@ -27,13 +27,13 @@ impl Default for Frames {
 }
 
 impl Frames {
-    /// The transformation by a base, a tare and a tool.
+    /// The transformation with a base, a tare and a tool.
     pub fn new(base: &Rigid, tare: &Rigid, tool: &Rigid) -> Self {
         Self { outer: tare.inverse() * *base, tool: *tool, plain: false }
     }
 
-    /// The pose in the user's frame; `None` if its pitch is within a degree of 90 degrees, where roll and
-    /// yaw have no meaning of their own.
+    /// The pose in the user's frame. `None` if its pitch is within a degree of 90 degrees, where roll and yaw
+    /// are not defined separately.
     pub fn pose(&self, sensor: &Pose) -> Option<Pose> {
         if self.plain {
             return Some(*sensor);
@@ -44,7 +44,7 @@ impl Frames {
         fine.then_some(user)
     }
 
-    /// The covariance of `user`, given that of the pose in the sensor's world of which it was made.
+    /// The covariance of `user`, given the covariance of the pose `sensor` in the world frame of the head.
     pub fn covariance(&self, sensor: &Pose, user: &Pose, covariance: &Matrix6<f64>) -> Matrix6<f64> {
         if self.plain {
             return *covariance;
@@ -53,10 +53,11 @@ impl Frames {
         slope * covariance * slope.transpose()
     }
 
-    /// The derivative of the user's pose with the sensor's: tx, ty, tz, roll, pitch, yaw each.
+    /// The derivative of the user's pose with respect to the sensor's: tx, ty, tz, roll, pitch, yaw each.
     fn slope(&self, sensor: &Pose, user: &Pose) -> Matrix6<f64> {
         let turn = self.outer.rotation;
-        // Angles of the sensor's pose to a small turn in its world, and to where that moves the tool.
+        // From the angles of the sensor's pose to a small rotation in its world frame, and to the motion of
+        // the tool.
         let axes = sensor.euler_axes();
         let arm = sensor.rotation() * self.tool.translation;
         let mut slope = Matrix6::zeros();
@@ -81,7 +82,7 @@ mod tests {
 
     use super::*;
 
-    /// A frame by millimetres and degrees.
+    /// A transformation from millimetres and degrees.
     fn rigid([x, y, z, roll, pitch, yaw]: [f64; 6]) -> Rigid {
         let [roll, pitch, yaw] = [roll, pitch, yaw].map(f64::to_radians);
         Rigid::from(&Pose { t: Vec3::new(x, y, z) / 1e3, roll, pitch, yaw })
@@ -91,20 +92,20 @@ mod tests {
         Frames::new(&rigid(base), &rigid(tare), &rigid(tool))
     }
 
-    /// Half a metre and any turn.
+    /// Up to half a metre, and any rotation.
     fn transform() -> impl Strategy<Value = [f64; 6]> {
         prop::array::uniform6(-1.0..1.0)
             .prop_map(|x: [f64; 6]| std::array::from_fn(|i| x[i] * if i < 3 { 500.0 } else { 180.0 }))
     }
 
-    /// A few millimetres and a few degrees: more than any sensor's range.
+    /// A few millimetres and a few degrees: more than the range of any sensor.
     fn sensor_pose() -> impl Strategy<Value = Pose> {
         prop::array::uniform6(-1.0..1.0).prop_map(|x: [f64; 6]| {
             Pose::from_array(std::array::from_fn(|i| x[i] * if i < 3 { 5e-3 } else { 0.1 }))
         })
     }
 
-    /// The difference of two poses, angles the short way around.
+    /// The difference of two poses, with angles wrapped to the shorter way.
     fn difference(a: &Pose, b: &Pose) -> Vector6<f64> {
         let (a, b) = (a.to_array(), b.to_array());
         Vector6::from_fn(|i, _| {
@@ -155,7 +156,7 @@ mod tests {
         let pose = Pose::from_array([1e-4, -2e-4, 3e-4, 1e-3, -2e-3, 3e-3]);
         let mut random = rand_pcg::Pcg64::seed_from_u64(5);
         let mut draw = || Vector6::from_fn(|_, _| random.sample::<f64, _>(StandardNormal));
-        // Correlated noise of micrometres and microradians, as the sensor has it.
+        // Correlated noise of micrometres and microradians, as in the sensor.
         let mix = Matrix6::from_fn(|i, k| {
             if i == k { 1e-6 * (1.0 + i as f64) } else { 1e-6 * ((i * 7 + k * 3) % 5) as f64 / 5.0 }
         });
@@ -172,7 +173,7 @@ mod tests {
             for k in 0..6 {
                 let unit = (stated[(i, i)] * stated[(k, k)]).sqrt();
                 let error = (seen[(i, k)] - stated[(i, k)]) / unit;
-                assert!(error.abs() < 0.02, "{i} {k}: {error}"); // 4 deviations of so many draws
+                assert!(error.abs() < 0.02, "{i} {k}: {error}"); // 4 sigma for this number of draws
             }
         }
     }

@@ -1,21 +1,23 @@
-//! Whether the steering position that is read back fits the pose.
+//! Checks whether the readback of the steering position agrees with the pose.
 
 use serde::{Deserialize, Serialize};
 use trifacet_optics::{BeamPosition, Innovation, Vec2};
 
 use crate::steering::BeamMap;
 
-/// A residual of more of its deviations than this does not fit: chance makes one in 270 000.
+/// A residual of more than this many standard uncertainties does not fit. By chance one in 270 000 does.
 const LIMIT: f64 = 5.0;
-/// So many of them in a row, and the steering contradicts the pose. So many that fit, and it may be fused.
+/// After this many misfits in a row, the steering contradicts the pose. After this many fits, the readback
+/// may be fused.
 const ROW: u32 = 10;
-/// A beam that is off by less hides in the noise of each single residual, but not in the mean of this many
-/// of them. A fused pose would be off with it by many of its deviations, which the readback makes small.
+/// Number of residuals in the running mean. A small error of the beam position disappears in the noise of
+/// single residuals, but shows in the mean of this many. The fused pose would carry the error at many of its
+/// standard uncertainties, because the readback makes these small.
 const WINDOW: f64 = 100.0;
-/// With a mean of more of its deviations nothing is fused.
+/// Nothing is fused while the mean exceeds this many of its standard uncertainties.
 const MEAN_LIMIT: f64 = 3.0;
 
-/// From the stage's readback to where the beam stands.
+/// Map from the readback of the stage to the position of the beam, with its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Readback {
     map: BeamMap,
@@ -29,32 +31,32 @@ impl Default for Readback {
 }
 
 impl Readback {
-    /// The readback of a stage with this map; `sigma` is the standard uncertainty of the beam's position by it,
-    /// metres on each axis.
+    /// The readback of a stage with this map. `sigma` is the standard uncertainty of the resulting beam
+    /// position, metres on each axis.
     pub fn new(map: BeamMap, sigma: f64) -> Self {
         Self { map, deviation: sigma }
     }
 
-    /// Where the beam stands by a position of the stage, metres. Its deviation is the same in a mean of
-    /// many: what drifts (the direction of the laser) does not average.
+    /// The beam position for a position of the stage, metres. Averaging does not reduce its standard
+    /// uncertainty: drift of the laser direction does not average out.
     pub fn sighting(&self, stage: [f64; 2]) -> BeamPosition {
         BeamPosition { at: self.map.beam(stage).into(), deviation: self.deviation }
     }
 }
 
-/// The judgement, report by report. Those without a residual do not count.
+/// The integrity check over successive reports. Reports without a residual do not count.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Integrity {
-    /// Residuals in a row that do not fit.
+    /// Number of successive residuals that do not fit.
     misfits: u32,
-    /// Mean of those that fit.
+    /// Mean of the residuals that fit, metres.
     mean: Vec2,
     count: f64,
 }
 
 impl Integrity {
-    /// Takes a residual; whether the sighting may be fused: it fits, and so does the mean of the last ones,
-    /// which are not just a lucky few.
+    /// Takes a residual. Returns whether the beam position may be fused: the residual fits, the mean of the
+    /// last ones fits, and there have been enough of them.
     pub fn judge(&mut self, innovation: &Innovation<'_>) -> bool {
         if !self.fits(innovation.deviations()) {
             return false;
@@ -68,12 +70,12 @@ impl Integrity {
         let fits = deviations <= LIMIT;
         self.misfits = if fits { 0 } else { self.misfits.saturating_add(1) };
         if self.inconsistent() {
-            (self.mean, self.count) = (Vec2::zeros(), 0.0); // what comes after that is another story
+            (self.mean, self.count) = (Vec2::zeros(), 0.0); // the mean starts again after a contradiction
         }
         fits
     }
 
-    /// Steering and pose contradict each other.
+    /// Whether steering and pose contradict each other.
     pub fn inconsistent(&self) -> bool {
         self.misfits >= ROW
     }

@@ -1,11 +1,12 @@
 //! Estimation: [`Sample`](crate::signals::Sample)s to [`PoseReport`]s. Pure.
 //!
-//! - [`estimator`]: a sample, or a mean of several ([`block`]), to a report.
+//! - [`estimator`]: a sample, or the mean of a [`block`], to a report.
 //! - [`settings`]: its parameters.
-//! - `signal_checks`, [`power_step`]: what leaves no pose; [`integrity`]: what makes one doubtful.
-//! - [`frames`]: from the sensor's world to the user's frame.
-//! - [`noise`]: how noisy the signals are at present.
-//! - [`report`]: what comes out.
+//! - `signal_checks`, [`power_step`]: conditions without a pose; [`integrity`]: conditions for a doubtful
+//!   one.
+//! - [`frames`]: from the world frame of the head to the user's frame.
+//! - [`noise`]: the present noise of the signals.
+//! - [`report`]: the result.
 
 pub mod block;
 pub mod estimator;

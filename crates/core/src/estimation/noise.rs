@@ -1,37 +1,37 @@
-//! The noise of the signals, as it is.
+//! The present noise of the signals.
 //!
-//! Second differences `x[k+1] - 2 x[k] + x[k-1]` do not see a steady movement; of white noise their mean
-//! square is six times the variance. So they tell the noise of a moving mirror. What is left of a fast
-//! movement counts as noise, and the stated deviations err on the safe side.
+//! Second differences `x[k+1] - 2 x[k] + x[k-1]` cancel a steady motion; for white noise their mean square is
+//! six times the variance. They therefore show the noise while the mirror moves. What remains of a fast
+//! motion counts as noise, so that the stated uncertainties are too large rather than too small.
 
 use serde::{Deserialize, Serialize};
 
-/// Signals that are watched.
+/// Number of monitored signals.
 const SIGNALS: usize = 9;
-/// Samples over which a burst is noticed, and a slow growth.
+/// Averaging lengths in samples: one for a burst, one for slow growth.
 const WINDOWS: [f64; 2] = [64.0, 4096.0];
-/// The first signals are the spots. Most noise (the laser, vibration) meets all of them, and together they
-/// tell it at once, within fewer samples.
+/// The first signals are the spot coordinates. Most noise (laser, vibration) affects all of them, and their
+/// mean shows it within fewer samples.
 const SPOTS: usize = 6;
-/// Samples over which noise of all spots is noticed.
+/// Averaging length for noise of all spots, samples.
 const COMMON_WINDOW: f64 = 16.0;
-/// A live deviation counts from so many of its own deviations above the configured one: a hundred thousand
-/// samples of the configured noise show no other.
+/// A live standard uncertainty counts if it exceeds the configured one by this many of its own standard
+/// uncertainties. In a hundred thousand samples of the configured noise none does so by chance.
 const SIGNIFICANT: f64 = 4.0;
 
-/// Live deviations of the nine signals.
+/// Live standard uncertainties of the nine signals.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct LiveNoise {
     last: Option<[f64; SIGNALS]>,
     last_step: Option<[f64; SIGNALS]>,
     variance: [[f64; WINDOWS.len()]; SIGNALS],
-    /// Mean over the spots.
+    /// Mean variance of the spot coordinates.
     common: f64,
     count: f64,
 }
 
 impl LiveNoise {
-    /// Forgets the last samples (there was a gap), not the noise.
+    /// Forgets the last samples (there was a gap), but not the noise.
     pub fn interrupt(&mut self) {
         (self.last, self.last_step) = (None, None);
     }
@@ -53,8 +53,8 @@ impl LiveNoise {
         (self.last, self.last_step) = (Some(signals), step);
     }
 
-    /// The deviation of a signal: the configured one, or the live one where it is larger by more than
-    /// chance. A deviation measured over n second differences is itself good to about 1/sqrt(n).
+    /// The standard uncertainty of a signal: the configured one, or the live one where it is significantly
+    /// larger. An estimate from n second differences has a relative standard uncertainty of about 1/sqrt(n).
     pub fn deviation(&self, signal: usize, configured: f64) -> f64 {
         let own = self.variance[signal].iter().zip(WINDOWS.map(|window| self.count.min(window)));
         let n = if signal < SPOTS { self.count.min(COMMON_WINDOW) * SPOTS as f64 } else { 0.0 };
@@ -99,7 +99,7 @@ mod tests {
         let noise = fed(1.5, 20_000, |k| 5.0 * k);
         for signal in 0..SIGNALS {
             let live = noise.deviation(signal, 1.0);
-            assert!((1.45..2.2).contains(&live), "{live}"); // the short window scatters by an eighth
+            assert!((1.45..2.2).contains(&live), "{live}"); // sigma of the short window: an eighth
         }
     }
 

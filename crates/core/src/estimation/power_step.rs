@@ -1,35 +1,36 @@
-//! Steps of the laser's power.
+//! Detects steps of the laser power.
 //!
-//! A converter that takes its channels one after the other sees only a part of a step that comes within a
-//! scan, on one or two of the three PSDs, and the next scan the rest. The ratios of such powers, and with
-//! them the beam's offset and the pose, are wrong. The total does not depend on where the beam is, so it
-//! tells.
+//! A multiplexed converter samples its channels one after the other. If the power steps within a scan, only
+//! one or two of the three PSDs show the step in this scan, and the others in the next. The ratios of such
+//! powers are wrong, and so are the offset of the beam and the pose. The total power does not depend on the
+//! position of the beam, and shows the step.
 
 use serde::{Deserialize, Serialize};
 
-/// A step of 5 % that only one of three powers shows in the first of its scans.
+/// Relative change of the total: a step of 5 % that only one of three powers shows in the first scan.
 const LIMIT: f64 = 0.05 / 3.0;
-/// And so many deviations of the difference of two totals.
+/// The change must also exceed this many standard uncertainties of the difference of two totals.
 const SIGNIFICANT: f64 = 5.0;
-/// So many, and the power is uneasy, step or not: 12 in 100 000 by chance.
+/// A change beyond this many standard uncertainties makes the power unsteady, even without a step: by chance
+/// 12 times in 100 000.
 const UNEASY: f64 = 4.0;
-/// A step is over after so many samples: two that show a part of it (the channel map brings every channel to
-/// the time of its scan with the help of the scan before), and two more that are compared with those.
+/// A step affects at most this many samples: two that show a part of it (the channel map interpolates every
+/// channel to the time of its scan with the previous scan), and two more that are compared with those.
 const LONGEST: u32 = 4;
 
-/// What the total power says of a sample.
+/// State of the total power in a sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Power {
-    /// It stays.
+    /// The power is constant.
     #[default]
     Steady,
-    /// It changes by more than its noise: the ratios may be wrong by as much.
+    /// The power changes by more than its noise; the ratios may be wrong by as much.
     Uneasy,
-    /// It makes a step: the ratios may be wrong by more than can be stated.
+    /// The power steps; the ratios may be wrong by more than can be stated.
     Step,
 }
 
-/// Compares the total power with that of the last two samples.
+/// Compares the total power with those of the last two samples.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct PowerSteps {
     last: [Option<f64>; 2],
@@ -37,12 +38,12 @@ pub struct PowerSteps {
 }
 
 impl PowerSteps {
-    /// The last samples are none to compare with: it was dark, or samples were lost.
+    /// Discards the last samples: there was no light, or samples were lost.
     pub fn interrupt(&mut self) {
         *self = Self::default();
     }
 
-    /// Takes the total power of a sample, and one standard deviation of it.
+    /// Takes the total power of a sample and its standard uncertainty, in the same unit.
     pub fn push(&mut self, total: f64, deviation: f64) -> Power {
         let judge = |last: &f64| {
             let change = (total - last).abs();
@@ -61,7 +62,7 @@ impl PowerSteps {
         power
     }
 
-    /// The power changes for longer than a step does: it is noise, or it flickers.
+    /// Whether the power changes for longer than a step does: noise or flicker.
     pub fn unsteady(&self) -> bool {
         self.row > LONGEST
     }
@@ -71,7 +72,7 @@ impl PowerSteps {
 mod tests {
     use super::*;
 
-    /// Which of these totals stand beside a step.
+    /// For each total: whether it counts as a step.
     fn beside(totals: &[f64]) -> Vec<bool> {
         let mut steps = PowerSteps::default();
         totals.iter().map(|total| steps.push(*total, 1e-3) == Power::Step).collect()

@@ -1,4 +1,4 @@
-//! What estimation knows about one moment.
+//! The result of estimation for one moment.
 
 use nalgebra::Matrix6;
 use trifacet_optics::Pose;
@@ -6,48 +6,48 @@ use trifacet_wire::{LockState, Status};
 
 use crate::time::Mono;
 
-/// The result of one sample (or of a block of them). What is not known is `None`, never a number.
+/// The result of one sample or of a block of samples. An unknown value is `None`, never a number.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseReport {
-    /// Index of the converter's sample; the last one of a block; frozen while no samples come.
+    /// Index of the converter's sample; of the last one in a block; constant while there are no samples.
     pub index: u64,
-    /// When the signals were taken: the mean over a block, "now" while no samples come.
+    /// When the signals were sampled: the mean over a block; the present time while there are no samples.
     pub time: Mono,
-    /// One standard deviation of `time` in nanoseconds, if known.
+    /// Standard uncertainty of `time` in nanoseconds, if known.
     pub time_sigma_ns: Option<f64>,
     /// When the solution was ready.
     pub solved: Mono,
     /// Status bits; `POSE_VALID` is set exactly if `pose` is `Some`.
     pub status: Status,
-    /// Fingerprint of the configuration that gives the pose its meaning.
+    /// Fingerprint of the configuration that defines the meaning of the pose.
     pub config: u32,
     /// State of the centering loop.
     pub lock: LockState,
-    /// The pose, if it is known.
+    /// The pose, if known.
     pub pose: Option<Pose>,
-    /// Covariance of tx, ty, tz (m), roll, pitch, yaw (rad); with the pose.
+    /// Covariance of tx, ty, tz (m), roll, pitch, yaw (rad); present with the pose.
     pub covariance: Option<Matrix6<f64>>,
     /// Beam centre minus apex, across the beam, metres.
     pub offset: Option<[f64; 2]>,
-    /// How far the beam by the steering position that is read back is from where the nine signals have it,
+    /// Distance between the beam position from the steering readback and the one from the nine signals,
     /// metres.
     pub steering_residual: Option<f64>,
-    /// Steps that the solver took.
+    /// Iterations of the solver.
     pub iterations: u8,
     /// Samples averaged into this report.
     pub averaged: u16,
     /// Samples lost since the last report.
     pub lost: u32,
-    /// Spots in metres (u, v of A, B, C), NaN where there is none.
+    /// Spots in metres (u, v of A, B, C); NaN if there is no spot.
     pub spots: [f64; 6],
-    /// Powers in watts, NaN where there is none.
+    /// Powers in watts; NaN if unknown.
     pub powers: [f64; 3],
-    /// Steering position in metres, read back if `STEERING_MEASURED`, else as commanded.
+    /// Steering position in metres: read back if `STEERING_MEASURED` is set, otherwise as commanded.
     pub steering: Option<[f64; 2]>,
 }
 
 impl PoseReport {
-    /// A report with every field known, for examples and tests.
+    /// A report with every field set, for examples and tests.
     pub fn example() -> Self {
         Self {
             index: 1234,

@@ -11,30 +11,31 @@ use super::integrity::Readback;
 pub struct Settings {
     /// The solver with its model of the head.
     pub estimator: Estimator,
-    /// Samples of which the mean is solved.
+    /// Number of samples in a mean.
     pub average: u16,
-    /// Standard uncertainty of a spot coordinate, metres, until it is measured.
+    /// Standard uncertainty of a spot coordinate, metres; the configured value, a lower bound of the live
+    /// one.
     pub spot_noise: f64,
-    /// Standard uncertainty of a power, as a fraction of the total, until it is measured.
+    /// Standard uncertainty of a power, as a fraction of that power; the configured value, a lower bound.
     pub power_noise: f64,
-    /// From the readback of the stage to the position of the beam.
+    /// Map from the readback of the stage to the position of the beam.
     pub readback: Readback,
-    /// Whether the position of the beam by the readback counts as two more signals.
+    /// Whether the beam position from the readback enters the solution as two more signals.
     pub fuse: bool,
-    /// A spot nearer than this to the edge of its PSD sets a warning, metres.
+    /// A spot closer than this to the edge of its PSD sets a warning, metres.
     pub edge_margin: f64,
-    /// Largest imbalance of the three powers without a warning.
+    /// Largest deviation of a power fraction from one third without a warning.
     pub balance_limit: f64,
     /// Status bits that are always set.
     pub fixed: Status,
-    /// From the sensor's world to the user's frame.
+    /// From the world frame of the head to the user's frame.
     pub frames: Frames,
-    /// Fingerprint of the configuration, which every report carries.
+    /// Fingerprint of the configuration, part of every report.
     pub config: u32,
 }
 
 impl Settings {
-    /// The parameters of a nominal head for a solver: no averaging, no frames, no fusion.
+    /// Parameters of a nominal head for a solver: no averaging, no frames, no fusion.
     pub fn new(optics: Optics, model: Model) -> Self {
         Self {
             estimator: Estimator::new(optics, model),
@@ -51,7 +52,7 @@ impl Settings {
         }
     }
 
-    /// Whether the steering position counts as two more signals, where it is read back.
+    /// Whether a steering readback, where present, enters the solution as two more signals.
     pub fn fuses(&self) -> bool {
         self.fuse
     }

@@ -1,4 +1,4 @@
-//! What the light says: whether a pose can come of it, and which status bits tell.
+//! Checks of the signals: whether a pose can be computed, and which status bits apply.
 
 use trifacet_optics::{Noise, SolveError};
 use trifacet_wire::Status;
@@ -8,14 +8,14 @@ use super::block::Mean;
 use super::power_step::Power;
 use crate::signals::PsdState;
 
-/// A power below so many of its deviations is no light to reckon with.
+/// A power below this many standard uncertainties does not count as light.
 const LIGHT: f64 = 5.0;
 
 const LOW: [Status; 3] = [Status::PSD_A_LOW, Status::PSD_B_LOW, Status::PSD_C_LOW];
 const CLIPPED: [Status; 3] = [Status::PSD_A_CLIPPED, Status::PSD_B_CLIPPED, Status::PSD_C_CLIPPED];
 const EDGE: [Status; 3] = [Status::PSD_A_EDGE, Status::PSD_B_EDGE, Status::PSD_C_EDGE];
 
-/// Notes what the light is like; true if no pose can come of it.
+/// Sets the status bits of the signals; returns true if no pose can be computed.
 pub(super) fn judge(settings: &Settings, mean: &Mean, noise: &Noise, status: &mut Status) -> bool {
     let sample = &mean.sample;
     let mut fatal = mean.power == Power::Step;
@@ -37,7 +37,7 @@ pub(super) fn judge(settings: &Settings, mean: &Mean, noise: &Noise, status: &mu
     fatal
 }
 
-/// The status bit for a refusal of the solver.
+/// The status bit for an error of the solver.
 pub(super) fn reason(error: &SolveError) -> Status {
     match error {
         SolveError::OffPsd { .. } | SolveError::OutOfRange { .. } => Status::OUT_OF_RANGE,

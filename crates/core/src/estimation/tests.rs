@@ -1,4 +1,4 @@
-//! Estimation as a whole: what its reports say about samples of light that is known.
+//! The estimation as a whole: reports for samples of known light.
 
 use trifacet_optics::{Estimator, Head, Model, Optics, Pose, Rigid, Vec2, Vec3};
 use trifacet_wire::Status;
@@ -21,12 +21,12 @@ fn estimation(change: impl FnOnce(&mut Settings)) -> Estimation {
     Estimation::new(settings(change))
 }
 
-/// A frame that is only shifted, or only turned.
+/// A frame with a shift or a rotation.
 fn rigid(metres: [f64; 3], [roll, pitch, yaw]: [f64; 3]) -> Rigid {
     Rigid::from(&Pose { t: Vec3::from(metres), roll, pitch, yaw })
 }
 
-/// The light of the mirror at rest.
+/// The sample for a mirror at rest.
 fn sample(index: u64) -> Sample {
     let optics = Optics::new(&Head::default());
     let light = optics.trace(Model::Gaussian, &Pose::default(), Vec2::zeros()).unwrap();
@@ -88,7 +88,7 @@ fn a_block_has_samples_of_one_meaning_only() {
     assert_eq!(seen, [(5, 3, true), (6, 9, true)]);
 }
 
-/// A sample with the stage read back at so many micrometres.
+/// A sample with the stage read back at this position, micrometres.
 fn read_back(index: u64, stage_um: [f64; 2]) -> Sample {
     Sample { steering: Some(stage_um.map(|um| um * 1e-6)), ..sample(index) }
 }
@@ -121,7 +121,7 @@ fn the_ray_model_knows_no_offset_and_judges_nothing() {
 fn the_residual_is_of_the_beam_by_matrix_and_origin() {
     let map = BeamMap::new([[0.0, -2.0], [0.5, 0.0]], [10e-6, 20e-6]);
     let mut estimation = estimation(|s| s.readback = Readback::new(map, 1.5e-6));
-    // The beam stands on the apex: at (10, 20) + (-2 y, x / 2).
+    // The beam is on the apex: at (10, 20) + (-2 y, x / 2).
     let fits = reports(&mut estimation, (0..20).map(|k| read_back(k, [-40.0, 5.0])));
     assert!(fits.iter().all(|r| r.steering_residual.unwrap() < 1e-9));
     let off = reports(&mut estimation, (20..40).map(|k| read_back(k, [-40.0, 20.0])));
@@ -141,7 +141,7 @@ fn ten_reports_that_fit_are_fused_and_none_that_does_not() {
         let (pose, offset) = (report.pose.unwrap(), report.offset.unwrap());
         let deviation = report.covariance.unwrap()[(0, 0)].sqrt();
         if (9..20).contains(&k) {
-            // The beam is 0.3 um along x, and it is the pose that is less certain.
+            // The beam is at 0.3 um along x; the correction goes to the pose, which is less certain.
             assert!((pose.t.x + offset[0] - 0.297e-6).abs() < 1e-9, "{k}: {report:?}");
             assert!(pose.t.x > 0.25e-6 && deviation < 0.14e-6, "{k}: {report:?}");
         } else {

@@ -1,8 +1,8 @@
-//! Heartbeats of the tasks of the fast side: the sign that each of them lives, whether samples come or not.
+//! Heartbeats of the tasks of the fast side: they show that each task is running, with or without samples.
 //!
-//! A turn is one poll of the task's future. Every task has a timer, so it makes turns in silence too; one
-//! that waits for something that never comes makes none, and one that never comes back from a turn stops
-//! them all. Costs three relaxed stores a turn.
+//! A heartbeat is one poll of the task's future. Every task has a timer and therefore beats without samples,
+//! too. A task that waits for something that never comes does not beat. A task that blocks within a poll
+//! stops all tasks of the thread. A heartbeat costs three relaxed stores.
 
 use std::fmt;
 use std::future::poll_fn;
@@ -12,25 +12,25 @@ use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64};
 use std::task::Poll;
 use std::time::Duration;
 
-/// A task without anything to do makes a turn at least this often.
+/// An idle task beats at least this often.
 pub const HEARTBEAT: Duration = Duration::from_millis(20);
 
 /// A task of the fast side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Task {
-    /// Source to samples.
+    /// From the source to samples.
     Acquisition,
     /// The loop that keeps the beam on the apex.
     Centering,
-    /// Samples to poses, and their publishing.
+    /// From samples to poses, and their publishing.
     Estimation,
 }
 
 impl Task {
-    /// All of them, in the order of the flow.
+    /// All tasks, in the order of the data flow.
     pub const ALL: [Task; 3] = [Task::Acquisition, Task::Centering, Task::Estimation];
 
-    /// The task as a word: "acquisition".
+    /// The name of the task: "acquisition".
     pub fn name(self) -> &'static str {
         match self {
             Task::Acquisition => "acquisition",
@@ -46,23 +46,23 @@ impl fmt::Display for Task {
     }
 }
 
-/// What may be done to a task to see whether it is noticed.
+/// Faults that can be injected into a task, to test whether they are detected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Drill {
-    /// It waits for ever, and the others go on.
+    /// The task waits for ever; the others continue.
     Stall = 1,
-    /// It never comes back from a turn, and the others wait for it.
+    /// The task blocks within a poll; the others wait for it.
     Block = 2,
-    /// It ends by itself.
+    /// The task ends.
     End = 3,
 }
 
 impl Drill {
-    /// All of them.
+    /// All drills.
     pub const ALL: [Drill; 3] = [Drill::Stall, Drill::Block, Drill::End];
 
-    /// The drill as a word: "stall".
+    /// The name of the drill: "stall".
     pub fn name(self) -> &'static str {
         match self {
             Drill::Stall => "stall",
@@ -72,29 +72,29 @@ impl Drill {
     }
 }
 
-/// The turns of every task. Shared, lock-free.
+/// The heartbeats of every task. Shared, lock-free.
 #[derive(Debug, Default)]
 pub struct Heartbeats([Heartbeat; 3]);
 
 impl Heartbeats {
-    /// The turns of a task.
+    /// The heartbeats of a task.
     pub fn of(&self, task: Task) -> &Heartbeat {
         &self.0[task as usize]
     }
 
-    /// The tasks that make no turns at present, as far as that was noticed; empty while all is well.
+    /// The tasks that are marked as stalled; empty in normal operation.
     pub fn stalled(&self) -> Vec<Task> {
         Task::ALL.into_iter().filter(|task| self.of(*task).stalled.load(Relaxed)).collect()
     }
 }
 
-/// The turns of one task.
+/// The heartbeats of one task.
 #[derive(Debug, Default)]
 pub struct Heartbeat {
-    /// Counts the starts and ends of heartbeats: odd within one.
+    /// Counts the starts and ends of polls: odd within a poll.
     edges: AtomicU64,
     ended: AtomicBool,
-    /// Set by whoever watches.
+    /// Set by the task that monitors the heartbeats.
     stalled: AtomicBool,
     drill: AtomicU8,
 }
@@ -105,27 +105,28 @@ impl Heartbeat {
         self.edges.load(Relaxed).div_ceil(2)
     }
 
-    /// It is within a turn.
+    /// Whether the task is within a poll.
     pub fn inside(&self) -> bool {
         self.edges.load(Relaxed) % 2 == 1
     }
 
-    /// It has ended, and makes no more.
+    /// Whether the task has ended.
     pub fn ended(&self) -> bool {
         self.ended.load(Relaxed)
     }
 
-    /// Marks the task as stalled or not; returns what it was marked as before. For whoever watches the tasks.
+    /// Marks the task as stalled or not; returns the previous mark. For the task that monitors the
+    /// heartbeats.
     pub fn mark_stalled(&self, stalled: bool) -> bool {
         self.stalled.swap(stalled, Relaxed)
     }
 
-    /// Whether it is marked as stalled.
+    /// Whether the task is marked as stalled.
     pub fn stalled(&self) -> bool {
         self.stalled.load(Relaxed)
     }
 
-    /// Lets the task misbehave from now on.
+    /// Injects a fault into the task.
     pub fn drill(&self, drill: Drill) {
         self.drill.store(drill as u8, Relaxed);
     }
@@ -142,7 +143,7 @@ pub async fn counted(task: impl Future<Output = ()>, turn: &Heartbeat) {
     poll_fn(|context| {
         let drill = turn.drill.load(Relaxed);
         if drill == Drill::Stall as u8 {
-            return Poll::Pending; // who still wakes it makes no turn of that
+            return Poll::Pending; // a wake-up is no heartbeat while the task stalls
         }
         turn.edge();
         while turn.drill.load(Relaxed) == Drill::Block as u8 {

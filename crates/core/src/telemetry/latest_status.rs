@@ -1,4 +1,4 @@
-//! The newest frame at a glance: its status and lock state in one word, for those who look now and then.
+//! Status and lock state of the newest frame in one atomic word, for occasional readers.
 
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
@@ -7,7 +7,7 @@ use trifacet_wire::{LockState, Status};
 
 use crate::estimation::PoseReport;
 
-/// Written for every frame, read whenever somebody wants to know.
+/// Written for every frame, read on demand.
 #[derive(Debug, Default)]
 pub struct LatestStatus(AtomicU64);
 
@@ -15,13 +15,13 @@ pub struct LatestStatus(AtomicU64);
 const SEEN: u64 = 1 << 63;
 
 impl LatestStatus {
-    /// This report was published just now.
+    /// Records a report that has just been published.
     pub fn at(&self, report: &PoseReport) {
         let word = SEEN | u64::from(report.lock as u8) << 32 | u64::from(report.status.0);
         self.0.store(word, Relaxed);
     }
 
-    /// What the newest frame said; none before the first one.
+    /// Status and lock state of the newest frame; `None` before the first one.
     pub fn newest(&self) -> Option<(Status, LockState)> {
         let word = self.0.load(Relaxed);
         let lock = LockState::ALL.get((word >> 32 & 0xff) as usize)?;

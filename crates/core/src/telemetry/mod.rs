@@ -1,7 +1,7 @@
-//! What the tasks of the daemon leave for others to read, without locks.
+//! State that the tasks of the daemon publish for other tasks, without locks.
 //!
 //! - [`Counters`]: every counter of the daemon.
-//! - [`heartbeat`]: whether each task is alive.
+//! - [`heartbeat`]: whether each task is running.
 //! - [`LatestStatus`]: status and lock state of the newest frame.
 
 mod counters;

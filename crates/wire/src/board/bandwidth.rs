@@ -1,12 +1,12 @@
-//! How fast the wire has to be.
+//! Required data rate of the serial line.
 
 use super::framing::OVERHEAD;
 
-/// Bits on the wire for a byte: start, eight data bits, stop.
+/// Bits on the line per byte: start, eight data bits, stop.
 const BITS_PER_BYTE: f64 = 10.0;
 
-/// The part of the wire that may be in use. The rest lets a queue drain and bears that the two
-/// clocks are not the same.
+/// Largest fraction of the line that may be in use. The rest lets queues drain, and allows for different
+/// clock rates at both ends.
 const LOAD: f64 = 0.95;
 
 /// Bytes of a frame with one scan.
@@ -17,9 +17,9 @@ pub fn scan_bytes(channels: usize) -> usize {
 /// Bytes of a frame with an acknowledgement.
 const ACK_BYTES: usize = OVERHEAD + 5;
 
-/// The slowest baud rate at which a board with so many channels can send so many scans per second
-/// while every scan is answered by a steering command. Both directions are in use at once; the
-/// board's is the busier one: a scan and an acknowledgement against one command.
+/// The lowest baud rate at which a board with this number of channels can send `rate_hz` scans per second
+/// while every scan is answered by a steering command. Both directions are in use at once. The direction from
+/// the board is the busier one: a scan and an acknowledgement per command.
 pub fn required_baud(channels: usize, rate_hz: f64) -> u32 {
     let bytes = scan_bytes(channels) + ACK_BYTES;
     let bits_per_s = bytes as f64 * rate_hz * BITS_PER_BYTE / LOAD;

@@ -1,4 +1,4 @@
-//! The fields of a message, one after the other.
+//! Reader and writer for the fields of a message.
 
 use alloc::vec;
 use alloc::vec::Vec;

@@ -1,24 +1,24 @@
 //! Framing: COBS, one zero byte after each frame, CRC-32 at the end of each message.
 //!
-//! A zero byte stands nowhere else, so a receiver that lost its place is back after the next one.
+//! A zero byte occurs nowhere else, so that a receiver is synchronised again after the next one.
 
 use alloc::vec::Vec;
 
-/// The longest message in bytes, check sum included; COBS then adds exactly one byte.
+/// Largest length of a message in bytes, checksum included; COBS then adds exactly one byte.
 pub const MAX_MESSAGE: usize = 250;
 
-/// Bytes that framing adds to the body of a message: type, version, check sum, COBS, delimiter.
+/// Bytes that framing adds to the body of a message: type, version, checksum, COBS, delimiter.
 pub const OVERHEAD: usize = 2 + CRC + 2;
 
-/// Bytes of the check sum.
+/// Bytes of the checksum.
 const CRC: usize = 4;
 
-/// A frame whose bytes changed on the way, or that lost some: bad COBS, too long, or a wrong check sum.
+/// A damaged frame: invalid COBS, too long, or a wrong checksum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("corrupted frame")]
 pub struct Corrupted;
 
-/// Appends a message (type, version, body) to `out`, with check sum, stuffing and delimiter.
+/// Appends a message (type, version, body) to `out`, with checksum, stuffing and delimiter.
 pub fn encode(message: &[u8], out: &mut Vec<u8>) {
     debug_assert!(message.len() + CRC <= MAX_MESSAGE);
     let mut whole = Vec::with_capacity(message.len() + CRC);
@@ -28,11 +28,11 @@ pub fn encode(message: &[u8], out: &mut Vec<u8>) {
     out.push(0);
 }
 
-/// Cuts a stream of bytes into messages. Its memory is one frame.
+/// Splits a byte stream into messages. Needs memory for one frame.
 #[derive(Clone, Debug)]
 pub struct Deframer {
     buffer: [u8; MAX_MESSAGE + 1],
-    /// Bytes of the frame so far; more than the buffer holds if the frame is too long.
+    /// Number of bytes of the current frame; greater than the buffer if the frame is too long.
     length: usize,
 }
 
@@ -45,6 +45,9 @@ impl Default for Deframer {
 impl Deframer {
     /// Takes bytes from the front of `bytes` up to the end of the next frame and returns its message
     /// (type, version, body), or `None` once all bytes are taken. Empty frames are skipped.
+    ///
+    /// # Errors
+    /// The frame is damaged.
     pub fn next(&mut self, bytes: &mut &[u8]) -> Option<Result<&[u8], Corrupted>> {
         while let Some((&byte, rest)) = bytes.split_first() {
             *bytes = rest;
@@ -66,7 +69,7 @@ impl Deframer {
     }
 }
 
-/// Unstuffs a frame in place and checks its sum.
+/// Unstuffs a frame in place and checks its checksum.
 fn unpack(frame: &mut [u8]) -> Option<&[u8]> {
     let length = cobs::decode_in_place(frame).ok()?;
     let (message, crc) = frame[..length].split_last_chunk::<CRC>()?;
@@ -79,7 +82,7 @@ mod tests {
 
     use super::*;
 
-    /// Everything that comes out when `stream` arrives in pieces of `piece` bytes.
+    /// All messages of `stream` when it arrives in pieces of `piece` bytes.
     fn deframe(stream: &[u8], piece: usize) -> Vec<Result<Vec<u8>, Corrupted>> {
         let mut deframer = Deframer::default();
         let mut found = Vec::new();

@@ -1,4 +1,4 @@
-//! What a board says of itself, on the wire.
+//! The identity of a board, as sent on the line.
 
 use alloc::borrow::ToOwned;
 use alloc::string::String;
@@ -11,24 +11,24 @@ use crate::channel::{Converter, Role, round};
 /// The longest name of a board in bytes.
 pub const MAX_NAME: usize = 64;
 
-/// What a board says of itself.
+/// The identity of a board.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BoardIdentity {
     /// Ticks of the board's clock per second.
     pub tick_hz: u32,
-    /// The converter; its range is in whole millivolts on the wire.
+    /// The converter; its range is sent in whole millivolts.
     pub converter: Converter,
     /// Resolution of the steering outputs in bits, sign included.
     pub output_bits: u8,
-    /// The light is computed, not measured.
+    /// The light is simulated, not measured.
     pub simulated: bool,
     /// Slowest and fastest rate, scans per 1000 seconds.
     pub rate_mhz: [u32; 2],
     /// What each channel measures.
     pub roles: Vec<Role>,
-    /// When each channel is sampled after the scan's tick, nanoseconds.
+    /// Sampling time of each channel after the tick of the scan, nanoseconds.
     pub skew_ns: Vec<u32>,
-    /// Maker, model, firmware, serial number: for people.
+    /// Maker, model, firmware, serial number, in readable form.
     pub name: String,
 }
 
@@ -73,7 +73,7 @@ impl BoardIdentity {
     }
 }
 
-/// A name that fits.
+/// The name, shortened to the maximum length.
 fn shortened(name: &str) -> &str {
     &name[..name.floor_char_boundary(MAX_NAME)]
 }

@@ -1,6 +1,6 @@
-//! The messages: what the host asks of the board, and what the board answers.
+//! Messages of the board protocol: requests of the host, answers of the board.
 //!
-//! Every message starts with its type and the protocol's version. All numbers are little-endian.
+//! Every message starts with its type and the version of the protocol. All numbers are little-endian.
 
 use alloc::vec::Vec;
 
@@ -9,7 +9,7 @@ use super::identity::BoardIdentity;
 use crate::actuator::{Ack, LeaseAction, OutputCommand};
 use crate::channel::MAX_CHANNELS;
 
-/// The version of the protocol that is spoken here.
+/// The implemented version of the protocol.
 pub const VERSION: u8 = 1;
 
 mod kind {
@@ -24,34 +24,34 @@ mod kind {
     pub(super) const ERROR: u8 = 0x85;
 }
 
-/// A whole frame that is not a message of this version.
+/// Reasons why an undamaged frame is not a message of this version.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum MessageError {
     /// Another version of the protocol.
-    #[error("message {kind:#04x} of protocol version {version}; this side speaks version {VERSION}")]
+    #[error("message {kind:#04x} of protocol version {version}; this program speaks version {VERSION}")]
     Version {
         /// Type of the message.
         kind: u8,
-        /// Its version.
+        /// Version of the message.
         version: u8,
     },
-    /// No message of this version has this type (in this direction).
+    /// The type does not exist in this version and direction.
     #[error("unknown message type {0:#04x}")]
     Type(u8),
-    /// Too short or too long for its type.
-    #[error("message {kind:#04x} has a wrong length: {length} bytes")]
+    /// The length is wrong for the type.
+    #[error("message {kind:#04x} has the wrong length: {length} bytes")]
     Length {
         /// Type of the message.
         kind: u8,
-        /// Its length without check sum, bytes.
+        /// Length of the message without checksum, bytes.
         length: usize,
     },
-    /// A field has a value that means nothing.
-    #[error("message {kind:#04x}: the {field} has no meaning")]
+    /// A field has an undefined value.
+    #[error("message {kind:#04x}: the value of the {field} is undefined")]
     Value {
         /// Type of the message.
         kind: u8,
-        /// Which field.
+        /// Name of the field.
         field: &'static str,
     },
 }
@@ -59,71 +59,71 @@ pub enum MessageError {
 /// From host to board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request {
-    /// Who are you?
+    /// Asks for the identity of the board.
     Identify,
-    /// Scan, from sequence number 0 on.
+    /// Starts scanning, from sequence number 0.
     Start {
         /// Scans per 1000 seconds.
         rate_mhz: u32,
-        /// Where the outputs go when they park, codes.
+        /// Parking position of the outputs, codes.
         park: [i32; 2],
     },
-    /// Scan no more.
+    /// Stops scanning.
     Stop,
-    /// Move the steering outputs.
+    /// Moves the steering outputs.
     Steer(OutputCommand),
 }
 
 /// From board to host.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Answer {
-    /// To `Identify`.
+    /// Answer to `Identify`.
     Identity(BoardIdentity),
-    /// To `Start` and `Stop`.
+    /// Answer to `Start` and `Stop`.
     Reply(Reply),
-    /// To `Steer`.
+    /// Answer to `Steer`.
     Ack {
-        /// Of the command.
+        /// Id of the command.
         id: u32,
-        /// What became of it.
+        /// Result of the command.
         result: SteerResult,
     },
     /// One scan.
     Scan(BoardScan),
-    /// To a frame that was not understood.
+    /// Answer to a frame that the board could not read.
     Error {
-        /// Why.
+        /// The reason.
         reason: ErrorReason,
-        /// Type of the message that was not understood; 0 if the frame was corrupted.
+        /// Type of that message; 0 if the frame was corrupted.
         kind: u8,
     },
 }
 
-/// What became of `Start` or `Stop`.
+/// Answer to `Start` or `Stop`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reply {
-    /// Whether this is about `Start`; else it is about `Stop`.
+    /// True for `Start`, false for `Stop`.
     pub start: bool,
-    /// What became of it.
+    /// Result of the request.
     pub result: StartResult,
     /// The rate from now on, scans per 1000 seconds; 0 while stopped.
     pub rate_mhz: u32,
 }
 
-/// One scan as the board sends it.
+/// One scan, as sent by the board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BoardScan {
-    /// Counts the scans since `Start`, also those that were not sent; wraps.
+    /// Counts the scans since `Start`, those not sent included; wraps.
     pub sequence: u32,
-    /// The board's clock at the scan; wraps.
+    /// Clock of the board at the scan, ticks; wraps.
     pub tick: u32,
-    /// The outputs stand at a limit of the stage.
+    /// The outputs are at a limit of the stage.
     pub output_railed: bool,
-    /// The lease of the last command has run out, and the outputs hold or park.
+    /// The lease of the last command has expired, and the outputs hold or park.
     pub lease_expired: bool,
-    /// The converter was read too late just before this scan.
+    /// The board read its converter too late just before this scan.
     pub overrun: bool,
-    /// How many codes there are.
+    /// Number of codes.
     pub channels: u8,
     /// The codes; zero beyond the last channel.
     pub codes: [i32; MAX_CHANNELS],
@@ -145,7 +145,7 @@ macro_rules! numbered {
 }
 
 numbered! {
-    /// What became of a `Start` or `Stop`.
+    /// Result of a `Start` or `Stop`.
     StartResult {
         /// Done.
         Done = 0,
@@ -157,11 +157,11 @@ numbered! {
 }
 
 numbered! {
-    /// What became of a `Steer`.
+    /// Result of a `Steer`.
     SteerResult {
         /// The outputs move.
         Accepted = 0,
-        /// A code or the lease is out of range: nothing changed, the old lease runs on.
+        /// A code or the lease is out of range: nothing changed, and the previous lease continues.
         OutOfRange = 1,
         /// The board has not been started: nothing changed.
         NotStarted = 2,
@@ -169,9 +169,9 @@ numbered! {
 }
 
 numbered! {
-    /// Why the board did not understand.
+    /// Reason why the board could not read a frame.
     ErrorReason {
-        /// Check sum or stuffing wrong.
+        /// Wrong checksum or stuffing.
         Corrupted = 1,
         /// Unknown type.
         Type = 2,
@@ -179,13 +179,13 @@ numbered! {
         Version = 3,
         /// Wrong length for its type.
         Length = 4,
-        /// A field has a value that means nothing.
+        /// A field has an undefined value.
         Value = 5,
     }
 }
 
 impl MessageError {
-    /// How a board reports this error.
+    /// The answer with which a board reports this error.
     pub fn to_answer(self) -> Answer {
         let (reason, kind) = match self {
             Self::Version { kind, .. } => (ErrorReason::Version, kind),
@@ -217,6 +217,9 @@ impl Request {
     }
 
     /// Reads a message (type, version, body).
+    ///
+    /// # Errors
+    /// The version, type, length or a value is wrong.
     pub fn decode(message: &[u8]) -> Result<Self, MessageError> {
         let mut body = Reader::new(message)?;
         let request = match body.kind {
@@ -256,6 +259,9 @@ impl Answer {
     }
 
     /// Reads a message (type, version, body).
+    ///
+    /// # Errors
+    /// The version, type, length or a value is wrong.
     pub fn decode(message: &[u8]) -> Result<Self, MessageError> {
         let mut body = Reader::new(message)?;
         let answer = match body.kind {
@@ -291,7 +297,7 @@ impl From<SteerResult> for bool {
 }
 
 impl SteerResult {
-    /// As the rest of the house knows it.
+    /// The acknowledgement of a command with this result.
     pub fn ack(self, id: u32) -> Ack {
         Ack { id, accepted: self.into() }
     }
@@ -338,7 +344,7 @@ mod tests {
         #[test]
         fn any_bytes_are_a_message_or_an_error(mut bytes in prop::collection::vec(any::<u8>(), 0..260)) {
             if let [kind, version, ..] = &mut bytes[..] {
-                // Half of them get a type and a version that exist.
+                // Half of the messages get a valid type and version.
                 (*kind, *version) = if *kind & 8 == 0 { (*kind & 0x87, VERSION) } else { (*kind, *version) };
             }
             let _ = Request::decode(&bytes);

@@ -1,7 +1,7 @@
 //! The protocol of the acquisition board (`docs/board-protocol.md`), for both sides of the cable.
 //!
-//! [`framing`] cuts the byte stream into checked messages, [`message`] gives them their meaning, [`bandwidth`]
-//! says how fast the wire has to be.
+//! - [`framing`]: from the byte stream to checked messages. [`message`]: their contents.
+//! - [`identity`]: the identity of a board. [`bandwidth`]: the required data rate of the line.
 
 pub mod bandwidth;
 mod fields;

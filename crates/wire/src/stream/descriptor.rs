@@ -1,6 +1,6 @@
-//! What the daemon says of itself, in JSON.
+//! Messages in JSON: descriptor, heartbeat, answer and refusal.
 //!
-//! Readers ignore keys that they do not know: a later minor version may add some.
+//! Readers ignore unknown keys; a later minor version may add some.
 
 use std::collections::BTreeMap;
 
@@ -8,33 +8,33 @@ use serde::{Deserialize, Serialize};
 
 use crate::layout::Field;
 
-/// The first message of every TCP stream: all that is needed to read the frames that follow.
+/// The first message of every TCP stream: all that is needed to interpret the frames that follow.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Descriptor {
     /// Version of the stream, "major.minor".
     pub stream_version: String,
     /// Version of the daemon.
     pub daemon_version: String,
-    /// As in every frame: random at the daemon's start.
+    /// As in every frame: random number, drawn at the start of the daemon.
     pub session: u32,
     /// As in every frame: hash of geometry and calibration.
     pub config: u32,
-    /// Frames a second.
+    /// Frames per second.
     pub rate_hz: f64,
-    /// Samples averaged into a frame.
+    /// Number of samples averaged into a frame.
     pub average: u16,
-    /// How much older a frame's time is than its last sample: half the block of an average. The time
-    /// of a frame already is the mean of its samples' times.
+    /// Delay of an averaged frame, seconds: the time from the mean of its sample times to its last sample,
+    /// half the length of the block. The time of a frame is the mean of the times of its samples.
     pub group_delay_s: f64,
     /// The sensor model: "ray" or "gaussian".
     pub model: String,
     /// Whether every PSD has a correction table; if not, frames carry `UNCALIBRATED`.
     pub calibrated: bool,
-    /// Lengths, angles, powers and times are in these units.
+    /// Units of lengths, angles, powers and times.
     pub units: BTreeMap<String, String>,
-    /// The coordinate frames in words.
+    /// Description of the coordinate frames.
     pub coordinates: BTreeMap<String, String>,
-    /// How the three angles make a rotation.
+    /// Definition of the rotation by the three angles.
     pub euler: String,
     /// Names of the status bits, from bit 0.
     pub status_bits: Vec<String>,
@@ -42,12 +42,12 @@ pub struct Descriptor {
     pub lock_states: Vec<String>,
     /// The byte table of the pose frame.
     pub fields: Vec<FieldEntry>,
-    /// The names of a frame's values in text (JSON, CSV).
+    /// The names of a frame's values in text formats (JSON, CSV).
     pub columns: Vec<String>,
-    /// The recording that is replayed; absent where the samples come from a source.
+    /// The replayed recording; absent if the samples come from a source.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub replay: Option<Replayed>,
-    /// What this client gets; absent where no stream was asked for.
+    /// The stream of this client; absent if the client has not requested one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stream: Option<StreamForm>,
 }
@@ -57,30 +57,30 @@ pub struct Descriptor {
 pub struct Replayed {
     /// Name of the file.
     pub file: String,
-    /// UTC of its first frame, as RFC 3339 has it.
+    /// UTC of its first frame, in RFC 3339 format.
     pub recorded: String,
-    /// So many times as fast as it was recorded.
+    /// Speed of the replay relative to the recording.
     pub speed: f64,
-    /// Whether it begins again at its end.
+    /// Whether the replay starts again at the end.
     pub repeat: bool,
 }
 
-/// The stream of one client, as it was asked for and is sent.
+/// The stream of one client, as requested and sent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StreamForm {
     /// "binary", "json" or "csv".
     pub format: String,
-    /// Frames whose sequence this divides are sent.
+    /// Frames whose sequence number is divisible by this are sent.
     pub divider: u32,
-    /// So many a second.
+    /// Frames per second.
     pub rate_hz: f64,
-    /// Whether the last valid pose stays, marked with `POSE_HELD`.
+    /// Whether a frame without a valid pose carries the last valid one, marked with `POSE_HELD`.
     pub held: bool,
-    /// The values of a line of text, in order; empty in binary.
+    /// The values of a line of text, in order; empty with the binary format.
     pub columns: Vec<String>,
 }
 
-/// Once a second on every TCP connection.
+/// Sent once a second on every TCP connection.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Heartbeat {
     /// Frames sent to this client.
@@ -91,19 +91,19 @@ pub struct Heartbeat {
     pub counters: BTreeMap<String, u64>,
 }
 
-/// The answer to a query, within a stream; the line that a client without a stream gets.
+/// The answer to a query: a message within a stream, or a line for a client without a stream.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Answer(pub String);
 
-/// Why the daemon ends a connection.
+/// The reason why the daemon closes a connection.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Refusal {
-    /// The reason, for people.
+    /// The reason, in readable form.
     pub error: String,
 }
 
-/// One field of the byte table, as a client reads it from a descriptor.
+/// One field of the byte table, as sent in a descriptor.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct FieldEntry {
     /// Name.

@@ -1,58 +1,62 @@
-//! Messages on TCP: the pose frame, and four kinds in JSON. [`Decoder`] finds them in a byte stream, also after a
-//! damaged piece.
+//! Messages on TCP: the pose frame, and four kinds in JSON.
+//!
+//! [`Decoder`] finds them in a byte stream, and resynchronises after damage.
 
 use super::descriptor::{Answer, Descriptor, Heartbeat, Refusal};
 use crate::frame::{FrameError, PoseFrame};
 use crate::message::{CRC_SIZE, HEADER_SIZE, Header, Kind, MAJOR, crcs, header};
 
-/// Bytes for which a [`Decoder`] keeps room.
+/// Free space that a [`Decoder`] reserves, bytes.
 const ROOM: usize = 16 * 1024;
 
-/// A message as a client gets it.
+/// A message, as received by a client.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Message {
     /// A pose frame.
     Pose(PoseFrame),
-    /// What the daemon says of itself and of its stream.
+    /// Description of the daemon and of the stream.
     Descriptor(Box<Descriptor>),
-    /// What was sent and lost so far.
+    /// Counters of frames and losses.
     Heartbeat(Heartbeat),
     /// The answer to a query.
     Answer(Answer),
-    /// The daemon ends the connection, and says why.
+    /// The reason why the daemon closes the connection.
     Refusal(Refusal),
 }
 
-/// Why an undamaged message cannot be read.
+/// Reasons why an undamaged message cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum MessageError {
-    /// The other side speaks another version.
-    #[error("the other side speaks version {major}.{minor} of the stream; this program reads {MAJOR}.x")]
+    /// The sender uses another major version.
+    #[error("the sender uses version {major}.{minor} of the stream; this program reads {MAJOR}.x")]
     Version {
-        /// Of the layout.
+        /// Major version: layout.
         major: u8,
-        /// Of what may be ignored.
+        /// Minor version: compatible additions.
         minor: u8,
     },
-    /// A pose frame that is none.
+    /// An invalid pose frame.
     #[error(transparent)]
     Frame(#[from] FrameError),
-    /// JSON that says something else than it should.
-    #[error("a message of kind {kind} does not say what it should: {source}")]
+    /// JSON with unexpected contents.
+    #[error("a message of kind {kind} has unexpected contents: {source}")]
     Json {
-        /// Its magic.
+        /// Magic of the message.
         kind: String,
-        /// What is wrong with it.
+        /// The error of the JSON parser.
         source: serde_json::Error,
     },
 }
 
-/// A message of this kind that says `body` in JSON. Fails if that is longer than 65 523 bytes.
+/// A message of this kind with `body` as JSON.
+///
+/// # Errors
+/// The body cannot be serialised, or is longer than 65 523 bytes.
 pub fn json<T: serde::Serialize>(kind: Kind, body: &T) -> Result<Vec<u8>, serde_json::Error> {
     use serde::ser::Error;
     let body = serde_json::to_vec(body)?;
     let size = u16::try_from(body.len() + HEADER_SIZE + CRC_SIZE)
-        .map_err(|_| serde_json::Error::custom(format!("{} bytes do not fit a message", body.len())))?;
+        .map_err(|_| serde_json::Error::custom(format!("{} bytes do not fit into a message", body.len())))?;
     let mut message = Vec::with_capacity(size.into());
     message.extend(header(kind, size));
     message.extend(body);
@@ -64,7 +68,7 @@ pub fn json<T: serde::Serialize>(kind: Kind, body: &T) -> Result<Vec<u8>, serde_
 #[derive(Debug, Default)]
 pub struct Decoder {
     buffer: Vec<u8>,
-    /// Where the part that was not yet read begins.
+    /// Start of the unread part.
     start: usize,
     skipped: u64,
 }
@@ -75,7 +79,7 @@ impl Decoder {
         self.room().extend_from_slice(bytes);
     }
 
-    /// Where the next bytes of the stream are to be appended; there is room for many.
+    /// The buffer to which the next bytes of the stream are appended, with free space reserved.
     pub fn room(&mut self) -> &mut Vec<u8> {
         self.buffer.drain(..self.start);
         self.start = 0;
@@ -83,13 +87,16 @@ impl Decoder {
         &mut self.buffer
     }
 
-    /// Bytes so far that belonged to no undamaged message.
+    /// Number of bytes skipped so far because they belong to no undamaged message.
     pub fn skipped(&self) -> u64 {
         self.skipped
     }
 
-    /// The next message, or none before more bytes come. Damaged bytes and kinds of message that this
-    /// version does not know are stepped over.
+    /// The next message, or `None` if more bytes are needed. Damaged bytes and unknown kinds of message are
+    /// skipped.
+    ///
+    /// # Errors
+    /// An undamaged message has another major version or invalid contents.
     pub fn next_message(&mut self) -> Option<Result<Message, MessageError>> {
         loop {
             let rest = self.buffer.get(self.start..)?;
@@ -112,7 +119,7 @@ impl Decoder {
         }
     }
 
-    /// Steps to the next place where a message may begin.
+    /// Moves to the next byte at which a message may begin.
     fn skip(&mut self) {
         let rest = self.buffer.get(self.start + 1..).unwrap_or_default();
         let step = 1 + rest.iter().position(|b| *b == b'T').unwrap_or(rest.len());
@@ -121,7 +128,7 @@ impl Decoder {
     }
 }
 
-/// Reads an undamaged message; none if its kind is not known.
+/// Reads an undamaged message; `None` if its kind is unknown.
 fn read(header: Header, message: &[u8]) -> Option<Result<Message, MessageError>> {
     if header.major != MAJOR {
         return Some(Err(MessageError::Version { major: header.major, minor: header.minor }));
@@ -192,8 +199,8 @@ mod tests {
     }
 
     proptest! {
-        /// However the stream is cut into pieces, and whatever stands between two frames, both are
-        /// found and every byte in between is counted.
+        /// However the stream is split, and whatever bytes are between two frames, both frames are found and
+        /// every byte in between is counted.
         #[test]
         fn resynchronises(junk in prop::collection::vec(prop_oneof![Just(b'T'), Just(b'F'), any::<u8>()], 0..300),
                           damaged in 0usize..192, piece in 1usize..400) {
@@ -202,7 +209,7 @@ mod tests {
             let mut broken = pose(2).encode();
             broken[damaged] ^= 0x55;
             stream.extend(broken);
-            // Enough whole frames to satisfy a size that damage made up.
+            // Enough complete frames for any size that a damaged header may give.
             stream.extend((3..400).flat_map(|n| pose(n).encode()));
             let mut decoder = Decoder::default();
             let mut found = Vec::new();

@@ -1,8 +1,8 @@
-//! The stream beyond the pose frame: messages in JSON, and what clients ask for (`docs/stream.md`).
+//! The stream beyond the pose frame: messages in JSON, and requests of clients (`docs/stream.md`).
 //!
-//! - [`message`]: messages in a byte stream, found again after damage.
+//! - [`message`]: messages in a byte stream, with resynchronisation after damage.
 //! - [`descriptor`]: descriptor, heartbeat, answer and refusal.
-//! - [`request`]: the lines of a TCP client. [`subscription`]: datagrams under a lease.
+//! - [`request`]: lines from a TCP client. [`subscription`]: datagrams under a lease.
 
 pub mod descriptor;
 pub mod message;

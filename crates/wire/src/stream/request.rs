@@ -1,13 +1,13 @@
-//! What a client can say, one ASCII line each. Pure: text in, commands out; and back, for clients.
+//! Requests of TCP clients, one ASCII line each. Pure: text to commands, and back for clients.
 
 use std::collections::BTreeSet;
 use std::fmt;
 
 use crate::layout::COLUMNS;
 
-/// The most bytes of a line, without its end.
+/// Largest length of a line in bytes, without its line end.
 pub const MAX_LINE: usize = 256;
-/// The largest divider: one frame in so many.
+/// The largest divider.
 pub const MAX_DIVIDER: u32 = 1_000_000;
 
 const COMMANDS: &str = "stream, pose?, status?, descriptor?, help, bye";
@@ -15,50 +15,50 @@ const OPTIONS: &str = "format=, divider=, rate_hz=, fields=, held=";
 const HELP: &str = "stream [format=binary|json|csv] [divider=N | rate_hz=F] [fields=A,B,...] [held=on|off]; \
     pose?; status?; descriptor?; help; bye";
 
-/// A line that was understood.
+/// A valid request.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ClientCommand {
-    /// Send frames, from now on in this form.
+    /// Sends frames in this form from now on.
     Stream(StreamRequest),
-    /// Say the newest pose in one line.
+    /// Sends the newest pose in one line.
     Pose,
-    /// Say the newest state in one line.
+    /// Sends the newest state in one line.
     Status,
-    /// Say what the daemon is, in one line of JSON.
+    /// Sends the descriptor, in one line of JSON.
     Descriptor,
-    /// Say what can be said.
+    /// Sends the list of requests.
     Help,
-    /// Close the connection.
+    /// Closes the connection.
     Bye,
 }
 
-/// The frames that a client wants.
+/// The stream that a client requests.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StreamRequest {
-    /// How they are written.
+    /// Format of the frames.
     pub format: Format,
-    /// How many of them.
+    /// Fraction of the frames that are sent.
     pub pace: Pace,
-    /// The columns of text, in this order; none: all of them.
+    /// The columns of text, in this order; `None`: all of them.
     pub fields: Option<Vec<&'static str>>,
-    /// Whether the last valid pose stays (`POSE_HELD`) instead of NaN.
+    /// Whether a frame without a valid pose carries the last valid one (`POSE_HELD`) instead of NaN.
     pub held: bool,
 }
 
-/// How frames are written.
+/// Format of the frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Format {
     /// Messages with header and CRC.
     #[default]
     Binary,
-    /// A JSON object a line.
+    /// One JSON object per line.
     Json,
     /// Comma-separated values.
     Csv,
 }
 
 impl Format {
-    /// As in a request.
+    /// Name of the format in a request.
     pub fn name(self) -> &'static str {
         match self {
             Self::Binary => "binary",
@@ -68,12 +68,12 @@ impl Format {
     }
 }
 
-/// How many of the frames.
+/// Fraction of the frames that are sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Pace {
-    /// Those whose sequence this divides.
+    /// Frames whose sequence number is divisible by this.
     Divider(u32),
-    /// About so many a second: the divider that comes nearest.
+    /// About this many frames per second, by the nearest divider.
     RateHz(f64),
 }
 
@@ -84,7 +84,7 @@ impl Default for Pace {
 }
 
 impl Pace {
-    /// The divider of a stream of so many frames a second.
+    /// The divider for a stream of `frames_hz` frames per second.
     pub fn divider(self, frames_hz: f64) -> u32 {
         match self {
             Self::Divider(divider) => divider,
@@ -98,7 +98,7 @@ impl Pace {
     }
 }
 
-/// Why a line is none of the commands.
+/// The reason why a line is not a valid request.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("error: {found}; allowed: {allowed}")]
 pub struct CommandError {
@@ -110,7 +110,7 @@ fn wrong<T>(found: impl Into<String>, allowed: impl Into<String>) -> Result<T, C
     Err(CommandError { found: found.into(), allowed: allowed.into() })
 }
 
-/// What someone wrote, fit to be written back: ASCII, and not too much of it.
+/// Text from a client, made safe to send back: ASCII, and limited in length.
 fn quoted(text: &[u8]) -> String {
     let some = &text[..text.len().min(40)];
     let more = if some.len() < text.len() { "..." } else { "" };
@@ -118,10 +118,13 @@ fn quoted(text: &[u8]) -> String {
 }
 
 impl ClientCommand {
-    /// The command of a line without its end.
+    /// Parses a line without its line end.
+    ///
+    /// # Errors
+    /// The line is not ASCII, not a known request, or has invalid options.
     pub fn parse(line: &[u8]) -> Result<Self, CommandError> {
         let Ok(text) = std::str::from_utf8(line) else {
-            return wrong(format!("{} is no ASCII", quoted(line)), COMMANDS);
+            return wrong(format!("{} is not ASCII", quoted(line)), COMMANDS);
         };
         let mut words = text.split_ascii_whitespace();
         let name = words.next().unwrap_or_default().to_ascii_lowercase();
@@ -132,15 +135,15 @@ impl ClientCommand {
             "descriptor?" => Self::Descriptor,
             "help" => Self::Help,
             "bye" => Self::Bye,
-            _ => return wrong(format!("{} is no command", quoted(line)), COMMANDS),
+            _ => return wrong(format!("{} is not a command", quoted(line)), COMMANDS),
         };
         match words.next() {
             None => Ok(command),
-            Some(word) => wrong(format!("{} after {name}", quoted(word.as_bytes())), "nothing"),
+            Some(word) => wrong(format!("unexpected {} after {name}", quoted(word.as_bytes())), "nothing"),
         }
     }
 
-    /// What can be said, in one line.
+    /// The list of requests, in one line.
     pub fn help() -> &'static str {
         HELP
     }
@@ -153,7 +156,7 @@ impl StreamRequest {
         for option in options {
             let told = quoted(option.as_bytes());
             let Some((key, value)) = option.split_once('=') else {
-                return wrong(format!("{told} is no option of stream"), OPTIONS);
+                return wrong(format!("{told} is not an option of stream"), OPTIONS);
             };
             match key {
                 "format" => request.format = format(&told, value)?,
@@ -161,7 +164,7 @@ impl StreamRequest {
                 "rate_hz" => request.pace = Pace::RateHz(rate(&told, value)?),
                 "fields" => request.fields = Some(fields(value)?),
                 "held" => request.held = on_or_off(&told, value)?,
-                _ => return wrong(format!("{told} is no option of stream"), OPTIONS),
+                _ => return wrong(format!("{told} is not an option of stream"), OPTIONS),
             }
             if !seen.insert(key) {
                 return wrong(format!("{key} is given twice"), "each option once");
@@ -216,14 +219,14 @@ fn fields(value: &str) -> Result<Vec<&'static str>, CommandError> {
             }
             Some(known) => names.push(known),
             None => {
-                return wrong(format!("{} is no field", quoted(name.as_bytes())), COLUMNS.join(", "));
+                return wrong(format!("{} is not a field", quoted(name.as_bytes())), COLUMNS.join(", "));
             }
         }
     }
     Ok(names)
 }
 
-/// As a client says it, without the end of the line.
+/// The request as sent by a client, without the line end.
 impl fmt::Display for StreamRequest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "stream format={}", self.format.name())?;
@@ -238,11 +241,11 @@ impl fmt::Display for StreamRequest {
     }
 }
 
-/// A line is longer than [`MAX_LINE`].
+/// Error: a line is longer than [`MAX_LINE`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TooLong;
 
-/// Cuts what comes into lines that end with LF or CR LF.
+/// Splits incoming bytes into lines that end with LF or CR LF.
 #[derive(Debug, Default)]
 pub struct Lines {
     bytes: Vec<u8>,
@@ -254,7 +257,10 @@ impl Lines {
         self.bytes.extend_from_slice(bytes);
     }
 
-    /// The next line without its end; none before more bytes come.
+    /// The next line without its line end; `None` if more bytes are needed.
+    ///
+    /// # Errors
+    /// The line is longer than [`MAX_LINE`].
     pub fn next_line(&mut self) -> Option<Result<Vec<u8>, TooLong>> {
         match self.bytes.iter().position(|b| *b == b'\n') {
             Some(end) => {
@@ -301,9 +307,9 @@ mod tests {
     #[test]
     fn errors_say_what_is_allowed() {
         for (line, found, allowed) in [
-            ("pose", "\"pose\" is no command", "pose?"),
+            ("pose", "\"pose\" is not a command", "pose?"),
             ("pose? now", "\"now\" after pose?", "nothing"),
-            ("stream fast", "\"fast\" is no option", "divider="),
+            ("stream fast", "\"fast\" is not an option", "divider="),
             ("stream format=xml", "format=xml", "format=json"),
             ("stream divider=0", "divider=0", "1 to 1000000"),
             ("stream divider=1000001", "divider=1000001", "1 to 1000000"),
@@ -312,7 +318,7 @@ mod tests {
             ("stream rate_hz=5 divider=5", "both", "one of them"),
             ("stream divider=1 divider=2", "twice", "once"),
             ("stream fields=tx_m", "format=binary", "format=json"),
-            ("stream format=json fields=tx", "\"tx\" is no field", "tx_m, ty_m"),
+            ("stream format=json fields=tx", "\"tx\" is not a field", "tx_m, ty_m"),
             ("stream format=json fields=tx_m,tx_m", "tx_m twice", "once"),
             ("stream held=yes", "held=yes", "on, off"),
             ("GET / HTTP/1.1", "GET", "stream"),

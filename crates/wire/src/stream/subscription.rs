@@ -4,32 +4,32 @@ use std::fmt;
 
 use super::request::{CommandError, divider, on_or_off};
 
-/// The longest lease, in seconds.
+/// The longest lease, seconds.
 pub const MAX_LEASE_S: u32 = 60;
-/// Which frames a receiver of datagrams gets, and how.
+/// The frames that a receiver of datagrams gets, and their format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Delivery {
-    /// Those whose sequence this divides.
+    /// Frames whose sequence number is divisible by this.
     pub divider: u32,
-    /// In network byte order.
+    /// Whether frames are in network byte order.
     pub big_endian: bool,
-    /// With the last valid pose (`POSE_HELD`) instead of NaN.
+    /// Whether a frame without a valid pose carries the last valid one (`POSE_HELD`) instead of NaN.
     pub held: bool,
 }
 
-/// What someone asks.
+/// A request for datagrams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SubscriptionRequest {
-    /// Send me frames.
+    /// Starts or renews a subscription.
     Subscribe {
-        /// For so long, unless it is said again.
+        /// Duration of the lease, seconds.
         lease_s: u32,
-        /// These frames, so.
+        /// The requested frames and their format.
         delivery: Delivery,
-        /// What the daemon challenged with.
+        /// The nonce from the challenge of the daemon.
         nonce: Option<u64>,
     },
-    /// Stop that.
+    /// Ends a subscription.
     Unsubscribe {
         /// The nonce of the subscription.
         nonce: u64,
@@ -37,7 +37,10 @@ pub enum SubscriptionRequest {
 }
 
 impl SubscriptionRequest {
-    /// What a datagram asks. None: it is nothing of ours, and gets no answer.
+    /// Parses a datagram. Returns `None` if the datagram is not such a request and gets no answer.
+    ///
+    /// # Errors
+    /// An option of the request is invalid; the text names the allowed ones.
     pub fn parse(bytes: &[u8]) -> Option<Result<Self, String>> {
         let text = std::str::from_utf8(bytes).ok()?;
         let mut words = text.split_ascii_whitespace();
@@ -76,7 +79,7 @@ fn nonce(text: &str) -> Result<u64, String> {
     u64::from_str_radix(text, 16).map_err(|_| "allowed: nonce=HEX".into())
 }
 
-/// As a client says it.
+/// The request as sent by a client.
 impl fmt::Display for SubscriptionRequest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

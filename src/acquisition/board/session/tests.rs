@@ -19,7 +19,7 @@ fn board() -> BoardIdentity {
     }
 }
 
-/// A session and the clock of its host, played from the board's side.
+/// A session with the clock of its host; the test plays the board.
 struct Bench {
     session: Session,
     counters: Arc<Counters>,
@@ -49,7 +49,7 @@ impl Bench {
         self.answer(&Answer::Reply(Reply { start: true, result: StartResult::Done, rate_mhz: 1_000_000 }));
     }
 
-    /// What the session wrote.
+    /// The requests that the session wrote.
     fn requests(&mut self) -> Vec<Request> {
         let (mut requests, mut deframer) = (Vec::new(), Deframer::default());
         loop {
@@ -71,7 +71,7 @@ impl Bench {
         self.session.received(&bytes, self.now);
     }
 
-    /// The board's scan number `sequence` arrives, one period after the last thing.
+    /// The scan number `sequence` of the board arrives, one period after the last event.
     fn scan(&mut self, sequence: u32) -> Option<SourceEvent> {
         self.now = self.now + MS;
         let tick = ((self.now - START) / 1000) as u32;
@@ -141,7 +141,7 @@ fn a_stall_is_told_and_scans_may_come_back_by_themselves() {
     assert_eq!(bench.session.event(), Some(SourceEvent::Down(SourceError::Stalled { silence_ms: 20 })));
     let command = OutputCommand { id: 1, codes: [1, 1], lease_ms: 200, on_expiry: LeaseAction::Hold };
     bench.session.steer(command);
-    assert_eq!(bench.requests(), [Request::Steer(command)], "it may hear, and its lease counts from then");
+    assert_eq!(bench.requests(), [Request::Steer(command)], "a stalled board may still receive");
     bench.answer(&Answer::Ack { id: 1, result: SteerResult::Accepted });
     assert_eq!(bench.session.event(), Some(SourceEvent::Ack(Ack { id: 1, accepted: true })));
     assert_eq!(bench.index(22), (22, 21));
@@ -164,7 +164,7 @@ fn a_board_that_lost_its_power_is_started_again_and_the_index_goes_on() {
     assert_eq!(bench.session.event(), Some(SourceEvent::Down(timeout)));
     bench.wait(NS_PER_S);
     bench.wait(500 * MS);
-    assert_eq!(bench.session.event(), None, "the same reason is told once");
+    assert_eq!(bench.session.event(), None, "the same reason is reported once");
     bench.wait(NS_PER_S);
     bench.requests();
     bench.session.connected(bench.now);
@@ -225,7 +225,7 @@ fn a_board_that_cannot_be_used_is_told_why() {
             other => panic!("{reason}: {other:?}"),
         }
         bench.wait(NS_PER_S);
-        assert_eq!(bench.requests(), [Request::Identify], "asks again after a while");
+        assert_eq!(bench.requests(), [Request::Identify], "a new request after the pause");
     }
 }
 

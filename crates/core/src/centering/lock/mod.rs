@@ -1,15 +1,15 @@
-//! The lock state: what the loop may claim, the conditions under which it may, and what it does next.
+//! The lock state machine: the lock state, its conditions, and the next action of the loop.
 //!
 //! ```text
-//!                 light on all PSDs, whatever was before
+//!                 light on all PSDs, from any state
 //!        ┌──────────────────────────────────────────────────────┐
 //!        v                                                      │
-//!   regulating: acquiring <─> locked, railed ──(light is gone)──> holding: held, then lost
+//!   regulating: acquiring <─> locked, railed ──(light is lost)──> holding: held, then lost
 //!        ^                                                      │
 //!        │            ┌──(some light)── jumping: acquiring <────┤ after one confirmation
-//!        └────────────┤                   │ in vain             │
+//!        └────────────┤                   │ failed              │
 //!                     └── searching <─────┴─────────────────────┘ after two
-//!                            │ in vain, so many times
+//!                            │ failed, `attempts` times
 //!                            v
 //!                         waiting: held
 //! ```
@@ -21,33 +21,33 @@ use trifacet_wire::LockState;
 
 use crate::centering::LoopMode;
 
-/// The most jumps in a row towards the apex before it is looked for instead.
+/// Largest number of successive jumps towards the apex before a search begins.
 const MOST_JUMPS: u32 = 8;
-/// A PSD that is dark although the beam meets its facet is covered, most likely by a hand: looking elsewhere
-/// would lose what is there, so it has that many times the patience.
+/// A PSD that is dark although the beam meets its facet is probably covered, for instance by a hand. A search
+/// would lose the apex, so the loop waits this many times `lost_s` before it searches.
 const COVERED: f64 = 20.0;
-/// An apex that is found and lost again so many times in a row, without a lock, will not be locked to: most
-/// likely the stage moves the beam another way than is thought.
+/// The loop gives up after the apex has been found and lost this many times without a lock. The steering
+/// matrix is then probably wrong.
 const MOST_SLIPS: u32 = 10;
-/// The stage is off its limit when it has been for this part of the confirmation time.
+/// The stage counts as off its limit after this fraction of the confirmation time.
 const OFF_RAIL: f64 = 0.2;
 
-/// In its rms an offset counts as at most so many times the limit: one that comes from afar is not held
-/// against the loop for ever.
+/// In its rms, an error counts as at most this many times the limit, so that an approach from far away does
+/// not delay the lock.
 const FAR: f64 = 2.0;
 
-/// When the loop may call itself locked, and when it must call itself lost.
+/// Conditions for the states locked and lost, and for searches.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LockLimits {
-    /// Largest offset, and largest rms of it, metres.
+    /// Largest error, and largest rms of the error, for a lock, metres.
     pub offset: f64,
-    /// How long they must have been within limits, seconds.
+    /// Confirmation time: both must have been within the limit for this long, seconds.
     pub lock_s: f64,
-    /// How long the light may be gone before it counts as lost, seconds; twice as long, and a search begins.
+    /// Time without light until the state is lost, seconds; after twice this time a search begins.
     pub lost_s: f64,
-    /// Whether it may look for the light.
+    /// Whether the loop may jump and search.
     pub search: bool,
-    /// How often, before it waits.
+    /// Number of searches before the loop waits.
     pub attempts: u32,
 }
 
@@ -57,67 +57,67 @@ impl Default for LockLimits {
     }
 }
 
-/// What a sample, or the lack of one, says of the beam.
+/// What a sample, or the lack of one, shows of the beam.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum LockInput {
-    /// All PSDs see light, and the error is known: its size in metres.
+    /// All PSDs see light, and the error is known.
     Error {
-        /// Metres.
+        /// Size of the error, metres.
         size: f64,
-        /// The actuator stands at a limit.
+        /// The actuator is at a limit.
         railed: bool,
     },
-    /// Some see light.
+    /// One or two PSDs see light, or a channel is clipped.
     Partial {
-        /// It says that the apex is elsewhere, and the stage can go there.
+        /// The apex is computed at another position, which the stage can reach.
         elsewhere: bool,
-        /// The beam may well be on the apex: a PSD is covered, or a channel is clipped.
+        /// The beam may be on the apex although light is missing: a PSD is covered, or a channel is clipped.
         covered: bool,
-        /// It says something else than when the loop gave up.
+        /// The computed apex differs from the one at which the loop gave up.
         news: bool,
-        /// What is missing.
+        /// The reason why the observation is incomplete.
         cause: &'static str,
     },
-    /// None does.
+    /// No PSD sees light.
     Dark,
-    /// Nothing can be said, for this reason.
+    /// The observation gives no information, for this reason.
     Unclear(&'static str),
 }
 
-/// What the loop does.
+/// Action of the loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Action {
-    /// It brings the error to zero.
+    /// The controller brings the error to zero.
     Regulating,
-    /// The stage stays where it is.
+    /// The stage stays at its position.
     Holding,
-    /// The stage goes to where the apex should be.
+    /// The stage moves straight to the computed position of the apex.
     Jumping,
-    /// The stage goes along a spiral.
+    /// The stage moves along a spiral.
     Searching,
-    /// The stage stays at the last good place.
+    /// The stage stays where the loop was last locked.
     Waiting,
 }
 
-/// A change of state, with its cause.
+/// A change of the lock state, with its cause.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Transition {
     /// State before.
     pub from: LockState,
     /// State after.
     pub to: LockState,
-    /// Why.
+    /// The cause.
     pub cause: &'static str,
 }
 
-/// What follows from what was seen.
+/// Decision that follows from an observation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LockDecision {
-    /// What is to be done now.
+    /// The action from now on.
     pub action: Action,
-    /// A jump or a search begins, perhaps anew.
+    /// A jump or a search begins, perhaps for the second time.
     pub begins: bool,
-    /// The lock state has changed.
+    /// The change of the lock state, if there is one.
     pub transition: Option<Transition>,
 }
 
@@ -127,21 +127,21 @@ pub struct Lock {
     limits: LockLimits,
     state: LockState,
     action: Action,
-    /// How long everything has been within limits, seconds.
+    /// Time with error and rms within the limits, seconds.
     good_s: f64,
-    /// How long the error has been unknown, seconds.
+    /// Time since the error was last known, seconds.
     blind_s: f64,
     mean_square: f64,
-    /// No PSD saw light the last time.
+    /// No PSD saw light in the last sample.
     dark: bool,
     jumps: u32,
-    /// Searches in vain since the last lock.
+    /// Failed searches since the last lock.
     attempts: u32,
-    /// Light was found by a jump or a search, and not yet locked to.
+    /// A jump or a search has found light, and the loop has not locked since.
     found: bool,
-    /// Times it was found and lost again since the last lock.
+    /// How many times the light was found and lost again since the last lock.
     slips: u32,
-    /// How long the stage has been off its limits, seconds.
+    /// Time since the stage left its limit, seconds.
     off_rail_s: f64,
 }
 
@@ -183,7 +183,7 @@ impl Lock {
         }
     }
 
-    /// Goes on with other limits. What must not be any more ends at once.
+    /// Continues with other limits. A jump or search that they do not allow ends at once.
     pub fn retune(&mut self, limits: LockLimits) {
         self.limits = limits;
         if !limits.search && matches!(self.action, Action::Jumping | Action::Searching) {
@@ -191,7 +191,7 @@ impl Lock {
         }
     }
 
-    /// Starts over in another mode.
+    /// Starts again in another mode.
     pub fn switch(&mut self, mode: LoopMode) -> Option<Transition> {
         let from = self.state;
         *self = Self::new(self.limits, mode);
@@ -203,7 +203,7 @@ impl Lock {
         (from != self.state).then_some(Transition { from, to: self.state, cause })
     }
 
-    /// A person wants it to look for the light: without waiting, and as if it had not yet looked.
+    /// Starts a search on request of the operator: without the waiting time, and with all counts reset.
     pub fn search(&mut self) {
         if self.action != Action::Regulating {
             (self.action, self.blind_s) = (Action::Holding, f64::INFINITY);
@@ -216,13 +216,13 @@ impl Lock {
         self.state
     }
 
-    /// Searches in vain since it was last locked.
+    /// Failed searches since the last lock.
     pub fn attempts(&self) -> u32 {
         self.attempts
     }
 
-    /// Takes what was seen `dt` seconds after the last time; `arrived` if the jump or the search that was
-    /// begun has come to its end.
+    /// Takes an observation, `dt` seconds after the previous one. `arrived` is true when the jump or the
+    /// search has ended.
     pub fn update(&mut self, seen: LockInput, arrived: bool, dt: f64) -> LockDecision {
         if matches!(self.state, LockState::Off | LockState::Manual) {
             return LockDecision { action: Action::Holding, begins: false, transition: None };
@@ -254,35 +254,35 @@ impl Lock {
         let found = matches!(self.action, Action::Jumping | Action::Searching);
         self.found |= found;
         (self.blind_s, self.jumps) = (0.0, 0);
-        // A limit that is left and come to again and again is one event.
+        // Leaving and reaching a limit repeatedly is one event.
         self.off_rail_s = if railed { 0.0 } else { self.off_rail_s + dt };
         let railed = self.off_rail_s < OFF_RAIL * self.limits.lock_s || railed;
         let LockLimits { offset: limit, lock_s, .. } = self.limits;
-        // The mean over about the confirmation time; the first sample after darkness starts it.
+        // Mean over about the confirmation time; the first sample after darkness starts it again.
         let fresh = !self.mean_square.is_finite();
         let weight = if fresh { 1.0 } else { dt / (lock_s + dt) };
         let before = if fresh { 0.0 } else { self.mean_square };
         let square = size.min(FAR * limit).powi(2);
         self.mean_square = before + weight * (square - before);
-        // Written so that a NaN is outside.
+        // The comparisons are written so that NaN is outside.
         let within = size <= limit && self.mean_square.sqrt() <= limit;
         let (state, cause) = if found && !railed {
             (LockState::Acquiring, "all PSDs see light")
         } else if railed {
-            (LockState::Railed, "the steering stands at a limit")
+            (LockState::Railed, "the steering is at a limit")
         } else if !within {
             (LockState::Acquiring, "the offset, or its rms, is above the limit")
         } else if self.state == LockState::Locked || self.good_s + dt >= lock_s {
             (self.attempts, self.slips, self.found) = (0, 0, false);
             (LockState::Locked, "the offset is within the limit")
         } else {
-            (LockState::Acquiring, "the offset is within the limit, not yet for long enough")
+            (LockState::Acquiring, "the offset is within the limit, but not yet for lock_time_ms")
         };
         self.good_s = if within && !railed { self.good_s + dt } else { 0.0 };
         Next::go_on(Action::Regulating, state, cause)
     }
 
-    /// The stage stays, for the time being.
+    /// Holds the stage.
     fn hold(&mut self, cause: &'static str, dt: f64) -> Next {
         self.good_s = 0.0;
         self.mean_square = f64::INFINITY;
@@ -363,12 +363,12 @@ impl Lock {
     }
 
     fn give_up() -> Next {
-        let cause = "found and lost again too often (is steering.matrix right?): waits for a person who says `search`";
+        let cause = "found and lost too often (is steering.matrix right?): waiting for `ctl search`";
         Next::go_on(Action::Waiting, LockState::Held, cause)
     }
 
     fn wait() -> Next {
-        let cause = "searched in vain: waits for light, or for a person who says `search`";
+        let cause = "all searches failed: waiting for light or `ctl search`";
         Next::go_on(Action::Waiting, LockState::Held, cause)
     }
 }

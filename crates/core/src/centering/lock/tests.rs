@@ -1,4 +1,4 @@
-//! The state machine, fed with what may be seen.
+//! The state machine, with all kinds of observations.
 
 use super::*;
 
@@ -26,7 +26,7 @@ fn off_by(size: f64) -> LockInput {
     LockInput::Error { size, railed: false }
 }
 
-/// What it does, one after the other, while it sees the same for so many samples.
+/// Actions and states, one after the other, while the observation stays the same for `n` samples.
 fn course(lock: &mut Lock, seen: LockInput, n: usize) -> Vec<(Action, LockState)> {
     let mut course: Vec<_> = (0..n).map(|_| (lock.update(seen, false, DT).action, lock.state())).collect();
     course.dedup();
@@ -56,7 +56,7 @@ fn railed_is_not_locked() {
     feed(&mut lock, off_by(0.0), 60);
     let railed = LockInput::Error { size: 0.0, railed: true };
     assert_eq!(feed(&mut lock, railed, 1), LockState::Railed);
-    assert_eq!(feed(&mut lock, off_by(0.0), 9), LockState::Railed, "not off and on and off");
+    assert_eq!(feed(&mut lock, off_by(0.0), 9), LockState::Railed, "no flicker");
     assert_eq!(feed(&mut lock, off_by(0.0), 2), LockState::Acquiring);
 }
 
@@ -98,7 +98,7 @@ fn a_loss_is_confirmed_twice_before_the_search() {
     assert_eq!(course(&mut lock, LockInput::Dark, 49), expected[..1]);
     assert_eq!(course(&mut lock, LockInput::Dark, 50), expected[1..2]);
     assert_eq!(course(&mut lock, LockInput::Dark, 1), expected[2..]);
-    assert_eq!(feed(&mut lock, off_by(0.0), 10), LockState::Acquiring, "light ends it");
+    assert_eq!(feed(&mut lock, off_by(0.0), 10), LockState::Acquiring, "light ends the search");
 }
 
 #[test]
@@ -124,7 +124,7 @@ fn with_some_light_it_jumps_after_one_confirmation_and_searches_when_that_does_n
         jumps += u32::from(decision.action == Action::Jumping && decision.begins);
     }
     assert_eq!(jumps, MOST_JUMPS);
-    // Where it arrives and the apex is not, at once.
+    // Where the stage arrives and the apex is not, a search begins at once.
     let mut lock = new();
     feed(&mut lock, ELSEWHERE, 60);
     assert_eq!(lock.update(HERE, false, DT).action, Action::Jumping);
