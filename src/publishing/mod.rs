@@ -1,4 +1,4 @@
-//! Publishes pose reports over UDP and TCP, and contains the client side of the same protocol.
+//! Publishes pose reports over UDP and TCP.
 //!
 //! - [`publisher`]: the fast side. It makes every frame; [`target`] sends the datagrams.
 //! - [`subscription`]: leases of datagrams; [`subscription_server`] is the task that accepts the requests.
@@ -6,12 +6,10 @@
 //!   requested, [`query`] answers queries with one line.
 //! - [`descriptor`]: the JSON descriptor of the daemon and the heartbeat.
 //! - [`columns`]: names and SI values of a frame, for JSON and CSV.
-//! - [`client`]: reads all of this.
 //!
 //! Frame layout, framing and requests are in [`trifacet_wire`]. `docs/stream.md` describes the stream for
 //! authors of other clients.
 
-pub mod client;
 pub mod columns;
 pub mod descriptor;
 pub mod encoding;

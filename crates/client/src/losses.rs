@@ -54,17 +54,12 @@ fn common_divisor(a: u64, b: u64) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use trifacet_core::estimation::PoseReport;
-    use trifacet_core::stamp::Stamp;
-    use trifacet_core::time::Mono;
-
     use super::*;
 
     fn losses(step: Option<u64>, frames: &[(u32, u64)]) -> Losses {
         let mut losses = LossCounter::new(step);
         for &(session, sequence) in frames {
-            let stamp = Stamp { session, config: 0, sequence, time_ns: 0, synced: true, sent: Mono(0) };
-            losses.note(&PoseReport::example().frame(stamp));
+            losses.note(&PoseFrame { session, sequence, ..PoseFrame::example() });
         }
         losses.losses
     }

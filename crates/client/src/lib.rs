@@ -1,20 +1,22 @@
-//! A client of the stream, for Rust programs (`trifacet::client`) and for `trifacet watch`.
+//! Client of trifacet's pose stream: typed frames over TCP and UDP (`docs/stream.md`).
 //!
-//! ```no_run
-//! # async fn example() -> Result<(), trifacet::client::ClientError> {
-//! use trifacet::client::{Backoff, Client, Message, Options, Pace};
+//! A client resynchronises on a damaged stream, counts what is missing ([`Losses`]), and connects again if
+//! [`Options::reconnect`] asks for it. [`Endpoint`] shows the forms of an address.
 //!
-//! let options = Options {
-//!     pace: Pace::RateHz(100.0),
-//!     reconnect: Some(Backoff::default()),
-//!     ..Options::default()
-//! };
-//! let mut client = Client::connect_with(&"tcp://127.0.0.1:7361".parse()?, options).await?;
-//! loop {
-//!     if let Message::Pose(frame) = client.next().await? {
-//!         println!("{} {:?}", frame.sequence, frame.pose);
-//!     }
+//! ```
+//! use trifacet_client::{Client, Message, PoseFrame};
+//!
+//! # #[tokio::main(flavor = "current_thread")]
+//! # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let mut client = Client::connect(&"udp://127.0.0.1:0".parse()?).await?;
+//! # // A daemon in miniature: one frame to the port of this client.
+//! # let to = client.local_addr()?;
+//! # std::net::UdpSocket::bind("127.0.0.1:0")?.send_to(&PoseFrame::example().encode(), to)?;
+//! if let Message::Pose(frame) = client.next().await? {
+//!     println!("{} {:?}", frame.sequence, frame.pose); // metres and radians; NaN without POSE_VALID
+//! #   assert_eq!(frame, PoseFrame::example());
 //! }
+//! # Ok(())
 //! # }
 //! ```
 
@@ -231,16 +233,12 @@ impl Client {
 
 #[cfg(test)]
 mod tests {
-    use trifacet_core::estimation::PoseReport;
-    use trifacet_core::stamp::Stamp;
-    use trifacet_core::time::Mono;
     use trifacet_wire::byte_order::big_endian;
 
     use super::*;
 
     fn frame(session: u32, sequence: u64) -> PoseFrame {
-        let stamp = Stamp { session, config: 0, sequence, time_ns: 0, synced: true, sent: Mono(0) };
-        PoseReport::example().frame(stamp)
+        PoseFrame { session, sequence, ..PoseFrame::example() }
     }
 
     #[tokio::test]
