@@ -132,7 +132,7 @@ impl Motion {
         } else {
             (self.amount_um, "amount_um", self.amount_urad, "amount_urad")
         };
-        let axis = if self.axis.is_turn() { "a turn" } else { "a translation" };
+        let axis = if self.axis.is_turn() { "a rotation" } else { "a translation" };
         at.demand(amount.is_some(), key, "absent", format_args!("a number: {axis} needs it"));
         at.demand(other.is_none(), other_key, found(other), format_args!("absent: {axis} has {key}"));
 
