@@ -107,7 +107,7 @@ fn lines(file: &Path, tally: &Tally, rate_hz: Option<f64>) -> String {
             let [start, end] = times.map(rfc3339);
             say("time", format!("{start} to {end}, {:.3} s", tally.seconds()));
         }
-        None => say("time", "the file is empty".into()),
+        None => say("time", "the file contains no trifacet data".into()),
     }
     if let Some(rate_hz) = rate_hz {
         say("source", format!("{rate_hz} Hz, {} samples lost before recording", tally.lost));

@@ -166,7 +166,7 @@ impl Run {
             Read::Foreign { context, source, why } => {
                 if !std::mem::replace(&mut self.cold, true) {
                     eprintln!(
-                        "trifacet: {why}: the replay starts without it and does not reproduce every bit"
+                        "trifacet: {why}: the replay starts without it, so the results are not identical bit by bit"
                     );
                 }
                 self.engine.cold(context, source.as_ref())?;

@@ -33,7 +33,7 @@ pub struct CenteringConfig {
     /// Number of failed searches after which the loop holds, until light returns or the operator starts a
     /// search.
     pub search_attempts: u32,
-    /// The loop is locked while error and rms stay within this limit, micrometres, ...
+    /// The loop is locked while the error and its rms stay within this limit, micrometres, ...
     pub lock_limit_um: f64,
     /// ... for this time, milliseconds.
     pub lock_time_ms: f64,

@@ -160,9 +160,9 @@ fn estimation(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
         .map_or(spread.pose_covariance(), |innovation| innovation.fuse(&solution).spread.pose_covariance());
     let sigma = deviations(&covariance) * 1e6;
     lines.say(
-        "uncertainty",
+        "uncertainties",
         format!(
-            "tx {:.3} ty {:.3} tz {:.3} um, roll {:.3} pitch {:.3} yaw {:.3} urad (standard, at rest)",
+            "tx {:.3} ty {:.3} tz {:.3} um, roll {:.3} pitch {:.3} yaw {:.3} urad (standard, mirror at rest)",
             sigma[0], sigma[1], sigma[2], sigma[3], sigma[4], sigma[5]
         ),
     );

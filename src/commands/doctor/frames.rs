@@ -152,7 +152,9 @@ impl Seen {
         if bits.has(Status::NOT_LOCKED) {
             let advice = match lock {
                 _ if self.replayed() => "a replay does not steer: this is the recorded state",
-                LockState::Off => "the centering loop is switched off: [centering] enabled",
+                LockState::Off => {
+                    "the centering loop is off: set [centering] mode, or use `trifacet ctl loop on`"
+                }
                 LockState::Manual => "the operator moves the laser",
                 LockState::Searching | LockState::Lost => "there is no light to centre: see above",
                 LockState::Acquiring => {
