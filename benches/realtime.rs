@@ -1,5 +1,5 @@
-//! Runs the release daemon on its real-time twin at 10 kHz for 30 s and measures it from outside: `cargo
-//! bench --bench realtime`. The first run has no recording; then one run for each compression follows.
+//! Runs the release daemon on its real-time twin at 10 kHz for 30 s and measures it from outside:
+//! `cargo bench --bench realtime`. The first run has no recording; then one run for each compression follows.
 //!
 //! Prints losses, latencies and CPU time. The exit code is 1 if a sample is lost on its way to the stream
 //! or to the file. A frame can be lost in two places:

@@ -1,5 +1,5 @@
-//! Compares a replay with the bare solver on the same samples, in one run: `cargo bench --bench replay [--
-//! SECONDS]`.
+//! Compares a replay with the bare solver on the same samples, in one run:
+//! `cargo bench --bench replay [-- SECONDS]`.
 //!
 //! The free-running twin records SECONDS (default 600) at 10 kHz. The bare loop has the samples in memory.
 //! For each sample it computes only the pose and its standard uncertainties. The replay reads the file,

@@ -1,6 +1,6 @@
 //! Measures the cost of the stream: latency from acquisition to a client, and CPU time. The daemon is
-//! compared with a bare sender of the same datagrams at the same rate: `cargo bench --bench stream [--
-//! SECONDS]`.
+//! compared with a bare sender of the same datagrams at the same rate:
+//! `cargo bench --bench stream [-- SECONDS]`.
 //!
 //! The two run alternately (daemon, bare, daemon, bare, ...), five pairs for each rate and priority, and
 //! the medians are printed. The bare sender sleeps until a sample is due, writes the time into 192 bytes
