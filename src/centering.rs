@@ -17,7 +17,6 @@ use trifacet_core::telemetry::Counters;
 use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::actuator::Ack;
 
-use crate::acquisition::task::Newest;
 use crate::recording::{Entry, RecordSender};
 use crate::steering::{Driver, StageEvent};
 
@@ -32,7 +31,7 @@ const SILENCE_TIMEOUT: Duration = Duration::from_millis(20);
 #[derive(Debug)]
 pub struct CenteringLinks {
     /// The newest sample, from acquisition.
-    pub newest: watch::Receiver<Newest>,
+    pub newest: watch::Receiver<Option<Sample>>,
     /// The newest report, from estimation.
     pub poses: watch::Receiver<Option<PoseReport>>,
     /// What the loop does, to estimation.
@@ -78,7 +77,7 @@ pub async fn run<C: Clock>(
                 if changed.is_err() {
                     break; // acquisition has ended; the daemon sees that
                 }
-                let Some(sample) = newest.borrow_and_update().sample else { continue };
+                let Some(sample) = *newest.borrow_and_update() else { continue };
                 if let Some(skipped) = side.centering.skipped(&sample) {
                     side.counters.centering_skips.add(skipped);
                     heard = side.clock.now();

@@ -7,10 +7,10 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
+use trifacet_core::centering::{Centering, LoopState};
 use trifacet_core::centering::lock::Transition;
-use trifacet_core::centering::{Centering, LoopState, Outcome, TimedPose};
-use trifacet_core::channels::ChannelMap;
-use trifacet_core::estimation::{Estimation, PoseReport};
+use trifacet_core::estimation::PoseReport;
+use trifacet_core::pipeline::{Pipeline, Step};
 use trifacet_core::signals::{Sample, Scan};
 use trifacet_core::stamp::Stamp;
 use trifacet_core::steering::{Command, codes};
@@ -24,28 +24,20 @@ use crate::recording::entry::RecordReceiver;
 use crate::recording::{Entry, EstimationRecorder, RecordSender};
 use crate::twin::{OUTPUT_BITS, Outputs, Twin, TwinError, TwinScan};
 
-/// Silence is noticed after this time, and again after each half of it, as in the daemon.
-const SILENCE_TIMEOUT_S: f64 = 0.02;
-
 /// The twin with the daemon's cores.
 #[derive(Clone, Debug)]
 pub struct ClosedLoopSim {
     twin: Twin,
     outputs: Outputs,
-    channels: ChannelMap,
-    centering: Centering,
-    estimation: Estimation,
+    pipeline: Pipeline,
     /// Position of the stage at the full-scale code, metres.
     full_scale: f64,
-    pose: Option<TimedPose>,
     lost: u32,
     context: Arc<CalibrationContext>,
     recorder: EstimationRecorder,
     records: RecordSender,
     /// Reports so far.
     reports: u64,
-    /// When silence is noticed, seconds, and since when it counts.
-    silence_s: [f64; 2],
 }
 
 /// One scan, and all that follows from it.
@@ -53,13 +45,13 @@ pub struct ClosedLoopSim {
 pub struct SimStep {
     /// The scan with the truth behind it.
     pub scan: TwinScan,
-    /// What arrived of it.
+    /// The sample of what arrived of it.
     pub sample: Option<Sample>,
     /// The command for the stage.
     pub command: Option<Command>,
-    /// The lock state has changed.
+    /// The change of the lock state, if it changed.
     pub transition: Option<Transition>,
-    /// What the loop is doing after this.
+    /// State of the loop after this step.
     pub state: LoopState,
     /// The report that the daemon would publish now.
     pub report: Option<PoseReport>,
@@ -73,26 +65,20 @@ impl ClosedLoopSim {
     pub fn new(config: &Config) -> Result<Self, Failure> {
         let wrong = |message: String| Failure::new(exit::CONFIG, message);
         let context = Arc::new(CalibrationContext::read(config.clone()).map_err(|e| wrong(e.to_string()))?);
-        let channels = config.channels(&context.tables)?;
-        let (calibrated, id) = (channels.calibrated(), context.id());
-        let settings = config.estimation_settings(calibrated, id).map_err(|e| wrong(e.to_string()))?;
         let twin = Twin::new(config).map_err(|e| wrong(e.to_string()))?;
-        let mut estimation = Estimation::new(settings);
-        estimation.source(true);
+        let mut pipeline = config.pipeline(&context.tables, context.id())?;
+        let identity = Arc::new(twin.identity().clone());
+        pipeline.source(identity, Mono(0)).map_err(|e| wrong(e.to_string()))?;
         Ok(Self {
             outputs: twin.outputs().clone(),
-            channels: channels.map(twin.identity()).map_err(|e| wrong(e.to_string()))?,
             twin,
-            centering: config.centering_loop().map_err(|e| wrong(e.to_string()))?,
-            estimation,
+            pipeline,
             full_scale: config.steering.full_scale_um * 1e-6,
-            pose: None,
             lost: 0,
             recorder: EstimationRecorder::new(RecordSender::default(), Arc::clone(&context)),
             context,
             records: RecordSender::default(),
             reports: 0,
-            silence_s: [SILENCE_TIMEOUT_S, 0.0],
         })
     }
 
@@ -102,18 +88,18 @@ impl ClosedLoopSim {
     /// # Errors
     /// What would keep the daemon from starting.
     pub fn recorded(config: &Config) -> Result<(Self, RecordReceiver), Failure> {
-        let mut rig = Self::new(config)?;
+        let mut sim = Self::new(config)?;
         let (records, receiver) = RecordSender::new(Arc::default());
         receiver.open.store(true, Ordering::Relaxed);
-        rig.recorder = EstimationRecorder::new(records.clone(), Arc::clone(&rig.context));
-        rig.recorder.source(Arc::new(rig.twin.identity().clone()));
-        rig.records = records;
-        Ok((rig, receiver))
+        sim.recorder = EstimationRecorder::new(records.clone(), Arc::clone(&sim.context));
+        sim.recorder.source(Arc::new(sim.twin.identity().clone()));
+        sim.records = records;
+        Ok((sim, receiver))
     }
 
     /// The loop, to give it orders.
     pub fn centering(&mut self) -> &mut Centering {
-        &mut self.centering
+        self.pipeline.centering()
     }
 
     /// Lets something go wrong from the next scan on, for so many seconds or for good.
@@ -130,85 +116,57 @@ impl ClosedLoopSim {
     }
 
     /// Takes the next scan, and does what the daemon would do.
-    pub fn turn(&mut self) -> SimStep {
+    pub fn step(&mut self) -> SimStep {
         let time = Mono((self.twin.next_s() * NS_PER_S as f64).round() as i64);
         if self.outputs.expire(time) == Some(LeaseAction::Park) {
             self.twin.steer(self.outputs.park(), self.twin.next_s());
         }
         let scan = self.twin.next_scan();
-        if let Some(arrived) = scan.arrived(time, self.lost) {
+        let step = if let Some(arrived) = scan.arrived(time, self.lost) {
             self.lost = 0;
-            self.silence_s = [scan.t_s + SILENCE_TIMEOUT_S, scan.t_s];
-            let sample = self.channels.sample(&arrived);
-            self.sample(&scan, arrived, &sample)
+            self.scan(&arrived)
         } else {
             self.lost += 1;
-            self.silence(&scan, time)
-        }
-    }
-
-    fn sample(&mut self, scan: &TwinScan, arrived: Scan, sample: &Sample) -> SimStep {
-        let Outcome { command, transition, .. } =
-            self.centering.sample(sample, self.pose.as_ref(), sample.time);
-        if let Some(command) = command {
-            self.steer(command, scan.t_s, sample.time);
-        }
-        let state = self.centering.state();
-        self.changed(sample.time, transition);
-        self.recorder.sample(sample, arrived, &state, self.estimation.memory());
-        let report = self.estimation.sample(sample, &state);
-        if let Some(PoseReport { pose, time, .. }) = report {
-            self.pose = pose.map(|pose| TimedPose { pose, time });
-        }
-        SimStep {
-            scan: *scan,
-            sample: Some(*sample),
-            command,
-            transition,
-            state,
-            report: report.map(|report| self.published(&report)),
-        }
-    }
-
-    fn silence(&mut self, scan: &TwinScan, time: Mono) -> SimStep {
-        let [due, since] = self.silence_s;
-        let mut turn = SimStep {
-            scan: *scan,
-            sample: None,
-            command: None,
-            transition: None,
-            state: self.centering.state(),
-            report: None,
+            self.silence(time)
         };
-        if scan.t_s >= due {
-            self.silence_s = [scan.t_s + SILENCE_TIMEOUT_S / 2.0, scan.t_s];
-            self.pose = None;
-            turn.transition = self.centering.silence(scan.t_s - since);
-            turn.state = self.centering.state();
-            self.changed(time, turn.transition);
-            self.recorder.silence(time, &turn.state, None, self.estimation.memory());
-            let report = self.estimation.silence(time, &turn.state);
-            turn.report = Some(self.published(&report));
+        let state = self.pipeline.centering().state();
+        let nothing = Step { sample: None, command: None, transition: None, state, report: None };
+        let Step { sample, command, transition, state, report } = step.unwrap_or(nothing);
+        if let Some(command) = command {
+            self.steer(command, scan.t_s, time);
         }
-        turn
+        if let Some(report) = &report {
+            self.record_frame(report);
+        }
+        SimStep { scan, sample, command, transition, state, report }
     }
 
-    fn published(&mut self, report: &PoseReport) -> PoseReport {
-        let report = self.estimation.in_user_frame(report);
-        let PoseReport { time, config, covariance, .. } = report;
+    fn scan(&mut self, scan: &Scan) -> Option<Step> {
+        let Self { pipeline, recorder, records, .. } = self;
+        pipeline.scan_with(scan, scan.time, |step, estimation| {
+            record_transition(records, scan.time, step.transition);
+            if let Some(sample) = &step.sample {
+                recorder.sample(sample, *scan, &step.state, estimation.memory());
+            }
+        })
+    }
+
+    fn silence(&mut self, now: Mono) -> Option<Step> {
+        let Self { pipeline, recorder, records, .. } = self;
+        pipeline.silence_with(now, |step, estimation| {
+            record_transition(records, now, step.transition);
+            recorder.silence(now, &step.state, None, estimation.memory());
+        })
+    }
+
+    fn record_frame(&mut self, report: &PoseReport) {
+        let PoseReport { time, config, covariance, .. } = *report;
         let sequence = self.reports;
         self.reports += 1;
         self.records.put(|| {
             let stamp = Stamp { session: 0, config, sequence, time_ns: time.0, synced: true, sent: time };
             Entry::Frame { frame: report.frame(stamp), time, covariance }
         });
-        report
-    }
-
-    fn changed(&self, time: Mono, transition: Option<Transition>) {
-        if let Some(Transition { from, to, cause }) = transition {
-            self.records.put(|| Entry::Lock { time, before: from, after: to, cause: cause.into() });
-        }
     }
 
     fn steer(&mut self, command: Command, t_s: f64, time: Mono) {
@@ -218,6 +176,12 @@ impl ClosedLoopSim {
         if accepted {
             self.twin.steer(codes, t_s);
         }
-        self.centering.stage_answers(Ack { id, accepted });
+        self.pipeline.centering().stage_answers(Ack { id, accepted });
+    }
+}
+
+fn record_transition(records: &RecordSender, time: Mono, transition: Option<Transition>) {
+    if let Some(Transition { from, to, cause }) = transition {
+        records.put(|| Entry::Lock { time, before: from, after: to, cause: cause.into() });
     }
 }

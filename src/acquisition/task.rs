@@ -7,7 +7,8 @@ use tokio::sync::mpsc::{self};
 use tokio::sync::{oneshot, watch};
 use tokio::time::interval;
 use tokio_util::sync::CancellationToken;
-use trifacet_core::channels::{ChannelMap, Channels};
+use trifacet_core::channels::Channels;
+use trifacet_core::pipeline::Mapping;
 use trifacet_core::signals::{Identity, Sample, Scan};
 use trifacet_core::telemetry::Counters;
 use trifacet_core::telemetry::heartbeat::HEARTBEAT;
@@ -45,22 +46,13 @@ pub struct SettingsChange {
     pub done: oneshot::Sender<()>,
 }
 
-/// What the controller gets: only the newest.
-#[derive(Clone, Debug, Default)]
-pub struct Newest {
-    /// The source, while it is up.
-    pub source: Option<Arc<Identity>>,
-    /// The last sample.
-    pub sample: Option<Sample>,
-}
-
 /// The edges of the task.
 #[derive(Debug)]
 pub struct AcquisitionLinks {
     /// Samples in order, to estimation.
     pub samples: mpsc::Sender<SampleEvent>,
     /// The newest, to centering.
-    pub newest: watch::Sender<Newest>,
+    pub newest: watch::Sender<Option<Sample>>,
     /// What the source says of its steering outputs, to their driver.
     pub answers: watch::Sender<Answers>,
     /// Steering commands, from there.
@@ -72,24 +64,15 @@ pub struct AcquisitionLinks {
 /// Runs until `stop`, then closes the source.
 pub async fn run<S: Source, C: Clock>(
     mut source: S,
-    channels: Channels,
+    mapping: Mapping,
     clock: C,
     counters: Arc<Counters>,
     edges: AcquisitionLinks,
     stop: CancellationToken,
 ) {
     let AcquisitionLinks { samples, newest, answers, mut commands, mut changes } = edges;
-    let mut intake = Intake {
-        channels,
-        counters,
-        samples,
-        newest,
-        answers,
-        source: None,
-        up: false,
-        dropped: 0,
-        change: None,
-    };
+    let mut intake =
+        Intake { mapping, counters, samples, newest, answers, up: false, dropped: 0, change: None };
     let mut heartbeat = interval(HEARTBEAT);
     loop {
         tokio::select! {
@@ -111,13 +94,11 @@ pub async fn run<S: Source, C: Clock>(
 
 /// What happens to an event.
 struct Intake {
-    channels: Channels,
+    mapping: Mapping,
     counters: Arc<Counters>,
     samples: mpsc::Sender<SampleEvent>,
-    newest: watch::Sender<Newest>,
+    newest: watch::Sender<Option<Sample>>,
     answers: watch::Sender<Answers>,
-    /// The source as it last came up, with its channel map.
-    source: Option<(Arc<Identity>, ChannelMap)>,
     /// Scans are coming.
     up: bool,
     /// Samples that estimation had no room for since the last one it took.
@@ -132,15 +113,13 @@ impl Intake {
             SourceEvent::Up(identity) => self.up(identity),
             SourceEvent::Scan(scan) => {
                 self.counters.scans.inc();
-                if let Some((identity, map)) = &mut self.source {
-                    let sample = map.sample(&scan);
+                if let Some(sample) = self.mapping.sample(&scan) {
                     if !std::mem::replace(&mut self.up, true) {
-                        tracing::info!("scans come");
-                        let identity = Arc::clone(identity);
-                        self.answers.send_modify(|answers| answers.source = Some(Arc::clone(&identity)));
-                        self.newest.send_modify(|newest| newest.source = Some(identity));
+                        tracing::info!("receiving scans");
+                        let identity = self.mapping.identity().cloned();
+                        self.answers.send_modify(|answers| answers.source = identity);
                     }
-                    self.newest.send_modify(|newest| newest.sample = Some(sample));
+                    self.newest.send_replace(Some(sample));
                     self.hand_on(sample, scan);
                 }
             }
@@ -155,11 +134,10 @@ impl Intake {
     }
 
     fn up(&mut self, identity: Identity) {
-        match self.channels.map(&identity) {
-            Ok(map) => {
+        let identity = Arc::new(identity);
+        match self.mapping.source(Arc::clone(&identity)) {
+            Ok(()) => {
                 tracing::info!(name = identity.name, rate_hz = identity.rate_hz, "source is up");
-                let identity = Arc::new(identity);
-                self.source = Some((Arc::clone(&identity), map));
                 self.tell(SampleEvent::Up(identity));
             }
             Err(missing) => self.down(SourceError::Unfit(missing.to_string())),
@@ -172,16 +150,12 @@ impl Intake {
             self.counters.source_downs.inc();
         }
         tracing::warn!(reason = %down, "source is down");
-        self.newest.send_modify(|newest| newest.source = None);
         self.tell(SampleEvent::Down(down));
     }
 
     fn change(&mut self, mut change: SettingsChange) {
         if let Some(channels) = change.channels.take() {
-            if let Some((_, map)) = &mut self.source {
-                map.retune(channels.clone());
-            }
-            self.channels = channels;
+            self.mapping.set_channels(channels);
         }
         self.change = Some(Box::new(change)); // one that still waits here is out of date
         self.pass_change();
@@ -257,15 +231,14 @@ mod tests {
     #[test]
     fn no_sample_overtakes_a_change_and_none_is_lost_uncounted() {
         let config = Config::default();
-        let channels = config.read_channels().unwrap();
+        let mapping = Mapping::new(config.read_channels().unwrap());
         let (samples, mut estimation) = mpsc::channel(3);
         let mut intake = Intake {
-            channels,
+            mapping,
             counters: Arc::default(),
             samples,
             newest: watch::Sender::default(),
             answers: watch::Sender::default(),
-            source: None,
             up: false,
             dropped: 0,
             change: None,

@@ -47,8 +47,8 @@ pub(crate) fn simulate(args: &SimulateArgs) -> anyhow::Result<()> {
         return record(&config, args.samples, file);
     }
     if args.closed_loop {
-        let rig = ClosedLoopSim::new(&config)?;
-        return written(closed_loop(rig, args.samples, io::stdout().lock()));
+        let sim = ClosedLoopSim::new(&config)?;
+        return written(closed_loop(sim, args.samples, io::stdout().lock()));
     }
     let wrong = |message: String| Failure::new(exit::CONFIG, message);
     let mut twin = Twin::new(&config).map_err(|e| wrong(e.to_string()))?;
@@ -58,13 +58,13 @@ pub(crate) fn simulate(args: &SimulateArgs) -> anyhow::Result<()> {
 
 /// Records the results of the twin's scans.
 fn record(config: &Config, samples: u64, file: &Path) -> anyhow::Result<()> {
-    let (mut rig, mut receiver) = ClosedLoopSim::recorded(config)?;
+    let (mut sim, mut receiver) = ClosedLoopSim::recorded(config)?;
     let new = NewFile::create(file, None)?;
     let to = BufWriter::new(new.writer()?);
     let mut writer = cannot_write(Writer::new(to, Some(mcap::Compression::Zstd)), file)?;
     let mut encoder = Encoder::new((Mono(0), 0));
     for _ in 0..samples {
-        rig.turn();
+        sim.step();
         while let Ok(entry) = receiver.entries.try_recv() {
             let put = |message: Encoded<'_>| writer.put(message).map_err(anyhow::Error::from);
             cannot_write(encoder.encode(&entry, put), file)?;
@@ -117,12 +117,12 @@ fn row(scan: &TwinScan, sample: &Sample, out: &mut impl Write) -> io::Result<()>
 /// Columns that loop and estimation add. Unknown values are NaN.
 const LOOP: [&str; 2] = ["stage_x_m", "stage_y_m"];
 
-fn closed_loop(mut rig: ClosedLoopSim, samples: u64, out: impl Write) -> io::Result<()> {
+fn closed_loop(mut sim: ClosedLoopSim, samples: u64, out: impl Write) -> io::Result<()> {
     let mut out = io::BufWriter::new(out);
     let columns = [&TRUTH[..], &SPOTS, &POWERS, &LOOP, &POSE].concat();
     writeln!(out, "sample,time_s,{},lock,status", columns.join(","))?;
     for _ in 0..samples {
-        let SimStep { scan, sample: Some(sample), command, report, state, .. } = rig.turn() else { continue };
+        let SimStep { scan, sample: Some(sample), command, report, state, .. } = sim.step() else { continue };
         row(&scan, &sample, &mut out)?;
         let stage = command.map_or([f64::NAN; 2], |command| command.position);
         let pose = report.and_then(|report| report.pose).map_or([f64::NAN; 6], Pose::to_array);

@@ -28,6 +28,7 @@ use trifacet::steering::outputs::Answers;
 use trifacet::steering::{Outputs, StageDriver, gcs};
 use trifacet::twin::{Twin, TwinSource};
 use trifacet::{acquisition, realtime};
+use trifacet_core::pipeline::Mapping;
 use trifacet_core::steering::Xy;
 use trifacet_core::telemetry::Counters;
 
@@ -160,7 +161,7 @@ async fn with<S: Source + 'static>(
     let stop_acquisition = CancellationToken::new();
     let acquisition = tokio::task::spawn_local(acquisition::task::run(
         source().context("cannot start the source")?,
-        config.read_channels()?,
+        Mapping::new(config.read_channels()?),
         SystemClock,
         Arc::clone(&counters),
         acquisition::task::AcquisitionLinks {

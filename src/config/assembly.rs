@@ -9,7 +9,8 @@ use trifacet_core::centering::lock::LockLimits;
 use trifacet_core::centering::{Centering, LoopParams};
 use trifacet_core::channels::{Channels, PsdChannels};
 use trifacet_core::estimation::integrity::Readback;
-use trifacet_core::estimation::{Frames, Settings};
+use trifacet_core::estimation::{Estimation, Frames, Settings};
+use trifacet_core::pipeline::{Mapping, Measurement, Pipeline};
 use trifacet_core::steering::BeamMap;
 use trifacet_optics::{Estimator, FACETS, HeadError, Optics};
 use trifacet_wire::Status;
@@ -130,6 +131,24 @@ impl Config {
     /// Fails if the geometry does not describe a sensor head.
     pub fn centering_loop(&self) -> Result<Centering, HeadError> {
         Ok(Centering::new(self.loop_params(), self.optics()?))
+    }
+
+    /// Mapping and estimation with these parameters, without a source of samples.
+    ///
+    /// # Errors
+    /// Fails if the geometry does not describe a sensor head, or if a correction table is not valid.
+    pub fn measurement(&self, tables: &Tables, id: u32) -> Result<Measurement, AssemblyError> {
+        let channels = self.channels(tables)?;
+        let settings = self.estimation_settings(channels.calibrated(), id)?;
+        Ok(Measurement { mapping: Mapping::new(channels), estimation: Estimation::new(settings) })
+    }
+
+    /// The whole pipeline in its initial state, without a source of samples.
+    ///
+    /// # Errors
+    /// Fails if the geometry does not describe a sensor head, or if a correction table is not valid.
+    pub fn pipeline(&self, tables: &Tables, id: u32) -> Result<Pipeline, AssemblyError> {
+        Ok(Pipeline::new(self.measurement(tables, id)?, self.centering_loop()?))
     }
 
     /// The parameters of estimation, in SI units. `calibrated`: every PSD has a correction table. `id`: the

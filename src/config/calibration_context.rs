@@ -57,6 +57,11 @@ impl CalibrationContext {
         Ok(Self { tables: Tables::read(&config)?, config })
     }
 
+    /// Whether every PSD has a correction table.
+    pub fn calibrated(&self) -> bool {
+        self.tables.0.iter().all(Option::is_some)
+    }
+
     /// The fingerprint that every frame carries, see [`Config::id`].
     pub fn id(&self) -> u32 {
         self.config.id(self.config.calibration_id(&self.tables))

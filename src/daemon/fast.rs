@@ -9,9 +9,8 @@ use tokio::runtime::Builder;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::{self, LocalSet};
 use tokio_util::sync::CancellationToken;
-use trifacet_core::centering::Centering;
-use trifacet_core::channels::Channels;
-use trifacet_core::estimation::{Estimation, PoseReport};
+use trifacet_core::estimation::PoseReport;
+use trifacet_core::pipeline::Pipeline;
 use trifacet_core::telemetry::heartbeat::{Heartbeats, Task, counted};
 use trifacet_core::telemetry::{Counters, LatestStatus};
 use trifacet_wire::stream::Descriptor;
@@ -34,9 +33,7 @@ const QUEUE: usize = 1024;
 /// What the fast thread is made of.
 pub(super) struct Parts {
     pub(super) config: Config,
-    pub(super) channels: Channels,
-    pub(super) estimation: Estimation,
-    pub(super) centering: Centering,
+    pub(super) pipeline: Pipeline,
     /// The stage, if it is not the source's own.
     pub(super) gcs: Option<Gcs>,
     pub(super) publisher: Publisher<SystemClock>,
@@ -98,12 +95,13 @@ async fn fast<S: Source + 'static>(
     parts: Parts,
     source: impl FnOnce() -> io::Result<S>,
 ) -> anyhow::Result<()> {
-    let Parts { config, channels, estimation, centering, gcs, mut publisher, .. } = parts;
+    let Parts { config, pipeline, gcs, mut publisher, .. } = parts;
     let Parts { counters, heartbeats, glance, control, stop, context, records, .. } = parts;
     let FastLink { changes, questions, orders } = control;
     let source = source().context("cannot start the source")?;
+    let (mapping, centering, estimation) = pipeline.into_stages();
     let (samples_in, samples) = mpsc::channel(QUEUE);
-    let (newest_in, newest) = watch::channel(acquisition::task::Newest::default());
+    let (newest_in, newest) = watch::channel(None);
     let (commands_in, commands) = watch::channel(None);
     let (answers_in, answers) = watch::channel(steering::outputs::Answers::default());
     let outputs = || Outputs::new(config.steering.full_scale_um * 1e-6, commands_in, answers);
@@ -116,7 +114,7 @@ async fn fast<S: Source + 'static>(
     let mut acquisition = spawn(
         acquisition::task::run(
             source,
-            channels,
+            mapping,
             SystemClock,
             Arc::clone(&counters),
             acquisition::task::AcquisitionLinks {
@@ -182,7 +180,7 @@ async fn fast<S: Source + 'static>(
 
 /// One task in place of the three: a recording, at the pace at which it was made.
 async fn replayed(parts: Parts) -> anyhow::Result<()> {
-    let Parts { config, estimation, mut publisher, counters, glance, heartbeats, .. } = parts;
+    let Parts { config, pipeline, mut publisher, counters, glance, heartbeats, .. } = parts;
     let Parts { control, stop, descriptor, beginning, .. } = parts;
     let beginning = beginning.context("there is no recording")?;
     let publish = move |told: &replay::republisher::Republished| {
@@ -190,10 +188,11 @@ async fn replayed(parts: Parts) -> anyhow::Result<()> {
         glance.at(&told.report);
     };
     let means = move |context: &CalibrationContext| {
-        let corrected = context.tables.0.iter().all(Option::is_some);
+        let corrected = context.calibrated();
         descriptor.send_modify(|now| (now.config, now.calibrated) = (context.id(), corrected));
     };
     let edges = replay::task::ReplayLinks { control, publish, means };
+    let (_, _, estimation) = pipeline.into_stages();
     let recording = replay::task::Recording { config: config.replay, beginning, estimation, counters };
     let task = replay::task::run(recording, SystemClock, edges, stop);
     // It does the work of all three.

@@ -26,7 +26,6 @@ use tokio::runtime::Builder;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{Mutex, mpsc, watch};
 use tokio_util::sync::CancellationToken;
-use trifacet_core::estimation::Estimation;
 use trifacet_core::telemetry::heartbeat::Heartbeats;
 use trifacet_core::telemetry::{Counters, LatestStatus};
 use trifacet_core::time::Clock;
@@ -60,14 +59,14 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let (heartbeats, glance) = <(Arc<Heartbeats>, Arc<LatestStatus>)>::default();
     let service = Service::new(&config.realtime, Arc::clone(&heartbeats), Arc::clone(&glance));
     let (config, context, beginning) = &holding(config)?;
-    let channels = config.channels(&context.tables)?;
+    let pipeline = config.pipeline(&context.tables, context.id())?;
     let id = StreamId::new(context.id());
     let facts = StreamFacts {
         id,
         sample_rate_hz: config.acquisition.rate_hz,
         average: config.estimation.average,
         model: config.estimation.model,
-        calibrated: channels.calibrated(),
+        calibrated: context.calibrated(),
     };
     let main = Builder::new_current_thread().enable_all().build().context("cannot start a runtime")?;
     // Before anything else: without a handler SIGHUP would end the process.
@@ -99,10 +98,8 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         },
     )?;
     let parts = Parts {
-        estimation: Estimation::new(config.estimation_settings(channels.calibrated(), id.config)?),
-        centering: config.centering_loop()?,
+        pipeline,
         gcs,
-        channels,
         publisher,
         counters: Arc::clone(&counters),
         heartbeats: Arc::clone(&heartbeats),

@@ -2,12 +2,11 @@
 
 pub mod loop_liveness;
 
-use std::time::Duration;
-
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::yield_now;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 use trifacet_core::estimation::{Estimation, PoseReport};
+use trifacet_core::pipeline::SilenceTimes;
 use trifacet_core::signals::Identity;
 use trifacet_core::telemetry::heartbeat::HEARTBEAT;
 use trifacet_core::time::Clock;
@@ -18,11 +17,6 @@ use trifacet_wire::channel::Role;
 use crate::acquisition::task::SampleEvent;
 use crate::estimation::loop_liveness::Loop;
 use crate::recording::EstimationRecorder;
-
-/// How often silence is reported, at most.
-const SILENCE_HZ: f64 = 100.0;
-/// The shortest silence that counts.
-const SILENCE_TIMEOUT: Duration = Duration::from_millis(20);
 
 /// The edges of the task.
 #[derive(Debug)]
@@ -211,16 +205,14 @@ impl PoseMean {
 
 /// When silence is to be reported.
 struct SilenceTimer {
-    patience: Duration,
-    repeat: Duration,
+    times: SilenceTimes,
     next: Instant,
 }
 
 impl SilenceTimer {
     fn new(rate_hz: f64) -> Self {
-        let patience = SILENCE_TIMEOUT.max(Duration::from_secs_f64(5.0 / rate_hz));
-        let repeat = Duration::from_secs_f64(1.0 / rate_hz.min(SILENCE_HZ));
-        Self { patience, repeat, next: Instant::now() + patience }
+        let times = SilenceTimes::new(rate_hz);
+        Self { times, next: Instant::now() + times.first }
     }
 
     /// The timer for another source; the silence so far counts.
@@ -229,10 +221,10 @@ impl SilenceTimer {
     }
 
     fn heard(&mut self) {
-        self.next = Instant::now() + self.patience;
+        self.next = Instant::now() + self.times.first;
     }
 
     fn silent(&mut self) {
-        self.next = Instant::now() + self.repeat;
+        self.next = Instant::now() + self.times.repeat;
     }
 }

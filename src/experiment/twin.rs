@@ -20,7 +20,7 @@ const WAY: u32 = 64;
 
 /// The bench of the paper as a twin.
 pub struct Bench {
-    rig: ClosedLoopSim,
+    sim: ClosedLoopSim,
     /// Position of the mirror, metres and radians.
     at: [f64; 6],
     /// Number of samples for which all poses must have been usable before one is taken.
@@ -53,14 +53,14 @@ impl Bench {
     /// Fails if the configuration is not valid.
     pub fn new(config: &Config) -> Result<Self, Failure> {
         let config = Config { frames: FramesConfig::default(), ..config.clone() };
-        let mut rig = ClosedLoopSim::new(&config)?;
-        rig.place(Pose::default());
+        let mut sim = ClosedLoopSim::new(&config)?;
+        sim.place(Pose::default());
         let rate_hz = config.acquisition.rate_hz;
         let average = u32::from(config.estimation.average);
         // Blocks that began before the movement are discarded, and the loop must have locked again.
         let settle = (config.centering.lock_time_ms * 1e-3 * rate_hz).ceil() as u64 + u64::from(average);
         let patience = (POSE_TIMEOUT_S * rate_hz).ceil() as u64 + 2 * settle;
-        Ok(Self { rig, at: [0.0; 6], settle, calm: 0, patience, rate_hz, average, why: String::new() })
+        Ok(Self { sim, at: [0.0; 6], settle, calm: 0, patience, rate_hz, average, why: String::new() })
     }
 
     /// Takes all readings of a protocol. `taken` is called after every reading.
@@ -129,8 +129,8 @@ impl Bench {
         for k in 1..=WAY {
             let part = f64::from(k) / f64::from(WAY);
             let pose = std::array::from_fn(|i| self.at[i] + part * (to[i] - self.at[i]));
-            self.rig.place(Pose::from_array(pose));
-            self.rig.turn();
+            self.sim.place(Pose::from_array(pose));
+            self.sim.step();
         }
         (self.at, self.calm) = (to, 0);
     }
@@ -138,7 +138,7 @@ impl Bench {
     /// The next usable pose: valid and locked, like all poses since the mirror settled.
     fn look(&mut self) -> Result<Observation, String> {
         for _ in 0..self.patience {
-            let Some(report) = self.rig.turn().report else { continue };
+            let Some(report) = self.sim.step().report else { continue };
             match look(&report) {
                 Ok(look) => {
                     self.calm += u64::from(look.averaged);

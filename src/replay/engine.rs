@@ -3,8 +3,9 @@
 use std::sync::Arc;
 
 use trifacet_core::centering::LoopState;
-use trifacet_core::channels::ChannelMap;
+use trifacet_core::channels::MissingSignal;
 use trifacet_core::estimation::{Estimation, EstimatorState, PoseReport};
+use trifacet_core::pipeline::Measurement;
 use trifacet_core::signals::{Identity, Sample, Scan};
 
 use crate::config::CalibrationContext;
@@ -32,11 +33,10 @@ pub struct Engine {
 struct State {
     context: Arc<CalibrationContext>,
     source: Option<Arc<Identity>>,
-    map: Option<ChannelMap>,
     last: Option<Scan>,
-    /// What was made of it.
+    /// The sample of that scan.
     sample: Option<Sample>,
-    estimation: Estimation,
+    measurement: Measurement,
 }
 
 impl Engine {
@@ -65,10 +65,7 @@ impl Engine {
             Entry::Sample { scan, sample, steering } => self.report = self.sample(scan, sample, steering),
             Entry::Silence { time, steering, .. } => {
                 self.passed_over += u64::from(self.state.is_none());
-                self.report = self.state.as_mut().map(|State { estimation, .. }| {
-                    let report = estimation.silence(*time, steering);
-                    estimation.in_user_frame(&report)
-                });
+                self.report = self.state.as_mut().map(|state| state.measurement.silence(*time, steering));
             }
             Entry::Frame { .. } | Entry::Lock { .. } => {}
         }
@@ -107,14 +104,14 @@ impl Engine {
 
     /// The state between the last sample and the next, to go on from; none before the first keyframe.
     pub fn now(&self) -> Option<Keyframe> {
-        let State { context, source, last, estimation, .. } = self.state.as_ref()?;
-        let (context, memory) = (Arc::clone(context), estimation.memory().clone());
+        let State { context, source, last, measurement, .. } = self.state.as_ref()?;
+        let (context, memory) = (Arc::clone(context), measurement.estimation.memory().clone());
         Some(Keyframe { context, source: source.clone(), last: *last, memory })
     }
 
     /// Estimation as it is between the last sample and the next; none before the first keyframe.
     pub fn estimation(&self) -> Option<&Estimation> {
-        self.state.as_ref().map(|state| &state.estimation)
+        self.state.as_ref().map(|state| &state.measurement.estimation)
     }
 
     /// What the channel map made of the last scan.
@@ -145,10 +142,10 @@ impl Engine {
         if last.is_some_and(|last| !then.follows(last.index)) {
             self.hole(); // that nobody told of: a file that was cut, or put together
         }
-        let state = self.state.as_mut().filter(|state| state.map.is_some());
+        let state = self.state.as_mut().filter(|state| state.source.is_some());
         self.passed_over += u64::from(state.is_none());
-        let State { map, last, sample: made, estimation, .. } = state?;
-        let mut sample = map.as_mut()?.sample(scan);
+        let State { last, sample: made, measurement, .. } = state?;
+        let mut sample = measurement.mapping.sample(scan)?;
         *last = Some(*scan);
         if then.lost != scan.lost && self.other.is_none() {
             // Estimation had no room for the scan before: it is not on record, but was interpolated from.
@@ -156,43 +153,26 @@ impl Engine {
         }
         sample.lost = then.lost;
         *made = Some(sample);
-        let report = estimation.sample(&sample, steering)?;
-        Some(estimation.in_user_frame(&report))
+        measurement.sample(&sample, steering)
     }
 }
 
 impl State {
     fn new(keyframe: &Keyframe, other: Option<&Arc<CalibrationContext>>) -> Result<Self, Failure> {
         let context = Arc::clone(other.unwrap_or(&keyframe.context));
-        let channels = context.config.channels(&context.tables)?;
-        let wrong = |message: String| Failure::new(exit::CONFIG, message);
-        let settings = context
-            .config
-            .estimation_settings(channels.calibrated(), context.id())
-            .map_err(|e| wrong(e.to_string()))?;
-        let mut estimation = Estimation::new(settings);
+        let wrong = |missing: MissingSignal| Failure::new(exit::CONFIG, missing.to_string());
+        let mut measurement = context.config.measurement(&context.tables, context.id())?;
+        if let Some(source) = &keyframe.source {
+            measurement.source(Arc::clone(source)).map_err(wrong)?;
+        }
         if other.is_none() {
-            estimation.remember(keyframe.memory.clone());
-        } else if let Some(source) = &keyframe.source {
-            estimation.source(source.simulated);
+            measurement.estimation.remember(keyframe.memory.clone());
         }
-        let mut map = keyframe
-            .source
-            .as_ref()
-            .map(|source| channels.map(source))
-            .transpose()
-            .map_err(|e| wrong(e.to_string()))?;
-        if let Some((map, last)) = map.as_mut().zip(keyframe.last) {
-            map.follow(&last);
+        if let Some(last) = &keyframe.last {
+            measurement.mapping.follow(last);
         }
-        Ok(Self {
-            context,
-            source: keyframe.source.clone(),
-            map,
-            last: keyframe.last,
-            sample: None,
-            estimation,
-        })
+        let (source, last) = (keyframe.source.clone(), keyframe.last);
+        Ok(Self { context, source, last, sample: None, measurement })
     }
 
     /// Whether this is the state of the keyframe.
@@ -201,16 +181,15 @@ impl State {
         same(&self.context, &keyframe.context)
             && self.source == keyframe.source
             && self.last == keyframe.last
-            && bytes(self.estimation.memory()) == bytes(&keyframe.memory)
+            && bytes(self.measurement.estimation.memory()) == bytes(&keyframe.memory)
     }
 
     fn interrupt(&mut self, keyframe: &Keyframe) -> Result<(), Failure> {
-        let Self { context, last, estimation, .. } = self;
-        let fresh = Self::new(keyframe, Some(context))?;
-        self.map = fresh.map;
-        *last = keyframe.last;
+        let fresh = Self::new(keyframe, Some(&self.context))?;
+        self.measurement.mapping = fresh.measurement.mapping;
+        self.last = keyframe.last;
         if let Some(source) = &self.source {
-            estimation.source(source.simulated);
+            self.measurement.estimation.source(source.simulated);
         }
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! What the rig puts on record comes out again.
+//! What the sim puts on record comes out again.
 
 use super::{Comparison, Engine};
 use crate::closed_loop_sim::ClosedLoopSim;
@@ -11,10 +11,10 @@ fn config(text: &str) -> Config {
 
 /// What the twin puts on record in so many scans.
 fn recorded(config: &Config, scans: u64) -> Vec<Entry> {
-    let (mut rig, mut receiver) = ClosedLoopSim::recorded(config).unwrap();
+    let (mut sim, mut receiver) = ClosedLoopSim::recorded(config).unwrap();
     let mut entries = Vec::new();
     for _ in 0..scans {
-        rig.turn();
+        sim.step();
         entries.extend(std::iter::from_fn(|| receiver.entries.try_recv().ok()));
     }
     entries

@@ -156,7 +156,7 @@ fn run(sequence: &Sequence) -> Worst {
     let mut watch = Watch { sequence, lying_since: None, bursts: 0, into_burst: 0, worst: Worst::default() };
     let mut silent = false;
     loop {
-        let turn = rig.turn();
+        let turn = rig.step();
         watch.see(&turn);
         if silent && turn.sample.is_some() && sequence.replugged {
             rig.centering().stage_up(); // as the board says that it is there
@@ -242,7 +242,7 @@ fn with_the_light_of_the_demo_it_is_locked_again_too() {
             config.twin.steering.readback_noise_um = None;
             let over_s = 0.62 + 0.2 * f64::from(step);
             let mut rig = ClosedLoopSim::new(&config).unwrap();
-            let locked = std::iter::repeat_with(|| rig.turn())
+            let locked = std::iter::repeat_with(|| rig.step())
                 .take_while(|turn| turn.scan.t_s < over_s + 5.0)
                 .any(|turn| turn.scan.t_s > over_s && turn.state.lock == LockState::Locked);
             assert!(locked, "{kind:?} until {over_s}");
@@ -254,7 +254,7 @@ fn with_the_light_of_the_demo_it_is_locked_again_too() {
 fn a_hand_on_one_psd_does_not_send_the_stage_away() {
     for psd in 0..3 {
         let mut rig = ClosedLoopSim::new(&demo(FaultKind::PsdDark { psd }, 0.9)).unwrap();
-        while rig.turn().scan.t_s < 1.5 {
+        while rig.step().scan.t_s < 1.5 {
             let [x, y] = rig.centering().state().position.unwrap();
             assert!(x.hypot(y) < 3e-6, "psd {psd}: {x} {y}");
         }
@@ -269,7 +269,7 @@ fn a_stage_that_moves_the_beam_the_other_way_is_given_up_and_never_locked() {
         config.steering.matrix = matrix;
         let mut rig = ClosedLoopSim::new(&config).unwrap();
         let mut locked_late = false;
-        let last = std::iter::repeat_with(|| rig.turn()).take(30_000).inspect(|turn| {
+        let last = std::iter::repeat_with(|| rig.step()).take(30_000).inspect(|turn| {
             locked_late |= turn.scan.t_s > 1.0 && turn.state.lock == LockState::Locked;
         });
         assert_eq!(last.last().unwrap().state.lock, LockState::Held);

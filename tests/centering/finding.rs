@@ -17,7 +17,7 @@ const AXES: [Axis; 6] = [Axis::Tx, Axis::Ty, Axis::Tz, Axis::Roll, Axis::Pitch, 
 fn seconds_to_lock(config: &Config, most_s: f64) -> Option<f64> {
     let mut rig = ClosedLoopSim::new(config).unwrap();
     loop {
-        let turn = rig.turn();
+        let turn = rig.step();
         let command = turn.command.map_or([0.0; 2], |command| command.position);
         assert!(command.iter().all(|p| p.abs() <= config.steering.limit_um * 1e-6));
         if turn.state.lock == LockState::Locked {

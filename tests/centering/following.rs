@@ -19,7 +19,7 @@ fn offsets(change: Change, motion: &Motion, samples: usize) -> Vec<f64> {
     config.twin.motion.push(motion.clone());
     change(&mut config);
     let mut rig = ClosedLoopSim::new(&config).unwrap();
-    (0..samples).map(|_| rig.turn().scan.truth.offset.x * 1e6).collect()
+    (0..samples).map(|_| rig.step().scan.truth.offset.x * 1e6).collect()
 }
 
 fn along_x(kind: MotionKind, amount_um: f64) -> Motion {

@@ -214,7 +214,7 @@ fn park_parks_without_a_daemon_and_not_against_the_configuration() {
     assert_eq!(at(&mut board), [120.0, -80.0]);
 
     let mut daemon = Daemon::on_port(&board.link(), "");
-    daemon.message("scans come");
+    daemon.message("receiving scans");
     let output = trifacet(&["park", "--config", &park]);
     assert_eq!(output.status.code(), Some(75), "{output:?}");
     assert!(text(&output.stderr).contains("in use by process"), "{output:?}");

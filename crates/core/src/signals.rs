@@ -1,7 +1,7 @@
 //! What travels: raw scans from a converter, samples from the channel map.
 
 use serde::{Deserialize, Serialize};
-use trifacet_wire::channel::{Converter, MAX_CHANNELS, Role};
+use trifacet_wire::channel::{Converter, MAX_CHANNELS, Role, SIGNALS};
 
 use crate::time::Mono;
 
@@ -22,6 +22,21 @@ pub struct Identity {
     pub output_bits: u8,
     /// Whether the light is computed rather than measured (SIMULATED in the frames).
     pub simulated: bool,
+}
+
+impl Identity {
+    /// A board with the nine signals in their usual order, 16 bits, +-10 V, 1 kHz: for examples and tests.
+    pub fn example() -> Self {
+        Self {
+            name: "example board".into(),
+            rate_hz: 1000.0,
+            converter: Converter { bits: 16, range_v: 10.0 },
+            roles: SIGNALS.to_vec(),
+            skew_ns: vec![0; SIGNALS.len()],
+            output_bits: 16,
+            simulated: false,
+        }
+    }
 }
 
 /// One scan of the converter: raw codes with their time.
