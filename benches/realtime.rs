@@ -1,9 +1,11 @@
-//! The release daemon on its real-time twin at 10 kHz for 30 s, seen from outside: `cargo bench --bench realtime`.
-//! First without a recording, then with one in each compression.
+//! Runs the release daemon on its real-time twin at 10 kHz for 30 s and measures it from outside:
+//! `cargo bench --bench realtime`. The first run has no recording; then one run for each compression follows.
 //!
-//! Prints what arrived, how late it was, and what it cost. Ends with 1 if a sample is lost, on its way to the stream or to the file. A frame may be lost
-//! in two places: before the daemon made it (then its sample is missing: `lost`, or a gap in the sample
-//! index), or on its way here (then only the sequence has a gap, and the network or this program was too slow).
+//! Prints losses, latencies and CPU time. The exit code is 1 if a sample is lost on its way to the stream
+//! or to the file. A frame can be lost in two places:
+//!
+//! - before the daemon makes it: its sample is missing (`lost`, or a gap in the sample index);
+//! - on its way to this program: only the sequence has a gap, and the network or this program was too slow.
 
 use std::io::Write;
 use std::net::UdpSocket;
@@ -18,10 +20,10 @@ use trifacet::recording::{Entry, Topic};
 
 const RATE_HZ: f64 = 10_000.0;
 const SECONDS: f64 = 30.0;
-/// Clock ticks a second in `/proc/*/stat`; Linux shows no other to programs.
+/// Clock ticks per second in `/proc/*/stat`. Linux uses this value for all programs.
 const USER_HZ: f64 = 100.0;
 
-/// A daemon that does not outlive the benchmark.
+/// A daemon that is killed when the benchmark ends.
 struct Daemon(Child);
 
 impl Drop for Daemon {
@@ -32,7 +34,7 @@ impl Drop for Daemon {
 }
 
 fn main() -> ExitCode {
-    // cargo passes --bench; with `cargo test --benches` it does not, and 30 s would be a surprise.
+    // cargo passes --bench. `cargo test --benches` does not, and should not take 30 s per run.
     if !std::env::args().any(|arg| arg == "--bench") {
         return ExitCode::SUCCESS;
     }
@@ -50,7 +52,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Runs it, with a recording in this compression; whether no sample was lost.
+/// Runs the daemon, with a recording in this compression. Returns whether no sample was lost.
 fn measure(record: Option<&str>) -> io::Result<bool> {
     let socket = UdpSocket::bind("127.0.0.1:0")?;
     rustix::net::sockopt::set_socket_recv_buffer_size(&socket, 1 << 20)?;
@@ -97,7 +99,7 @@ fn measure(record: Option<&str>) -> io::Result<bool> {
     Ok(fine)
 }
 
-/// Tells what the recording holds and cost; whether no sample is missing in it.
+/// Prints size and cost of the recording. Returns whether it contains all samples.
 fn recorded(folder: &Path, cpu_s: f64) -> io::Result<bool> {
     let (mut bytes, mut indices, mut times) = (0, Vec::new(), Vec::new());
     for file in fs::read_dir(folder)? {
@@ -130,17 +132,17 @@ fn recorded(folder: &Path, cpu_s: f64) -> io::Result<bool> {
     Ok(missing == 0)
 }
 
-/// What the frames say.
+/// Statistics of the received frames.
 #[derive(Default)]
 struct Seen {
     first: Option<PoseFrame>,
     last: Option<PoseFrame>,
     received: u64,
-    /// By `lost` in the frames.
+    /// Sum of `lost` in the frames.
     samples_lost: u64,
-    /// Sample indices missing that the sequence does not explain.
+    /// Missing sample indices that gaps in the sequence do not explain.
     index_gaps: u64,
-    /// Frames that were sent and did not arrive here.
+    /// Frames that were sent but did not arrive here.
     frames_missed: u64,
     invalid: u64,
     solved_ns: Vec<u32>,
@@ -174,7 +176,7 @@ impl Seen {
         println!("{RATE_HZ} Hz for {seconds:.3} s by the time stamps");
         println!("samples: {expected} expected, {} received in frames", self.received);
         println!(
-            "         {} lost by the frames, {} missing by their index",
+            "         {} lost according to the frames, {} missing according to their index",
             self.samples_lost, self.index_gaps
         );
         println!("frames:  {} missed by this receiver, {} without a pose", self.frames_missed, self.invalid);
@@ -193,12 +195,12 @@ impl Seen {
     }
 }
 
-/// User and system time of a process so far.
+/// User and system time of a process until now, seconds.
 fn cpu_seconds(pid: u32) -> io::Result<f64> {
     seconds_in(&format!("/proc/{pid}/stat"))
 }
 
-/// The same of its threads of this name.
+/// The same for its threads with this name.
 fn thread_seconds(pid: u32, name: &str) -> io::Result<f64> {
     let mut seconds = 0.0;
     for thread in fs::read_dir(format!("/proc/{pid}/task"))? {
@@ -212,7 +214,7 @@ fn thread_seconds(pid: u32, name: &str) -> io::Result<f64> {
 
 fn seconds_in(path: &str) -> io::Result<f64> {
     let stat = fs::read_to_string(path)?;
-    // The name in brackets may hold anything; the numbers after it are fixed: 12th and 13th.
+    // The name in brackets may contain any characters. The times are the 12th and 13th field after it.
     let after = stat.rsplit_once(')').map_or("", |(_, after)| after);
     let ticks = after.split_whitespace().skip(11).take(2).filter_map(|field| field.parse::<f64>().ok());
     Ok(ticks.sum::<f64>() / USER_HZ)

@@ -1,8 +1,10 @@
-//! Replay beside the bare solver on the same samples, in one run: `cargo bench --bench replay [-- SECONDS]`.
+//! Compares a replay with the bare solver on the same samples, in one run:
+//! `cargo bench --bench replay [-- SECONDS]`.
 //!
-//! The free-running twin records so many seconds at 10 kHz (600 if nothing is said). The bare loop has the samples
-//! in memory; for each it solves and computes the deviations as they are published, nothing else. The replay
-//! reads the file, maps the codes, estimates, and compares every frame. In turn, three times; medians are printed.
+//! The free-running twin records SECONDS (default 600) at 10 kHz. The bare loop has the samples in memory.
+//! For each sample it computes only the pose and its standard uncertainties. The replay reads the file,
+//! maps the codes, estimates, and compares every frame. Both run alternately, three times; the medians are
+//! printed.
 
 use std::path::Path;
 use std::process::Command;
@@ -25,7 +27,7 @@ fn main() {
     let mut record = Command::new(env!("CARGO_BIN_EXE_trifacet"));
     record.args(["simulate", "--closed-loop", "--samples", &(seconds * 10_000).to_string(), "--config"]);
     assert!(record.arg(&config).arg("--record").arg(&file).status().expect("trifacet").success());
-    // What is still on its way to the disk would take time from one of the two.
+    // Data that are not yet on the disk would slow down one of the two.
     std::fs::File::open(&file).and_then(|file| file.sync_all()).expect("a disk");
     let samples = samples(&file);
     let mut times = [Vec::new(), Vec::new()];
@@ -76,7 +78,7 @@ fn bare(samples: &[Signals]) {
         let solution = estimator.solve(signals, warm.as_ref()).expect("a pose");
         let noise = Noise { spots: [spot; 6], powers: signals.powers.map(|p| p * power) };
         let covariance =
-            estimator.sensitivity(&solution).expect("deviations").spread(&noise).pose_covariance();
+            estimator.sensitivity(&solution).expect("uncertainties").spread(&noise).pose_covariance();
         std::hint::black_box(covariance.diagonal().map(f64::sqrt));
         warm = Some(solution);
     }

@@ -1,9 +1,10 @@
-//! Our solvers beside the `levenberg-marquardt` crate, in one run: `cargo bench --bench solve`.
+//! Compares the solvers with the `levenberg-marquardt` crate, in one run: `cargo bench --bench solve`.
 //!
-//! The crate solves the six-signal problem with the same ray model and the same analytic derivatives, at
-//! tolerances of 1e-6 (its defaults, some 1e-15, cost it 2.6 times as much and would flatter us).
-//! Warm means from the solution of the sample before, one noise deviation away; cold means from zero.
-//! Before anything is timed the results are checked to agree within 1e-12 m and rad.
+//! The crate solves the six-signal problem with the same ray model and the same analytic derivatives. Its
+//! tolerances are 1e-6: with its defaults, about 1e-15, it takes 2.6 times as long, which would not be a
+//! fair comparison. Warm: the solver starts from the solution of the previous sample, which differs by one
+//! standard deviation of the noise. Cold: it starts from zero. Before the measurement, the results are
+//! checked to agree within 1e-12 m and rad.
 
 use std::hint::black_box;
 
@@ -17,7 +18,7 @@ use trifacet_optics::{Estimator, Head, Model, Optics, Pose, Psd, Signals, Soluti
 
 const CASES: usize = 64;
 
-/// The six-signal problem as the crate wants it.
+/// The six-signal problem in the form that the crate requires.
 #[derive(Clone)]
 struct RayProblem<'a> {
     head: &'a Head,
@@ -84,7 +85,7 @@ fn rays(head: &Head, pose: &Pose) -> [Ray; 3] {
     [0, 1, 2].map(|i| Ray::new(&head.psds[i], rotation * head.facets[i], pose.t))
 }
 
-/// A sample, and the solution of the one before.
+/// A sample and the solution of the previous one.
 struct Case {
     signals: Signals,
     warm: Solution,

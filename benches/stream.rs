@@ -1,10 +1,11 @@
-//! What the stream costs: latency from acquisition to a client, and CPU time, of the daemon and of a bare
-//! sender of the same datagrams at the same rate: `cargo bench --bench stream [-- SECONDS]`.
+//! Measures the cost of the stream: latency from acquisition to a client, and CPU time. The daemon is
+//! compared with a bare sender of the same datagrams at the same rate:
+//! `cargo bench --bench stream [-- SECONDS]`.
 //!
-//! The two run in turn (daemon, bare, daemon, bare, ...), five pairs for each rate and priority, and the
-//! median of the five is printed. The bare sender sleeps until a sample is due, writes the time into 192
-//! bytes and sends them: what any daemon must do at least. The client is the same for both. Priorities
-//! need the right to set them; where that is missing, both run without, and the table says so.
+//! The two run alternately (daemon, bare, daemon, bare, ...), five pairs for each rate and priority, and
+//! the medians are printed. The bare sender sleeps until a sample is due, writes the time into 192 bytes
+//! and sends them, which is the minimum for any daemon. The client is the same for both. Priorities require
+//! a permission; without it, both run without priority, and the table states this.
 
 use std::io::{BufRead, BufReader};
 use std::net::UdpSocket;
@@ -31,12 +32,12 @@ fn main() {
     }
 }
 
-/// Sends the time at which each datagram was due, and nothing else.
+/// Sends only the time at which each datagram was due.
 fn bare(target: &str, rate: &str, priority: &str) {
     let rate: i64 = rate.parse().expect("a rate");
     let priority = priority.parse().expect("a priority");
     realtime::apply(&RealtimeConfig { priority, ..RealtimeConfig::default() });
-    // As punctual as the daemon asks to be; the default is 50 us late.
+    // The same timer slack as the daemon. The default delays by 50 us.
     rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1)).expect("a timer slack");
     rustix::thread::set_name(c"bare").expect("a name");
     let socket = UdpSocket::bind("127.0.0.1:0").expect("a socket");
@@ -49,7 +50,7 @@ fn bare(target: &str, rate: &str, priority: &str) {
         clock_nanosleep_absolute(rustix::thread::ClockId::Monotonic, &wake).expect("a sleep");
         let mut frame = [0; FRAME_SIZE];
         frame[TIME].copy_from_slice(&(due + utc).to_le_bytes());
-        let _ = socket.send_to(&frame, target); // nobody may be listening any more
+        let _ = socket.send_to(&frame, target); // the receiver may have ended
     }
 }
 
@@ -58,11 +59,11 @@ fn now(clock: ClockId) -> i64 {
     t.tv_sec * NS + t.tv_nsec
 }
 
-/// What one run has shown.
+/// Results of one run.
 struct Run {
-    /// Microseconds at 50, 99 and 99.9 per cent.
+    /// Latency at the 50th, 99th and 99.9th percentile, microseconds.
     latency: [f64; 3],
-    /// Per cent of one core.
+    /// CPU time, per cent of one core.
     cpu: f64,
     lost: i64,
 }
@@ -131,7 +132,7 @@ fn bare_sender(port: u16, rate: i64, priority: u8) -> Child {
     started(command.args(["bare", &target, &rate.to_string(), &priority.to_string()]).stdout(Stdio::piped()))
 }
 
-/// Starts a child, and waits for its first line.
+/// Starts a child process and waits for its first line.
 fn started(command: &mut Command) -> Child {
     let mut child = command.spawn().expect("a child");
     let mut line = String::new();
@@ -160,7 +161,7 @@ fn measure(rate: i64, seconds: u64, start: impl FnOnce(u16) -> Child) -> Run {
         (time, now(ClockId::Realtime) - time)
     };
     for _ in 0..rate / 2 {
-        receive(); // settling
+        receive(); // warm-up
     }
     let (first, _) = receive();
     let cpu = cpu_ns(child.id());
@@ -181,7 +182,7 @@ fn measure(rate: i64, seconds: u64, start: impl FnOnce(u16) -> Child) -> Run {
     Run { latency: [at(0.5), at(0.99), at(0.999)], cpu, lost }
 }
 
-/// CPU time of all threads of a process so far.
+/// CPU time of all threads of a process until now, nanoseconds.
 fn cpu_ns(pid: u32) -> i64 {
     let threads = std::fs::read_dir(format!("/proc/{pid}/task")).expect("a process");
     let of_thread = |thread: std::io::Result<std::fs::DirEntry>| {

@@ -1,5 +1,5 @@
-//! Whatever bytes come over the serial line: both ends take every byte, what they understand comes back
-//! as the same message, and the host's session goes on.
+//! Bytes on the serial line: host and board consume every byte, decoded messages survive a round trip, and
+//! the session of the host continues.
 
 #![no_main]
 
@@ -14,7 +14,7 @@ use trifacet_wire::board::{Answer, Deframer, MessageError, Request, framing as f
 use trifacet_wire::channel::MAX_CHANNELS;
 
 fuzz_target!(|bytes: &[u8]| {
-    // The line as it is, and cut into messages whose check sums are right: those the fuzzer cannot guess.
+    // The line as it is, and cut into messages with correct checksums, which the fuzzer cannot guess.
     let sealed: Vec<u8> = bytes.split(|byte| *byte == 0xa5).flat_map(seal).collect();
     for line in [bytes, &sealed] {
         understand(line, Request::decode, Request::encode);
@@ -29,7 +29,7 @@ fn seal(message: &[u8]) -> Vec<u8> {
     frame
 }
 
-/// A board with more channels than there can be is understood (and refused later), but has no message.
+/// A board with more channels than allowed is decoded (and refused later), but cannot be encoded.
 fn encode_answer(answer: &Answer, out: &mut Vec<u8>) {
     match answer {
         Answer::Identity(board) if board.roles.len() > MAX_CHANNELS => {}
@@ -37,7 +37,7 @@ fn encode_answer(answer: &Answer, out: &mut Vec<u8>) {
     }
 }
 
-/// A message that is understood means the same after a round trip.
+/// A decoded message is equal after a round trip.
 fn understand<T: Debug + PartialEq>(
     mut line: &[u8],
     decode: impl Fn(&[u8]) -> Result<T, MessageError>,
@@ -55,7 +55,7 @@ fn understand<T: Debug + PartialEq>(
     assert!(line.is_empty());
 }
 
-/// A host hears the line in pieces while time passes, and says what it has to say.
+/// A host receives the line in pieces while time passes.
 fn converse(line: &[u8]) {
     let settings = Settings { rate_hz: 1000.0, baud: 921_600, latency_ns: 0, park: [0.0; 2] };
     let mut session = Session::new(settings, Arc::<Counters>::default());

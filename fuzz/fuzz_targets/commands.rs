@@ -1,5 +1,5 @@
-//! Whatever clients say: lines and datagrams are understood or answered shortly, what is understood comes
-//! back the same, and nobody is subscribed without the nonce.
+//! Commands of clients: lines and datagrams are decoded or refused with a short answer, decoded commands
+//! survive a round trip, and no client is subscribed without the nonce.
 
 #![no_main]
 

@@ -1,5 +1,5 @@
-//! Whatever a stage's controller says: answers end or are refused, none grows without end, and numbers
-//! that are read are numbers.
+//! Answers of a stage's controller: they end or are refused, their length is limited, and parsed numbers
+//! are finite.
 
 #![no_main]
 
@@ -8,7 +8,7 @@ use trifacet::steering::gcs::protocol::{Answer, move_to};
 
 fuzz_target!(|bytes: &[u8]| {
     let axes = ["1".to_owned(), "B_2".to_owned()];
-    // As it is, and as values of the axes: those the fuzzer need not guess.
+    // The bytes as they are, and as values of the axes, so that the fuzzer need not guess these.
     let (x, y) = bytes.split_at(bytes.len() / 2);
     let values = [b"1=", x, b" \nB_2=", y, b"\n"].concat();
     for said in [bytes, &values] {

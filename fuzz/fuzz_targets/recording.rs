@@ -1,5 +1,5 @@
-//! Whatever bytes a recording has: the reader ends, without a panic and within its memory, and so does a replay of
-//! what it read.
+//! Contents of a recording: the reader ends without a panic and within its memory limit, and so does a
+//! replay of the decoded entries.
 
 #![no_main]
 
@@ -10,7 +10,8 @@ use trifacet::recording::reader::{Read, Reader};
 use trifacet::replay::{Engine, Verdict};
 
 fuzz_target!(|bytes: &[u8]| {
-    // As it is, and with the bytes as an uncompressed chunk whose checksum is right: the fuzzer cannot guess that.
+    // The bytes as they are, and as an uncompressed chunk with a correct checksum, which the fuzzer cannot
+    // guess.
     for file in [bytes.to_vec(), chunk(bytes)] {
         let mut place = tempfile::NamedTempFile::new().expect("a file");
         place.write_all(&file).expect("room");

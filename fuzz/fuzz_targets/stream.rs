@@ -1,5 +1,5 @@
-//! Whatever bytes come: the frame decoder and the message decoder return, what they accept comes back
-//! byte for byte, and no byte of a stream is unaccounted for.
+//! Bytes of a stream: the frame decoder and the message decoder return, accepted frames are encoded to the
+//! same bytes, and no byte of the stream is unaccounted for.
 
 #![no_main]
 
@@ -18,7 +18,7 @@ fuzz_target!(|bytes: &[u8]| {
     stream(bytes);
 });
 
-/// The same bytes as a frame whose magic, version, size and CRC are right: the fuzzer need not guess them.
+/// The bytes as a frame with correct magic, version, size and CRC, so that the fuzzer need not guess these.
 fn sealed(bytes: &[u8]) -> Option<[u8; FRAME_SIZE]> {
     let mut frame: [u8; FRAME_SIZE] = *bytes.first_chunk()?;
     frame[..8].copy_from_slice(b"TFP1\x01\x00\xc0\x00");

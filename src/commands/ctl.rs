@@ -1,4 +1,4 @@
-//! `trifacet ctl`: tells a running daemon what to do.
+//! `trifacet ctl`: sends a command to a running daemon.
 
 use std::io::Write as _;
 use std::path::PathBuf;
@@ -15,7 +15,7 @@ use super::written;
 /// Options of `ctl`.
 #[derive(Debug, Args)]
 pub(crate) struct CtlArgs {
-    /// The daemon's control socket, as `[control] socket` in its configuration
+    /// Control socket of the daemon: `[control] socket` in its configuration
     #[arg(long, value_name = "PATH", default_value = "/run/trifacet/control.sock")]
     socket: PathBuf,
     #[command(subcommand)]
@@ -24,17 +24,18 @@ pub(crate) struct CtlArgs {
 
 #[derive(Debug, Subcommand)]
 enum CtlCommand {
-    /// Say what is going on
+    /// Print the state of the daemon
     Status,
-    /// Let the present pose read zero
+    /// Let the present pose read zero (tare)
     Tare(TareArgs),
-    /// Switch the centering loop; in the shadow it computes, and moves nothing; manual: see `move`
+    /// Switch the centering loop. shadow: it computes its moves but does not move the stage; manual: see
+    /// `move`
     Loop {
-        /// What it shall do
+        /// Mode of the loop
         #[arg(value_enum)]
         mode: Mode,
     },
-    /// Bring the beam to another place than the apex
+    /// Set the desired offset of the beam from the apex
     #[command(allow_negative_numbers = true)]
     Setpoint {
         /// Along x, micrometres
@@ -50,7 +51,7 @@ enum CtlCommand {
         /// Integral gain, per second
         ki_per_s: f64,
     },
-    /// Send the stage to a place; only while the loop is manual
+    /// Move the stage to a position; only if the loop is manual
     #[command(allow_negative_numbers = true)]
     Move {
         /// First axis, micrometres
@@ -58,38 +59,38 @@ enum CtlCommand {
         /// Second axis, micrometres
         y_um: f64,
     },
-    /// Take the loop off the stage and park it; the loop is manual then
+    /// Switch the loop to manual and park the stage
     Park,
-    /// Look for the apex now, however often that was in vain
+    /// Search for the apex now, even if all earlier searches have failed
     Search,
-    /// Let a task of the daemon misbehave, to see whether your supervision notices; with the twin only
+    /// Simulate a failure of a task, to test your supervision; with the twin only
     Drill {
-        /// What it shall do
+        /// Kind of the failure
         #[arg(value_enum)]
         what: What,
-        /// The task
+        /// Task that fails
         #[arg(value_enum)]
         task: Which,
     },
-    /// Record, or say what is recorded
+    /// Record, or print the state of the recording
     Record {
-        /// What to do
+        /// Action
         #[arg(value_enum)]
         what: Recording,
     },
-    /// Read the configuration file again, as on SIGHUP
+    /// Reload the configuration file, as on SIGHUP
     Reload,
 }
 
 #[derive(Debug, Args)]
 struct TareArgs {
-    /// No tare any more
+    /// Remove the tare
     #[arg(value_enum)]
     what: Option<Clear>,
-    /// Write it into the configuration file too; otherwise it goes with the daemon
+    /// Also write the tare into the configuration file; otherwise it is lost when the daemon ends
     #[arg(long)]
     save: bool,
-    /// Poses to average; those of 0.1 s if absent
+    /// Number of poses to average; by default those of 0.1 s
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), conflicts_with = "what")]
     poses: Option<u32>,
 }
@@ -109,23 +110,23 @@ enum Mode {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum What {
-    /// Wait for ever, while the others go on
+    /// Stall: wait for ever while the other tasks run
     Stall,
-    /// Never come back, so that all wait for it
+    /// Block the thread, so that the other tasks on it wait too
     Block,
-    /// End by itself
+    /// End
     End,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Recording {
-    /// Record from now on
+    /// Start a recording
     Start,
     /// End the recording
     Stop,
-    /// Do as if there were a fault: with [recording] mode = "on-fault"
+    /// Treat this as a fault: with [recording] mode = "on-fault"
     Trigger,
-    /// Say what is recorded, and where
+    /// Print what is recorded, and where
     Status,
 }
 
@@ -181,7 +182,7 @@ impl CtlCommand {
     }
 }
 
-/// Prints the daemon's answer, a line of JSON; fails with what it refuses.
+/// Prints the daemon's answer, one line of JSON. Fails if the daemon refuses the command.
 pub(crate) fn ctl(args: &CtlArgs) -> anyhow::Result<()> {
     let answer = control::client::ask(&args.socket, &args.order.command())?;
     written(writeln!(std::io::stdout(), "{answer}"))?;

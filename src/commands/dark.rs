@@ -19,7 +19,7 @@ use trifacet_optics::FACETS;
 
 use super::{ConfigArg, written};
 
-/// The longest wait for the next scan.
+/// Longest time to wait for the next scan.
 const SCAN_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Options of `dark`.
@@ -27,15 +27,15 @@ const SCAN_TIMEOUT: Duration = Duration::from_secs(5);
 pub(crate) struct DarkArgs {
     #[command(flatten)]
     config: ConfigArg,
-    /// Scans to average
+    /// Number of scans to average
     #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(10..=1_000_000))]
     samples: u32,
-    /// Print the offsets and leave the file as it is
+    /// Print the offsets and do not change the file
     #[arg(long)]
     print: bool,
 }
 
-/// Measures, and writes the offsets into the file of `--config`, or to standard output without one.
+/// Measures the offsets and writes them into the file of `--config`. Without a file, prints them.
 pub(crate) fn dark(args: &DarkArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
     let offsets = measure(&config, args.samples)?;
@@ -52,17 +52,17 @@ fn measure(config: &Config, samples: u32) -> anyhow::Result<DarkOffsets> {
     match config.acquisition.source {
         SourceKind::Serial => {
             let source = SerialSource::open(config, SystemClock, counters)?;
-            eprintln!("averaging {samples} scans of the board; the laser must be off");
+            eprintln!("averaging {samples} scans of the board: the laser must be off");
             runtime.block_on(average(source, config, samples))
         }
         SourceKind::Replay => {
-            let why = "acquisition.source = \"replay\": a recording cannot be measured anew";
+            let why = "acquisition.source = \"replay\": a recording cannot be measured again";
             Err(Failure::new(exit::CONFIG, why).into())
         }
         SourceKind::Twin => {
             let mut twin = Twin::new(config)?;
             twin.inject(FaultKind::BeamBlocked, None)?;
-            eprintln!("averaging {samples} scans of the twin, whose laser is off");
+            eprintln!("averaging {samples} scans of the twin with its laser off");
             runtime.block_on(async {
                 average(TwinSource::new(twin, SystemClock, counters)?, config, samples).await
             })
@@ -73,7 +73,7 @@ fn measure(config: &Config, samples: u32) -> anyhow::Result<DarkOffsets> {
 async fn average(mut source: impl Source, config: &Config, samples: u32) -> anyhow::Result<DarkOffsets> {
     let refuse = |error| Failure::new(exit::DATA, format!("no dark offsets: {error}"));
     let mut darkness = None;
-    let mut why = "nothing came from the source".to_owned();
+    let mut why = "the source sent no scan".to_owned();
     let mut deadline = Instant::now() + SCAN_TIMEOUT;
     let offsets = loop {
         let Ok(event) = timeout_at(deadline, source.next()).await else {
@@ -99,12 +99,12 @@ async fn average(mut source: impl Source, config: &Config, samples: u32) -> anyh
     Ok(offsets.map_err(refuse)?)
 }
 
-/// A line for each PSD, for people.
+/// Prints one line per PSD.
 fn report(offsets: &DarkOffsets) {
     for (i, psd) in FACETS.into_iter().enumerate() {
         let [u, v, sum] = offsets.volts[i].map(|volts| volts * 1e3);
         let worst = offsets.sigma[i].into_iter().fold(0.0, f64::max) * 1e3;
-        eprintln!("PSD {psd}: u {u:.4} mV, v {v:.4} mV, sum {sum:.4} mV, each to {worst:.4} mV");
+        eprintln!("PSD {psd}: u {u:.4} mV, v {v:.4} mV, sum {sum:.4} mV, standard uncertainty {worst:.4} mV");
     }
 }
 
@@ -116,7 +116,7 @@ fn write(file: &Path, offsets: &DarkOffsets) -> anyhow::Result<()> {
 }
 
 fn edits(offsets: &DarkOffsets) -> [Edit; 3] {
-    let rounded = offsets.volts.map(|psd| psd.map(|v| (v * 1e7).round() / 1e7)); // a tenth of a microvolt
+    let rounded = offsets.volts.map(|psd| psd.map(|v| (v * 1e7).round() / 1e7)); // to 0.1 uV
     let edit =
         |section, values: [f64; 3]| Edit { section, key: "dark_v", value: values.into_iter().collect() };
     let [a, b, c] = rounded;

@@ -1,4 +1,4 @@
-//! `trifacet doctor`: why nothing arrives, or nothing valid, and what to do.
+//! `trifacet doctor`: finds out why no frames, or no valid poses, arrive, and what to do.
 
 mod frames;
 mod link;
@@ -22,58 +22,58 @@ use trifacet_core::time::{Clock, Mono};
 
 use super::{ConfigArg, written};
 
-/// An answer that takes longer is none.
+/// Longest time to wait for an answer.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(3);
-/// Frames are looked at for so long.
+/// Time for which frames are collected.
 const LOOK: Duration = Duration::from_secs(2);
 
-/// Says why nothing arrives, or nothing valid, and what to do
+/// Find out why no frames, or no valid poses, arrive, and what to do
 #[derive(Debug, Args)]
 pub(crate) struct DoctorArgs {
-    /// Where the stream should come from, as for `watch`; where the configuration says, if absent
+    /// Source of the stream, as for `watch`; by default that of the configuration
     endpoint: Option<Endpoint>,
-    /// Hear a multicast group through this interface
+    /// Receive a multicast group through this interface
     #[arg(long)]
     interface: Option<String>,
     #[command(flatten)]
     config: ConfigArg,
 }
 
-/// What was found.
+/// Results of the checks.
 #[derive(Default)]
 pub(super) struct Report {
     text: String,
-    /// The first thing that is wrong.
+    /// The first problem found.
     wrong: Option<String>,
 }
 
 impl Report {
     fn line(&mut self, mark: &str, what: &str, advice: &str) {
-        // A String takes everything.
+        // Writing to a String cannot fail.
         let _ = writeln!(self.text, "{mark:<6} {what}");
         if !advice.is_empty() {
             let _ = writeln!(self.text, "       -> {advice}");
         }
     }
 
-    /// Something is as it should be.
+    /// A check that passed.
     pub(super) fn good(&mut self, what: &str) {
         self.line("ok", what, "");
     }
 
-    /// Something that leaves the poses valid.
+    /// A finding with which poses remain valid.
     pub(super) fn note(&mut self, what: &str, advice: &str) {
         self.line("note", what, advice);
     }
 
-    /// Something for which there is no valid pose.
+    /// A problem that prevents valid poses.
     pub(super) fn wrong(&mut self, what: &str, advice: &str) {
         self.line("WRONG", what, advice);
         self.wrong.get_or_insert_with(|| what.to_owned());
     }
 }
 
-/// Looks at everything in turn. Fails with [`exit::UNAVAILABLE`] if no valid frames arrive.
+/// Runs all checks in order. Fails with [`exit::UNAVAILABLE`] if no valid frames arrive.
 pub(crate) fn doctor(args: &DoctorArgs) -> Result<()> {
     let config = args.config.load()?;
     let endpoint = match &args.endpoint {
@@ -90,7 +90,7 @@ pub(crate) fn doctor(args: &DoctorArgs) -> Result<()> {
     }
 }
 
-/// The first way into the stream that a configuration has.
+/// The first outlet of the stream in a configuration.
 fn configured(config: &Config) -> Result<Endpoint> {
     let publishing = &config.publishing;
     let local = |address: SocketAddr| {
@@ -106,8 +106,7 @@ fn configured(config: &Config) -> Result<Endpoint> {
         (None, Some(subscribe), _) => Ok(Endpoint::Subscribe(local(subscribe))),
         (None, None, Some(target)) => Ok(Endpoint::Udp(target.address.to_string())),
         (None, None, None) => {
-            let why =
-                "the configuration publishes nothing: give [publishing] a tcp, a subscribe or a udp address";
+            let why = "the configuration publishes nothing: set tcp, subscribe or udp in [publishing]";
             Err(Failure::new(exit::UNAVAILABLE, why).into())
         }
     }
@@ -126,7 +125,7 @@ async fn look(endpoint: &Endpoint, interface: Option<String>, config: &Config, r
     };
     report.good(match endpoint {
         Endpoint::Tcp(_) => "connected",
-        Endpoint::Udp(_) => "the port is open here",
+        Endpoint::Udp(_) => "the local port is open",
         Endpoint::Subscribe(_) => "subscribed",
     });
     let mut seen = Seen::default();
@@ -137,7 +136,7 @@ async fn look(endpoint: &Endpoint, interface: Option<String>, config: &Config, r
     }
 }
 
-/// Takes what comes, from the first frame on for as long as it takes to judge.
+/// Collects messages until enough frames for the checks have arrived.
 async fn collect(client: &mut Client, seen: &mut Seen) -> Result<(), ClientError> {
     let mut utc = Utc::system();
     let mut end = Instant::now() + ANSWER_TIMEOUT;

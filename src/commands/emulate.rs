@@ -1,4 +1,4 @@
-//! `trifacet emulate`: an acquisition board on a pseudo-terminal, with the digital twin behind it.
+//! `trifacet emulate`: an acquisition board on a pseudo-terminal, backed by the digital twin.
 
 mod command;
 mod link;
@@ -21,21 +21,21 @@ use trifacet::twin::{Emulator, Pty};
 
 use super::{ConfigArg, written};
 
-/// Most samples taken at once: much less than the board's buffer holds.
+/// Most samples taken at once: far fewer than the buffer of the board holds.
 const PORTION: u64 = 16;
 
-/// Play an acquisition board on a pseudo-terminal, with the digital twin behind it.
+/// Emulate an acquisition board on a pseudo-terminal, backed by the digital twin.
 #[derive(Debug, clap::Args)]
 #[command(after_help = command::HELP)]
 pub(crate) struct EmulateArgs {
-    /// Make PATH a symbolic link to the port, and remove it at the end
+    /// Create PATH as a symbolic link to the port, and remove it at the end
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
     #[command(flatten)]
     config: ConfigArg,
 }
 
-/// Runs the board until it is told to end.
+/// Runs the board until SIGTERM, SIGINT or a failure.
 pub(crate) fn emulate(args: &EmulateArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -54,7 +54,7 @@ struct Bench {
     pace: Pace<SystemClock>,
     port: Option<(Pty, Option<Link>)>,
     link: Option<PathBuf>,
-    /// When the cable is plugged in, while it is not.
+    /// Time at which the cable is plugged in again. `None` while it is plugged in.
     plug_in: Option<Instant>,
 }
 
@@ -67,8 +67,8 @@ impl Bench {
         loop {
             tokio::select! {
                 more = self.pace.due() => due += more?,
-                // After a pause of the machine there are many: in portions, so that the line carries
-                // some before the board's buffer is full.
+                // After a pause of the machine, many samples are due. They are taken in portions, so that
+                // the line can carry some of them before the buffer of the board is full.
                 () = yield_now(), if due > 0 => {
                     for _ in 0..due.min(PORTION) {
                         self.board.sample(self.pace.schedule().time(sampled));
@@ -84,9 +84,9 @@ impl Bench {
         }
     }
 
-    /// Makes a port, says where, and links to it.
+    /// Creates a pseudo-terminal, prints its path, and links to it.
     fn plug_in(&mut self) -> anyhow::Result<()> {
-        let pty = Pty::open().context("cannot make a pseudo-terminal")?;
+        let pty = Pty::open().context("cannot create a pseudo-terminal")?;
         let link = self.link.as_deref().map(|link| Link::new(link, pty.path())).transpose()?;
         say(&pty.path().display().to_string())?;
         self.port = Some((pty, link));
@@ -132,8 +132,8 @@ async fn any([a, b]: &mut [Signal; 2]) {
     tokio::select! { _ = a.recv() => {}, _ = b.recv() => {} }
 }
 
-/// Lines of standard input. They are read on a thread of their own, which nobody waits for at the
-/// end: it may sit in a read for ever.
+/// Lines of standard input. A separate thread reads them, and the program does not wait for it at the end,
+/// because a read may block for ever.
 fn lines_of_stdin() -> mpsc::Receiver<String> {
     let (sender, receiver) = mpsc::channel(16);
     std::thread::spawn(move || {

@@ -1,4 +1,5 @@
-//! `trifacet experiment`: the paper's experiment, on the twin or with a running daemon and a person at the stage.
+//! `trifacet experiment`: the experiment of the paper, on the twin or with a running daemon and an operator
+//! at the stage.
 
 mod choices;
 mod guided;
@@ -31,58 +32,58 @@ pub(crate) struct ExperimentArgs {
     /// Folder for report.html, table2.csv and readings.csv
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Seed of the twin, instead of that of the configuration: the same seed gives the same files
+    /// Seed of the twin, instead of that of the configuration; the same seed gives the same files
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(..=1 << 53))]
     seed: Option<u64>,
-    /// Take readings from a running daemon, point by point, with a person at the stage
+    /// Take readings from a running daemon, point by point, with an operator at the stage
     #[arg(long, value_name = "HOST:PORT", value_parser = choices::endpoint, conflicts_with_all = ["config", "seed", "paper_only"])]
     connect: Option<Endpoint>,
-    /// Go on with the readings in --out; with --connect only: the twin begins anew in a second
+    /// Continue with the readings in --out; only with --connect
     #[arg(long)]
     resume: bool,
-    /// Make the report anew from stored readings
+    /// Make the report again from stored readings
     #[arg(long, value_name = "READINGS.csv", conflicts_with_all = [
         "config", "seed", "connect", "reference", "axes", "points", "interval", "readings", "average", "rest", "paper_only",
     ])]
     from: Option<PathBuf>,
-    /// Readings of an interferometer at each point, columns axis,unit,point,reference: with --connect the reference, on
-    /// the twin where the mirror stands
+    /// Readings of an interferometer at each point, columns axis,unit,point,reference. With --connect they
+    /// are the reference; on the twin they are the positions of the mirror
     #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["points", "interval"])]
     reference: Option<PathBuf>,
-    /// Axes to move, such as tx,yaw; all by default
+    /// Axes to move, such as tx,yaw; by default all
     #[arg(long, value_name = "AXES", value_delimiter = ',', value_parser = choices::axis)]
     axes: Vec<Axis>,
-    /// Points of each axis, about the middle
+    /// Number of points of each axis, around the middle
     #[arg(long, value_name = "N", default_value_t = protocol::POINTS, value_parser = clap::value_parser!(u32).range(3..=10_000))]
     points: u32,
     /// Interval of an axis in um or urad, such as tx=0.5,roll=10; by default that of the paper
     #[arg(long, value_name = "AXIS=X", value_delimiter = ',', value_parser = choices::interval)]
     interval: Vec<(Axis, f64)>,
-    /// Readings at each point
+    /// Number of readings at each point
     #[arg(long, value_name = "N", default_value_t = protocol::READINGS, value_parser = clap::value_parser!(u32).range(2..=100_000))]
     readings: u32,
-    /// Averaged into each reading: samples on the twin, poses with --connect
+    /// Number averaged into each reading: samples on the twin, poses with --connect
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=10_000))]
     average: Option<u16>,
-    /// Seconds of the record at rest, for the Allan deviation; 0 for none
+    /// Duration of the record at rest, for the Allan deviation, in seconds; 0: no record
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = choices::seconds)]
     rest: f64,
-    /// On the twin: without the second run beyond the paper
+    /// On the twin: omit the second run, which is not in the paper
     #[arg(long)]
     paper_only: bool,
 }
 
-/// Measures, or takes what was measured, and writes the report.
+/// Takes the readings, or reads stored ones, and writes the report.
 pub(crate) fn experiment(args: &ExperimentArgs) -> anyhow::Result<()> {
     if args.resume && args.connect.is_none() {
-        let message = "--resume goes on with readings of a running daemon, and needs --connect HOST:PORT; \
-            the twin begins anew, and the same seed gives the same readings";
+        let message = "--resume continues readings of a running daemon and requires --connect HOST:PORT; \
+            on the twin, start again: the same seed gives the same readings";
         return Err(Failure::new(exit::USAGE, message).into());
     }
     let new = !args.out.exists();
     let done = claimed(&args.out).and_then(|_claim| made(args));
     if new && done.is_err() {
-        let _ = fs::remove_dir(&args.out); // only if nothing is in it
+        let _ = fs::remove_dir(&args.out); // succeeds only if the folder is empty
     }
     done
 }
@@ -104,12 +105,12 @@ fn made(args: &ExperimentArgs) -> anyhow::Result<()> {
     told(&record, &args.out)
 }
 
-/// What was asked for: readings with other options do not belong together.
+/// The options as text. Readings with different options must not be combined.
 fn options(protocol: &Protocol, average: u16) -> String {
     format!("{protocol}, {average} averaged into each reading")
 }
 
-/// The report of stored readings; where they lie, or beside a copy of them.
+/// Makes the report of stored readings: in their folder, or in another one together with a copy.
 fn from(file: &Path, out: &Path) -> anyhow::Result<()> {
     let mut record = reading::read(file)?;
     if record.source.is_empty() {
@@ -124,12 +125,12 @@ fn from(file: &Path, out: &Path) -> anyhow::Result<()> {
     told(&record, out)
 }
 
-/// The configuration of the twin, with what was asked for.
+/// The configuration of the twin with the options applied.
 fn twin(args: &ExperimentArgs) -> anyhow::Result<Config> {
     let mut config = args.config.load()?;
     if config.acquisition.source != SourceKind::Twin {
-        let message = "the configuration has another source than the twin (acquisition.source): run the daemon with \
-            it, and take its readings with --connect HOST:PORT";
+        let message = "the source of the configuration is not the twin (acquisition.source): run the daemon with \
+            this configuration, and take its readings with --connect HOST:PORT";
         return Err(Failure::new(exit::CONFIG, message).into());
     }
     config.twin.seed = args.seed.unwrap_or(config.twin.seed);
@@ -139,13 +140,13 @@ fn twin(args: &ExperimentArgs) -> anyhow::Result<Config> {
     Ok(config)
 }
 
-/// So many seconds at rest, or none, make poses enough.
+/// Checks that a record at rest of this duration has enough poses, or that none is requested.
 fn long_enough(seconds: f64, poses: f64) -> Result<(), Failure> {
     if seconds == 0.0 || poses >= LEAST as f64 {
         return Ok(());
     }
     let message =
-        format!("--rest {seconds} makes {poses:.0} poses: at least {LEAST} are needed, or --rest 0");
+        format!("--rest {seconds} gives {poses:.0} poses: at least {LEAST} are needed, or --rest 0");
     Err(Failure::new(exit::USAGE, message))
 }
 
@@ -164,7 +165,7 @@ fn on_twin(config: &Config, protocol: &Protocol, args: &ExperimentArgs) -> anyho
     Ok(readings)
 }
 
-/// Progress on standard error, if that is a terminal.
+/// A progress bar on standard error, if it is a terminal.
 fn bar(length: u64) -> ProgressBar {
     let style = ProgressStyle::with_template("{bar:40} {pos}/{len} readings {msg}");
     ProgressBar::new(length).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
@@ -172,27 +173,27 @@ fn bar(length: u64) -> ProgressBar {
 
 const READINGS: &str = "readings.csv";
 
-/// The folder, for this session alone as long as what is given back lives.
+/// Opens the folder and locks it for this session, as long as the result is kept.
 fn claimed(out: &Path) -> anyhow::Result<File> {
-    fs::create_dir_all(out).with_context(|| format!("cannot make the folder {}", out.display()))?;
-    let folder = File::open(out).with_context(|| format!("cannot look into {}", out.display()))?;
+    fs::create_dir_all(out).with_context(|| format!("cannot create the folder {}", out.display()))?;
+    let folder = File::open(out).with_context(|| format!("cannot open the folder {}", out.display()))?;
     match folder.try_lock() {
         Err(TryLockError::WouldBlock) => {
-            let message =
-                format!("another session works in {}: name another folder with --out", out.display());
+            let message = format!("another session uses {}: choose another folder with --out", out.display());
             Err(Failure::new(exit::IN_USE, message).into())
         }
-        // A file system without locks: as well as it goes.
+        // The file system does not support locks: continue without one.
         Ok(()) | Err(TryLockError::Error(_)) => Ok(folder),
     }
 }
 
-/// Before anything is measured: nothing will be overwritten.
+/// Checks before the measurement that no file will be overwritten.
 fn fresh(out: &Path) -> anyhow::Result<()> {
-    let mut inside = fs::read_dir(out).with_context(|| format!("cannot look into {}", out.display()))?;
+    let mut inside =
+        fs::read_dir(out).with_context(|| format!("cannot open the folder {}", out.display()))?;
     if inside.next().is_some() {
         let message = format!(
-            "{} has something in it, which is not overwritten: name a new folder with --out",
+            "{} is not empty, and its files are not overwritten: choose a new folder with --out",
             out.display()
         );
         return Err(Failure::new(exit::IO, message).into());
@@ -200,7 +201,7 @@ fn fresh(out: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Keeps all readings: under their name there are always whole ones.
+/// Stores all readings. The file is replaced atomically, so it is always complete.
 fn keep(record: &Record, out: &Path) -> anyhow::Result<()> {
     let (file, new) = (out.join(READINGS), out.join(".readings.new"));
     let kept = File::create(&new).and_then(|to| {
@@ -209,7 +210,7 @@ fn keep(record: &Record, out: &Path) -> anyhow::Result<()> {
         fs::rename(&new, &file)
     });
     if kept.is_err() {
-        let _ = fs::remove_file(&new); // it may not have come that far
+        let _ = fs::remove_file(&new); // the file may not exist yet
     }
     kept.with_context(|| format!("cannot write {}", file.display()))
 }

@@ -1,4 +1,4 @@
-//! `trifacet export`: a recording as a table, for those who compute with it.
+//! `trifacet export`: writes a recording as a table.
 
 mod csv;
 #[cfg(feature = "parquet")]
@@ -17,48 +17,49 @@ use trifacet::recording::{Entry, Reader, Topic};
 use super::OutputClosed;
 use super::new_file::{NewFile, cannot_write};
 
-/// Arguments of `export`.
+/// Options of `export`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ExportArgs {
     /// The recording
     file: PathBuf,
-    /// Form of the table
+    /// Format of the table
     #[arg(long, value_enum)]
     format: Format,
-    /// What makes a row
+    /// Contents of a row
     #[arg(long, value_enum, default_value_t = What::Frames)]
     what: What,
-    /// The new file, or - for standard output (csv); by default beside the recording, with the ending of its form
+    /// New file, or - for standard output (csv); by default beside the recording, with the extension of its
+    /// format
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Format {
-    /// Text, every digit
+    /// Text with all digits
     Csv,
-    /// Columns for pandas and others; in builds with the feature "parquet"
+    /// Columns, for pandas and others; only in builds with the feature "parquet"
     Parquet,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum What {
-    /// Frames as they were published
+    /// Published frames
     Frames,
-    /// Samples: raw codes, and what they mean
+    /// Samples: raw codes and calibrated values
     Samples,
 }
 
-/// One row: values by name.
+/// One row: names and values.
 type Row = Vec<(&'static str, Value)>;
 
-/// A table that is being written.
+/// A table while it is written.
 trait Table {
     fn row(&mut self, row: Row) -> std::io::Result<()>;
     fn finish(self: Box<Self>) -> std::io::Result<()>;
 }
 
-/// Writes the table, and says what of the recording is missing in it.
+/// Writes the table and reports which parts of the recording are missing in it.
 pub(crate) fn export(args: &ExportArgs) -> anyhow::Result<()> {
     let output = output(args)?;
     let topic = if args.what == What::Frames { Topic::Frame } else { Topic::Sample };
@@ -77,7 +78,7 @@ pub(crate) fn export(args: &ExportArgs) -> anyhow::Result<()> {
     told(reader.tally(), rows, &output)
 }
 
-/// Where the table goes.
+/// Path of the table.
 fn output(args: &ExportArgs) -> Result<PathBuf, Failure> {
     let (format, other) = match args.format {
         Format::Csv => ("csv", "parquet"),
@@ -88,11 +89,14 @@ fn output(args: &ExportArgs) -> Result<PathBuf, Failure> {
         return Ok(args.file.with_extension(format!("{what}{format}")));
     };
     if output.extension().is_some_and(|ending| ending == other) {
-        let why = format!("--output {}: with --format {format} it is no .{other}", output.display());
+        let why = format!("--output {}: --format {format} does not write .{other}", output.display());
         return Err(Failure::new(exit::USAGE, why));
     }
     if output == Path::new("-") && matches!(args.format, Format::Parquet) {
-        return Err(Failure::new(exit::USAGE, "--output -: standard output takes --format csv only"));
+        return Err(Failure::new(
+            exit::USAGE,
+            "--output -: only --format csv can be written to standard output",
+        ));
     }
     Ok(output)
 }
@@ -114,7 +118,7 @@ fn told(tally: &Tally, rows: u64, output: &Path) -> anyhow::Result<()> {
     eprintln!("{rows} rows in {}", output.display());
     match tally.damages.len() + tally.gaps.len() {
         0 => Ok(()),
-        n => Err(Failure::new(exit::DATA, format!("the recording has holes, in {n} places")).into()),
+        n => Err(Failure::new(exit::DATA, format!("the recording has gaps in {n} places")).into()),
     }
 }
 
@@ -126,8 +130,7 @@ fn write(reader: &mut Reader, to: impl Write + Send, format: Format, output: &Pa
         Format::Parquet => Box::new(parquet::Parquet::new(to)),
         #[cfg(not(feature = "parquet"))]
         Format::Parquet => {
-            let why =
-                "--format parquet: this build has no Parquet; build it with --features parquet, or use csv";
+            let why = "--format parquet: this build does not include Parquet: build with --features parquet, or use csv";
             return Err(Failure::new(exit::USAGE, why).into());
         }
     };
@@ -142,7 +145,7 @@ fn write(reader: &mut Reader, to: impl Write + Send, format: Format, output: &Pa
         rows += 1;
     }
     if rows == 0 {
-        return Err(Failure::new(exit::DATA, "there is nothing in the recording to export").into());
+        return Err(Failure::new(exit::DATA, "the recording contains nothing to export").into());
     }
     cannot_write(table.finish(), output)?;
     Ok(rows)

@@ -1,4 +1,4 @@
-//! `trifacet generate`: writes man pages and shell completions, for those who make packages.
+//! `trifacet generate`: writes man pages and shell completions, for packages.
 
 use std::fs;
 use std::path::PathBuf;
@@ -10,15 +10,15 @@ use clap_complete::{Shell, generate_to};
 /// Options of `generate`.
 #[derive(Debug, Args)]
 pub(crate) struct GenerateArgs {
-    /// Folder to write into: man/ and completions/ are made there
+    /// Folder in which man/ and completions/ are created
     folder: PathBuf,
 }
 
-/// Writes a page for `program` and for each of its commands, and completions for three shells.
+/// Writes a man page for `program` and each of its commands, and completions for three shells.
 pub(crate) fn generate(args: &GenerateArgs, program: clap::Command) -> anyhow::Result<()> {
     let (man, completions) = (args.folder.join("man"), args.folder.join("completions"));
     for folder in [&man, &completions] {
-        fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+        fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
     }
     let mut program = without_help(program);
     clap_mangen::generate_to(program.clone(), &man)
@@ -30,7 +30,7 @@ pub(crate) fn generate(args: &GenerateArgs, program: clap::Command) -> anyhow::R
     Ok(())
 }
 
-/// The commands `help`, which repeat all others, need no pages.
+/// Removes the `help` commands: they repeat all others and need no pages.
 fn without_help(command: clap::Command) -> clap::Command {
     command.disable_help_subcommand(true).mut_subcommands(without_help)
 }

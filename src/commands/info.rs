@@ -1,4 +1,4 @@
-//! `trifacet info`: what a recording holds, and whether it is whole.
+//! `trifacet info`: prints the contents of recordings, and whether they are complete.
 
 use std::fmt::Write as _;
 use std::io::{self, Write as _};
@@ -12,18 +12,18 @@ use trifacet::recording::{Entry, Reader, Topic};
 
 use super::written;
 
-/// Arguments of `info`.
+/// Options of `info`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct InfoArgs {
     /// Recordings
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// One JSON object for each file
+    /// Print one JSON object per file
     #[arg(long)]
     json: bool,
 }
 
-/// Says what is in each file; fails if one is not whole.
+/// Prints the contents of each file. Fails if a file is not complete.
 pub(crate) fn info(args: &InfoArgs) -> anyhow::Result<()> {
     let mut worst = None;
     let mut broken = 0;
@@ -47,7 +47,7 @@ pub(crate) fn info(args: &InfoArgs) -> anyhow::Result<()> {
     match worst {
         None => Ok(()),
         Some(code) => {
-            Err(Failure::new(code, format!("{broken} of {} files not whole", args.files.len())).into())
+            Err(Failure::new(code, format!("{broken} of {} files are not complete", args.files.len())).into())
         }
     }
 }
@@ -99,7 +99,7 @@ fn object(file: &Path, tally: &Tally, rate_hz: Option<f64>) -> String {
 fn lines(file: &Path, tally: &Tally, rate_hz: Option<f64>) -> String {
     let mut text = String::new();
     let mut say = |subject: &str, what: String| {
-        let _ = writeln!(text, "{subject:<10} {what}"); // a String takes everything
+        let _ = writeln!(text, "{subject:<10} {what}"); // writing to a String cannot fail
     };
     say("file", format!("{}, {} bytes", file.display(), tally.size));
     match tally.time_ns {
@@ -107,13 +107,13 @@ fn lines(file: &Path, tally: &Tally, rate_hz: Option<f64>) -> String {
             let [start, end] = times.map(rfc3339);
             say("time", format!("{start} to {end}, {:.3} s", tally.seconds()));
         }
-        None => say("time", "nothing is in it".into()),
+        None => say("time", "the file contains no trifacet data".into()),
     }
     if let Some(rate_hz) = rate_hz {
-        say("source", format!("{rate_hz} Hz, {} samples lost before they were recorded", tally.lost));
+        say("source", format!("{rate_hz} Hz, {} samples lost before recording", tally.lost));
     }
     for (i, id) in tally.configs.iter().enumerate() {
-        say(if i == 0 { "config" } else { "then" }, format!("{id:08x}"));
+        say(if i == 0 { "config" } else { "changed to" }, format!("{id:08x}"));
     }
     for topic in Topic::ALL.into_iter().filter(|topic| tally.of(*topic) > 0) {
         say("messages", format!("{:>9} on {}", tally.of(topic), topic.name()));
@@ -133,6 +133,6 @@ fn lines(file: &Path, tally: &Tally, rate_hz: Option<f64>) -> String {
     if let Some(cost) = tally.without_config() {
         say("damage", cost);
     }
-    say("end", tally.unfinished().unwrap_or_else(|| "closed as it should be".into()));
+    say("end", tally.unfinished().unwrap_or_else(|| "closed properly".into()));
     text
 }

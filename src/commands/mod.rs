@@ -1,4 +1,4 @@
-//! One file for each command of `trifacet`; `main.rs` only chooses.
+//! The commands of `trifacet`, one module each. `main.rs` only dispatches.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -46,16 +46,16 @@ pub(crate) use trace::{TableArgs, solve, trace};
 pub(crate) use tune::{TuneArgs, tune};
 pub(crate) use watch::{WatchArgs, watch};
 
-/// The option that all commands with a configuration have.
+/// The option of all commands that use a configuration.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ConfigArg {
-    /// Configuration file; without one everything has its default
+    /// Configuration file; by default all keys have their default values
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
 }
 
 impl ConfigArg {
-    /// The file, if one was named.
+    /// Path of the configuration file, if one was given.
     pub(crate) fn path(&self) -> Option<&Path> {
         self.config.as_deref()
     }
@@ -66,12 +66,12 @@ impl ConfigArg {
     }
 }
 
-/// Whoever read our standard output has seen enough, as `head` does. No reason to complain.
+/// Standard output was closed by its reader, as by `head`. This is not an error.
 #[derive(Debug, thiserror::Error)]
 #[error("standard output was closed")]
 pub(crate) struct OutputClosed;
 
-/// The result of writing to standard output as the result of a command.
+/// Converts the result of writing to standard output to the result of a command.
 pub(crate) fn written(result: io::Result<()>) -> anyhow::Result<()> {
     match result {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Err(OutputClosed.into()),

@@ -1,4 +1,4 @@
-//! A file that is there under its name when it is whole, and takes no other's place.
+//! A new file that appears under its name only when it is complete, and never replaces another file.
 
 use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, ErrorKind};
@@ -11,12 +11,13 @@ use rustix::fs::{AtFlags, CWD, Mode, OFlags, RenameFlags, linkat, open, renameat
 use rustix::io::Errno;
 use trifacet::exit::{self, Failure};
 
-/// A file that is being written. It has no name before it is whole: whatever ends the program, nothing is left of it.
+/// A file while it is written. It has no name until it is complete, so nothing remains if the program ends
+/// early.
 #[derive(Debug)]
 pub(crate) struct NewFile {
     path: PathBuf,
     file: File,
-    /// Its name until then, where the file system knows no files without one.
+    /// Temporary name, on file systems that do not support unnamed files.
     part: Option<Part>,
 }
 
@@ -25,12 +26,12 @@ struct Part(PathBuf);
 
 impl Drop for Part {
     fn drop(&mut self) {
-        let _ = fs::remove_file(&self.0); // unless it has its own name by now
+        let _ = fs::remove_file(&self.0); // fails if the file already has its final name
     }
 }
 
 impl NewFile {
-    /// Begins a file, for those who may read its source, if it has one.
+    /// Starts a new file. `source`: the file whose permissions it gets, if there is one.
     pub(crate) fn create(path: &Path, source: Option<&Metadata>) -> anyhow::Result<Self> {
         if path.symlink_metadata().is_ok() {
             return Err(exists(path));
@@ -40,12 +41,12 @@ impl NewFile {
         Ok(Self { path: path.to_owned(), file, part })
     }
 
-    /// Where to write.
+    /// A handle for writing.
     pub(crate) fn writer(&self) -> anyhow::Result<File> {
         self.file.try_clone().with_context(|| cannot(&self.path))
     }
 
-    /// Gives it its name, once everything is written.
+    /// Gives the complete file its name.
     pub(crate) fn keep(self) -> anyhow::Result<()> {
         self.file.sync_all().with_context(|| cannot(&self.path))?;
         let done = match &self.part {
@@ -81,14 +82,14 @@ fn unnamed(path: &Path, mode: u32) -> io::Result<(File, Option<Part>)> {
 }
 
 fn exists(path: &Path) -> anyhow::Error {
-    Failure::new(exit::IO, format!("{} exists already: name another file", path.display())).into()
+    Failure::new(exit::IO, format!("{} exists already: choose another file", path.display())).into()
 }
 
 fn cannot(path: &Path) -> String {
     format!("cannot write {}", path.display())
 }
 
-/// The result of writing there, with the place.
+/// Adds the path to an error of writing.
 pub(crate) fn cannot_write<T, E>(result: Result<T, E>, path: &Path) -> anyhow::Result<T>
 where
     Result<T, E>: Context<T, E>,

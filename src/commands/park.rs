@@ -1,4 +1,4 @@
-//! `trifacet park`: sends the stage to its parking position without a daemon, as after one that was killed.
+//! `trifacet park`: moves the stage to its parking position without a daemon, for example after a crash.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -20,7 +20,7 @@ use trifacet_wire::actuator::{LeaseAction, OutputCommand};
 
 use super::ConfigArg;
 
-/// All of it takes at most so long.
+/// Longest time for the whole command.
 const PARK_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Options of `park`.
@@ -28,27 +28,28 @@ const PARK_TIMEOUT: Duration = Duration::from_secs(5);
 pub(crate) struct ParkArgs {
     #[command(flatten)]
     config: ConfigArg,
-    /// Only if the configuration parks at the end (`steering.on_exit = "park"`); for supervisors
+    /// Park only if the configuration parks at the end (`steering.on_exit = "park"`); for supervisors
     #[arg(long)]
     as_configured: bool,
 }
 
-/// Parks, and waits for the acknowledgement. Refuses while a daemon has the stage ([`exit::IN_USE`]).
+/// Parks the stage and waits for the acknowledgement. Fails with [`exit::IN_USE`] while a daemon uses the
+/// stage.
 pub(crate) fn park(args: &ParkArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
     let steering = &config.steering;
     if args.as_configured && steering.on_exit == OnExit::Hold {
-        eprintln!("nothing is parked: steering.on_exit is \"hold\"");
+        eprintln!("the stage is not parked: steering.on_exit is \"hold\"");
         return Ok(());
     }
     if let Some(socket) = &config.control.socket
         && control::client::ask(socket, &control::Command::Status).is_ok()
     {
-        let why = format!("a daemon listens on {}: tell it with `trifacet ctl park`", socket.display());
+        let why = format!("a daemon listens on {}: use `trifacet ctl park`", socket.display());
         return Err(Failure::new(exit::IN_USE, why).into());
     }
-    // The port is held for as long as this takes, also where the stage has a controller of its own: no daemon
-    // can be there then.
+    // The port of the board is kept open until the end, even if the stage has its own controller. No daemon
+    // can start in that time.
     let counters = Arc::new(Counters::default());
     let source = match config.acquisition.source {
         SourceKind::Serial => Some(SerialSource::open(&config, SystemClock, Arc::clone(&counters))?),
@@ -63,17 +64,19 @@ pub(crate) fn park(args: &ParkArgs) -> anyhow::Result<()> {
         }
     };
     let parked = runtime.block_on(parking);
-    runtime.shutdown_background(); // a port that is still being opened is not waited for
+    runtime.shutdown_background(); // do not wait for a port that is still being opened
     match parked? {
         None => {
-            eprintln!("nothing is parked: with the twin or a recording no stage is there without the daemon");
+            eprintln!(
+                "the stage is not parked: with the twin or a recording, there is no stage without the daemon"
+            );
         }
         Some(at) => eprintln!("parked at {at:?} um"),
     }
     Ok(())
 }
 
-/// The outputs of the board.
+/// Parks with the outputs of the board.
 async fn outputs(mut source: impl Source, config: &Config) -> Result<Xy, Failure> {
     let steering = &config.steering;
     let position = steering.park_um.map(|um| um * 1e-6);
@@ -84,7 +87,7 @@ async fn outputs(mut source: impl Source, config: &Config) -> Result<Xy, Failure
             match source.next().await {
                 SourceEvent::Up(identity) => (bits, sent) = (Some(identity.output_bits), false),
                 SourceEvent::Down(down) => why = down.to_string(),
-                // The board has been started: now it takes commands.
+                // The first scan shows that the board has started and accepts commands.
                 SourceEvent::Scan(_) if !sent => {
                     let Some(bits) = bits else { continue };
                     let codes = codes(position, steering.full_scale_um * 1e-6, bits);
@@ -103,11 +106,11 @@ async fn outputs(mut source: impl Source, config: &Config) -> Result<Xy, Failure
     answered(parked.ok(), &why, steering.park_um)
 }
 
-/// A stage with a controller of its own.
+/// Parks a stage that has its own controller.
 async fn stage(config: &Config, counters: &Counters) -> Result<Xy, Failure> {
     let (_limits, limits) = watch::channel(config.steering.clone());
     let Some((mut driver, task)) = gcs::pair(config, limits) else {
-        return Err(Failure::new(exit::SOFTWARE, "a stage without a driver"));
+        return Err(Failure::new(exit::SOFTWARE, "the stage has no driver"));
     };
     let position = config.steering.park_um.map(|um| um * 1e-6);
     let command =

@@ -1,4 +1,4 @@
-//! `trifacet recover`: a whole file of all that can be read of a damaged one.
+//! `trifacet recover`: writes a new recording with the readable parts of a damaged one.
 
 use std::fs::File;
 use std::io::{BufWriter, IntoInnerError};
@@ -16,49 +16,50 @@ use trifacet_core::time::Mono;
 
 use super::new_file::{NewFile, cannot_write};
 
-/// Memory of the child that reads the damaged file, bytes.
+/// Memory limit of the child process that reads the damaged file, bytes.
 const MEMORY: u64 = 1 << 30;
 
-/// Arguments of `recover`.
+/// Options of `recover`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct RecoverArgs {
-    /// The damaged recording; it is only read
+    /// Damaged recording; it is not changed
     file: PathBuf,
-    /// The new one; by default beside it, as NAME.recovered.mcap
+    /// New recording; by default beside the damaged one, as NAME.recovered.mcap
     out: Option<PathBuf>,
-    /// Reads and writes itself, within bounds of memory
+    /// Read and write in this process, with a memory limit
     #[arg(long, hide = true)]
     child: bool,
 }
 
-/// Writes a new file of what can be read.
+/// Writes a new recording with the readable parts.
 pub(crate) fn recover(args: &RecoverArgs) -> anyhow::Result<()> {
     let out = args.out.clone().unwrap_or_else(|| args.file.with_extension("recovered.mcap"));
     if args.child {
         return child(&args.file, &out);
     }
-    // Whatever a damaged file does to who reads it, it does to a child.
+    // A child process reads the damaged file, so that a failure there cannot affect this process.
     let program = std::env::current_exe().context("cannot find this program")?;
     let status = Command::new(program).arg("recover").arg("--child").arg(&args.file).arg(&out).status();
-    let status = status.context("cannot start a child")?;
+    let status = status.context("cannot start the child process")?;
     if status.success() {
         return Ok(());
     }
     let code = status.code().and_then(|code| u8::try_from(code).ok());
-    let why = format!("nothing was recovered from {}: the child ended with {status}", args.file.display());
+    let why =
+        format!("nothing was recovered from {}: the child process ended with {status}", args.file.display());
     Err(Failure::new(code.unwrap_or(exit::SOFTWARE), why).into())
 }
 
 fn child(file: &Path, out: &Path) -> anyhow::Result<()> {
     setrlimit(Resource::As, Rlimit { current: Some(MEMORY), maximum: Some(MEMORY) })
-        .context("cannot bound the memory")?;
+        .context("cannot limit the memory")?;
     let mut reader = Reader::open(file, Reader::REPLAY)?;
     let new = NewFile::create(out, file.metadata().ok().as_ref())?;
     let saved = copy(&mut reader, new.writer()?, out)?;
     let tally = reader.tally();
     if tally.time_ns.is_none() {
         return Err(
-            Failure::new(exit::DATA, format!("{}: nothing of ours can be read", file.display())).into()
+            Failure::new(exit::DATA, format!("{}: no trifacet data can be read", file.display())).into()
         );
     }
     new.keep()?;
@@ -66,10 +67,10 @@ fn child(file: &Path, out: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Messages on each topic.
+/// Number of messages per topic.
 type Saved = [u64; Topic::ALL.len()];
 
-/// Writes what can be read, and where something cannot, that it is missing there.
+/// Copies all readable messages. Where some are not readable, a gap is recorded.
 fn copy(reader: &mut Reader, to: File, out: &Path) -> anyhow::Result<Saved> {
     let to = BufWriter::new(to);
     let mut writer = cannot_write(Writer::new(to, Some(mcap::Compression::Zstd)), out)?;
@@ -87,7 +88,8 @@ fn copy(reader: &mut Reader, to: File, out: &Path) -> anyhow::Result<Saved> {
         })?;
         cannot_write(done, out)?;
         let damages = &reader.tally().damages;
-        missing.extend(damages[told..].iter().map(|damage| format!("damaged in the file before: {damage}")));
+        missing
+            .extend(damages[told..].iter().map(|damage| format!("damaged in the original file: {damage}")));
         told = damages.len();
     }
     let end_ns = reader.tally().time_ns.map_or(0, |[_, end]| end);
@@ -97,20 +99,20 @@ fn copy(reader: &mut Reader, to: File, out: &Path) -> anyhow::Result<Saved> {
     Ok(saved)
 }
 
-/// Says at this moment what is missing before it.
+/// Records, at this time, the gaps before it.
 fn gaps(
     writer: &mut Writer<BufWriter<File>>,
     time_ns: i64,
     missing: &mut Vec<String>,
 ) -> Result<(), RecordError> {
     for why in missing.drain(..) {
-        // How much it was, nobody knows.
+        // The number of lost entries is unknown.
         Encoder::new((Mono(0), time_ns)).gap(0, &why, |gap| Ok::<_, RecordError>(writer.put(gap)?))?;
     }
     Ok(())
 }
 
-/// Says what was saved, and what was not.
+/// Prints what was saved and what was lost.
 fn told(tally: &Tally, saved: &Saved) {
     let count = |topic: Topic| saved[topic as usize];
     eprintln!(
@@ -125,13 +127,13 @@ fn told(tally: &Tally, saved: &Saved) {
     }
     match (tally.indexed, tally.torn) {
         (_, 0) => {}
-        (false, torn) => eprintln!("lost {torn} bytes at the end: no whole chunk, which is up to a second"),
-        (true, _) => eprintln!("nothing is lost at the end: only the index behind the data was damaged"),
+        (false, torn) => eprintln!("lost {torn} bytes at the end: an incomplete chunk of up to one second"),
+        (true, _) => eprintln!("nothing is lost at the end: only the index after the data was damaged"),
     }
     if tally.strange > 0 {
-        eprintln!("left out {} messages of other programs", tally.strange);
+        eprintln!("omitted {} messages of other programs", tally.strange);
     }
     if tally.finished && tally.damages.is_empty() {
-        eprintln!("nothing was damaged: the new file has what the old one has");
+        eprintln!("no damage found: the new file has the same contents");
     }
 }

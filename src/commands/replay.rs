@@ -1,4 +1,4 @@
-//! `trifacet replay`: recorded samples through the same code once more.
+//! `trifacet replay`: computes the poses of recorded samples again, with the same code as the daemon.
 
 mod ending;
 mod output;
@@ -23,24 +23,24 @@ use trifacet_core::time::{Clock, Mono, NS_PER_S};
 
 use super::written;
 
-/// Arguments of `replay`.
+/// Options of `replay`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ReplayArgs {
-    /// Recordings; the files of one that was rotated in their order
+    /// Recordings; the files of a rotated recording in their order
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// With this configuration instead of the recorded one; the differences are then statistics
+    /// Use this configuration instead of the recorded one; the differences are then reported as statistics
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// So many times as fast as it was recorded; by default as fast as possible
+    /// Speed relative to that of the recording; by default as fast as possible
     #[arg(long, value_name = "N")]
     speed: Option<f64>,
-    /// Write what comes out: .mcap as a recording, .csv as a table of frames
+    /// Write the results: .mcap for a recording, .csv for a table of frames
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
 }
 
-/// Computes all poses again, and says whether they are what was published then.
+/// Computes all poses again and reports whether they equal the published ones.
 pub(crate) fn replay(args: &ReplayArgs) -> anyhow::Result<()> {
     if let Some(speed) = args.speed.filter(|speed| !(*speed >= 0.001 && *speed <= 1e6)) {
         let why = format!("--speed {speed}: allowed is 0.001 to 1000000");
@@ -87,7 +87,7 @@ pub(crate) fn replay(args: &ReplayArgs) -> anyhow::Result<()> {
     run.end(&tallies)
 }
 
-/// A bar on standard error, if that is a terminal.
+/// A progress bar on standard error, if it is a terminal.
 struct Bar(ProgressBar);
 
 fn bar(size: u64) -> Bar {
@@ -101,7 +101,7 @@ impl Bar {
         self.0.set_position(at);
     }
 
-    /// Says what is wrong with the file above the bar.
+    /// Prints damage and gaps of the file above the bar.
     fn suspend_if(&self, read: &Read) {
         let line = match read {
             Read::Damage(damage) => format!("damage {damage}"),
@@ -112,10 +112,10 @@ impl Bar {
     }
 }
 
-/// Recorded time to present time.
+/// Maps recorded times to present times.
 struct Pace {
     speed: f64,
-    /// A recorded moment and the present one that belongs to it.
+    /// A recorded time and the present time that corresponds to it.
     start: Option<(Mono, Mono)>,
 }
 
@@ -124,7 +124,7 @@ impl Pace {
         Self { speed, start: None }
     }
 
-    /// Waits until it is the turn of a recorded moment.
+    /// Waits until a recorded time is due.
     fn wait(&mut self, entry: &Entry) {
         let (Entry::Sample { scan: trifacet_core::signals::Scan { time, .. }, .. }
         | Entry::Silence { time, .. }) = entry
@@ -134,7 +134,7 @@ impl Pace {
         let now = SystemClock.now();
         let (then, start) = *self.start.get_or_insert((*time, now));
         let due_s = time.seconds_since(then) / self.speed - now.seconds_since(start);
-        // Another boot of the machine, or another recording: its time begins anew.
+        // Another boot of the machine or another recording: its time starts again.
         if !(-1.0..=10.0).contains(&(due_s * self.speed)) {
             self.start = Some((*time, now));
         } else if due_s > 0.0 {
@@ -149,9 +149,9 @@ struct Run {
     statistics: Option<Statistics>,
     pace: Option<Pace>,
     output: Option<Output>,
-    /// Another version wrote the state.
+    /// The state was written by another version, so it cannot be used.
     cold: bool,
-    /// Another file has begun, and its first keyframe has not come.
+    /// Another file has begun, and its first keyframe has not been read yet.
     next_file: bool,
 }
 
@@ -161,12 +161,12 @@ impl Run {
             Read::Entry(entry) => self.entry(entry)?,
             Read::Gap { entries, reason } => self.hole(gap(*entries, reason)),
             Read::Damage(damage) => {
-                self.hole(gap(0, &format!("damaged in the recording of then: {damage}")));
+                self.hole(gap(0, &format!("damaged in the original recording: {damage}")));
             }
             Read::Foreign { context, source, why } => {
                 if !std::mem::replace(&mut self.cold, true) {
                     eprintln!(
-                        "trifacet: {why}: the replay begins without it, and is not the same bit by bit"
+                        "trifacet: {why}: the replay starts without it, so the results are not identical bit by bit"
                     );
                 }
                 self.engine.cold(context, source.as_ref())?;
@@ -193,17 +193,17 @@ impl Run {
         }
     }
 
-    /// Where one file follows the other, it may not be the next.
+    /// Checks that a file continues the previous one.
     fn seam(&mut self, keyframe: &Keyframe) {
         if std::mem::take(&mut self.next_file)
             && let Some(now) = self.engine.now()
             && now.last.map(|scan| scan.index) != keyframe.last.map(|scan| scan.index)
         {
-            self.hole(gap(0, "another file begins here, which does not follow the one before"));
+            self.hole(gap(0, "another file begins here that does not continue the previous one"));
         }
     }
 
-    /// Something is missing: what comes can be computed again from the next keyframe on.
+    /// Data are missing: frames can be computed again from the next keyframe on.
     fn hole(&mut self, gap: Gap) {
         self.engine.hole();
         self.verdict.hole();

@@ -1,4 +1,4 @@
-//! `trifacet run`: the daemon.
+//! `trifacet run`: runs the daemon.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ pub(crate) struct RunArgs {
     config: ConfigArg,
 }
 
-/// Runs the daemon until it is told to stop.
+/// Runs the daemon until SIGTERM, SIGINT or a failure.
 pub(crate) fn run(args: &RunArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
     let log = Arc::new(logging::start(&config.log)?);

@@ -1,7 +1,7 @@
-//! `trifacet simulate`: the twin as fast as it can, as a table for `trifacet solve`, for trying out gains, and for
-//! tests.
+//! `trifacet simulate`: runs the twin as fast as possible.
 //!
-//! The same configuration gives the same bytes. A spot that the channel map does not accept is NaN.
+//! The output is a table for `trifacet solve`, for trying out gains, and for tests. The same configuration
+//! gives the same bytes. A spot that the channel map does not accept is NaN.
 
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -23,24 +23,24 @@ use super::table::digits;
 use super::trace::POWERS;
 use super::{ConfigArg, written};
 
-/// Arguments of `simulate`.
+/// Options of `simulate`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct SimulateArgs {
     #[command(flatten)]
     config: ConfigArg,
-    /// How many samples the twin takes; lost ones are not printed, and `sample` shows the gap
+    /// Number of samples of the twin; lost samples are not printed, and `sample` shows the gap
     #[arg(long, value_name = "N", default_value_t = 1000)]
     samples: u64,
-    /// With centering and estimation behind it, as in the daemon; a command takes effect after the delay of the
-    /// twin's stage, and computing takes no time
+    /// Include centering and estimation, as in the daemon; a command takes effect after the delay of the
+    /// twin's stage, and computation takes no time
     #[arg(long)]
     closed_loop: bool,
-    /// Record it instead, as the daemon would; the time of the twin begins in 1970
+    /// Write a recording instead, as the daemon would; the time of the twin begins in 1970
     #[arg(long, value_name = "FILE", requires = "closed_loop")]
     record: Option<PathBuf>,
 }
 
-/// Prints samples of the twin and the truth behind them to standard output.
+/// Prints samples of the twin and the true values to standard output.
 pub(crate) fn simulate(args: &SimulateArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
     if let Some(file) = &args.record {
@@ -56,7 +56,7 @@ pub(crate) fn simulate(args: &SimulateArgs) -> anyhow::Result<()> {
     written(table(&mut twin, &mut map, args.samples, io::stdout().lock()))
 }
 
-/// What the twin's scans lead to, as a recording.
+/// Records the results of the twin's scans.
 fn record(config: &Config, samples: u64, file: &Path) -> anyhow::Result<()> {
     let (mut sim, mut receiver) = ClosedLoopSim::recorded(config)?;
     let new = NewFile::create(file, None)?;
@@ -114,7 +114,7 @@ fn row(scan: &TwinScan, sample: &Sample, out: &mut impl Write) -> io::Result<()>
     Ok(())
 }
 
-/// What the loop and the estimate add to a row. What is not known is NaN.
+/// Columns that loop and estimation add. Unknown values are NaN.
 const LOOP: [&str; 2] = ["stage_x_m", "stage_y_m"];
 
 fn closed_loop(mut sim: ClosedLoopSim, samples: u64, out: impl Write) -> io::Result<()> {

@@ -1,4 +1,4 @@
-//! `trifacet status`: how a running daemon is doing, at a glance.
+//! `trifacet status`: prints the state of a running daemon.
 
 mod screen;
 
@@ -18,22 +18,22 @@ use trifacet_wire::Status;
 use super::watch::{SILENCE, opening_failed, unavailable};
 use super::written;
 
-/// An answer of the control socket that takes longer is none.
+/// Longest time to wait for the control socket.
 const ASIDE: Duration = Duration::from_secs(1);
 
-/// How a running daemon is doing, at a glance
+/// Print the state of a running daemon
 #[derive(Debug, Args)]
 pub(crate) struct StatusArgs {
-    /// Where the stream comes from, as for `watch`
+    /// Source of the stream, as for `watch`
     #[arg(default_value = "tcp://127.0.0.1:7361")]
     endpoint: Endpoint,
-    /// Go on: redraw on a terminal, write a line each time anywhere else
+    /// Continue: redraw on a terminal, otherwise write a line each time
     #[arg(long)]
     follow: bool,
-    /// Seconds from one look to the next
+    /// Interval of the updates, in seconds
     #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = seconds, requires = "follow")]
     interval: f64,
-    /// The daemon's control socket, which knows more; without it the stream has to do
+    /// Control socket of the daemon, which gives more data; optional
     #[arg(long, value_name = "PATH", default_value = "/run/trifacet/control.sock")]
     socket: PathBuf,
 }
@@ -43,29 +43,30 @@ fn seconds(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|s| (0.1..=3600.0).contains(s)).ok_or_else(allowed)
 }
 
-/// What is known of the daemon.
+/// Data received from the daemon.
 #[derive(Default)]
 struct Known {
     descriptor: Option<Descriptor>,
     heartbeat: Option<Heartbeat>,
     frame: Option<PoseFrame>,
-    /// Status bits of the frames since the last look.
+    /// Status bits of the frames since the last update.
     between: Status,
-    /// Frames since the last look.
+    /// Number of frames since the last update.
     frames: u64,
-    /// Frames that are missing in the stream.
+    /// Number of frames that are missing in the stream.
     missing: u64,
-    /// The answer of the control socket, if it is that of the same daemon.
+    /// Answer of the control socket, if it belongs to the same daemon.
     control: Option<Value>,
-    /// Why there is none, though there is a socket.
+    /// Why there is no answer although the socket exists.
     unanswered: Option<String>,
 }
 
-/// Shows it once, or until the output is closed. Fails with [`trifacet::exit::UNAVAILABLE`] if nothing is there.
+/// Prints the state once, or until the output is closed. Fails with [`trifacet::exit::UNAVAILABLE`] if no
+/// daemon answers.
 pub(crate) fn status(args: &StatusArgs) -> Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let result = runtime.block_on(look(args));
-    runtime.shutdown_background(); // a control socket that does not answer is not waited for
+    runtime.shutdown_background(); // do not wait for a control socket that does not answer
     result
 }
 
@@ -105,7 +106,7 @@ async fn look(args: &StatusArgs) -> Result<()> {
 }
 
 impl Known {
-    /// Waits for a frame and, where there are any, for the counters.
+    /// Waits for a frame and, if the stream has them, for the counters.
     async fn first(&mut self, client: &mut Client) -> Result<(), String> {
         let end = Instant::now() + SILENCE;
         let whole =
@@ -134,7 +135,7 @@ impl Known {
         }
     }
 
-    /// Before the next look.
+    /// Resets the data of an update.
     fn forget(&mut self) {
         (self.frame, self.between, self.frames) = (None, Status::default(), 0);
     }
@@ -147,7 +148,7 @@ impl Known {
             Ok(Err(e)) => Err(e.to_string()),
             Err(_) => Err(format!("{} does not answer", socket.display())),
         };
-        // Without a socket the daemon is elsewhere, or has none: no news.
+        // Without a socket, the daemon is on another machine or has none: this is not reported.
         self.unanswered = answer.as_ref().err().filter(|_| socket.exists()).cloned();
         let answer = answer.ok();
         let session = self.frame.map(|frame| format!("{:08x}", frame.session));
@@ -155,24 +156,24 @@ impl Known {
     }
 }
 
-/// How it is shown.
+/// Form of the output.
 #[derive(Clone, Copy, PartialEq)]
 enum Form {
-    /// A page, once.
+    /// One page.
     Page,
-    /// A page over the last one.
+    /// A page that replaces the previous one.
     Redrawn,
-    /// A line each time.
+    /// One line per update.
     Lines,
 }
 
-/// Where it is shown.
+/// State of the output.
 struct Screen {
-    /// Where it comes from.
+    /// Endpoint of the stream.
     source: String,
     form: Form,
     colour: bool,
-    /// Lines written so far; those of the last page.
+    /// Number of lines of the last page, or of all lines.
     drawn: usize,
 }
 
@@ -201,22 +202,22 @@ impl Screen {
         written(out.write_all(text.as_bytes()).and_then(|()| out.flush()))
     }
 
-    /// The page; over the last one, where it is redrawn.
+    /// The page. A redrawn page replaces the previous one.
     fn page(&mut self, known: &Known) -> String {
         let lines = screen::page(&self.source, known);
         if self.form == Form::Page {
             return lines.iter().map(|line| self.painted(line, line.len()) + "\n").collect();
         }
         let width = tcgetwinsize(io::stdout()).map_or(0, |size| usize::from(size.ws_col));
-        let width = if width < 20 { 80 } else { width }; // a terminal that does not know says 0
+        let width = if width < 20 { 80 } else { width }; // a terminal of unknown width reports 0
         let up = if self.drawn > 0 { format!("\x1b[{}A", self.drawn) } else { String::new() };
         self.drawn = lines.len();
-        // Each line is cut to the terminal, or the next page would not begin where this one did.
+        // Lines are cut to the width of the terminal, because wrapped lines would shift the next page.
         let page: String = lines.iter().map(|line| self.painted(line, width - 1) + "\x1b[K\n").collect();
         format!("{up}{page}\x1b[J")
     }
 
-    /// A line of so many characters at most, in the colour of what it says.
+    /// A line of at most `width` characters, in the colour of its meaning.
     fn painted(&self, line: &str, width: usize) -> String {
         let cut: String = line.chars().take(width).collect();
         match screen::mood(line) {

@@ -1,5 +1,6 @@
-//! Tables of numbers as CSV: columns by name and in any order, one row after the other, and a bad row
-//! does not stop the rest.
+//! Tables of numbers as CSV.
+//!
+//! Columns are identified by name, in any order. A bad row does not stop the conversion.
 
 use std::fmt::Display;
 use std::fs::File;
@@ -15,29 +16,31 @@ use super::written;
 /// A column of the input.
 pub(crate) struct Column {
     pub(crate) name: &'static str,
-    /// What an input without this column means; without a default it is an error.
+    /// Value if the input lacks this column. `None`: the column is required.
     pub(crate) default: Option<f64>,
 }
 
 /// A row of the output.
 pub(crate) struct Row {
     pub(crate) cells: Vec<String>,
-    /// What was wrong with it, if anything.
+    /// The error of the row, if there is one.
     pub(crate) problem: Option<String>,
 }
 
-/// The numbers of a row in the order of the columns, or what is wrong with it.
+/// The numbers of a row in the order of the columns, or the error of the row.
 pub(crate) type Numbers = Result<Vec<f64>, String>;
 
-/// Seventeen significant digits: enough to give the same number back.
+/// Formats a number with seventeen significant digits, which reproduce it exactly.
 pub(crate) fn digits(number: f64) -> String {
     format!("{number:.16e}")
 }
 
-/// Reads rows of `columns` from a file (none, or `-`, is standard input), has each worked on, and writes
-/// the results to standard output. `work` gets the numbers of a row, or what is wrong with it.
+/// Reads rows of `columns` from a file (`None` or `-`: standard input), processes each with `work`, and
+/// writes the results to standard output. `work` gets the numbers of a row, or its error.
 ///
-/// Bad rows are told on standard error with their line; afterwards they make a [`exit::DATA`] failure.
+/// # Errors
+/// Fails if input or output fails. Bad rows are reported on standard error with their line, and cause an
+/// [`exit::DATA`] failure at the end.
 pub(crate) fn convert(
     input: Option<&Path>,
     columns: &[Column],
@@ -54,32 +57,32 @@ pub(crate) fn convert(
         rows += 1;
         if let Some(problem) = row.problem {
             bad += 1;
-            // Standard error may be closed; the exit code tells it still.
+            // Standard error may be closed. The exit code still reports the error.
             let _ = writeln!(io::stderr(), "trifacet: {}:{line}: {problem}", table.name);
         }
     }
     written(output.flush())?;
     if bad > 0 {
-        let message = format!("{}: {bad} of {rows} rows could not be worked on", table.name);
+        let message = format!("{}: {bad} of {rows} rows could not be processed", table.name);
         return Err(Failure::new(exit::DATA, message).into());
     }
     Ok(())
 }
 
 fn wrote(result: csv::Result<()>) -> anyhow::Result<()> {
-    // The kind is what matters, and csv's own conversion loses it.
+    // Keep the kind of the error: csv's own conversion loses it.
     written(result.map_err(|error| match error.into_kind() {
         csv::ErrorKind::Io(error) => error,
         other => io::Error::other(format!("{other:?}")),
     }))
 }
 
-/// An input whose header is read.
+/// An input after its header was read.
 struct Table<'c> {
     name: String,
     reader: csv::Reader<Box<dyn Read>>,
     columns: &'c [Column],
-    /// Where in a row each column is.
+    /// Index of each column in a row.
     places: Vec<Option<usize>>,
     width: usize,
     record: ByteRecord,
@@ -95,8 +98,8 @@ impl<'c> Table<'c> {
             }
             None => ("standard input".into(), Box::new(io::stdin().lock())),
         };
-        // A line feed ends a record, and the last one gets one too: only so does the reader know lines
-        // well enough to name them. Carriage returns are trimmed like blanks.
+        // The reader counts a line at its line feed. One is appended, so that the line numbers are right
+        // for the last record too. Carriage returns are trimmed like blanks.
         let reader = csv::ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)
@@ -122,10 +125,10 @@ impl<'c> Table<'c> {
             let mut found = names.iter().enumerate().filter(|(_, n)| **n == name.as_bytes()).map(|(i, _)| i);
             let place = found.next();
             if found.next().is_some() {
-                return Err(self.unfit(line, format!("the column {name} is there twice")));
+                return Err(self.unfit(line, format!("the column {name} occurs twice")));
             }
             if place.is_none() && default.is_none() {
-                return Err(self.unfit(line, format!("the column {name} is missing; needed are {needed}")));
+                return Err(self.unfit(line, format!("the column {name} is missing; required are {needed}")));
             }
             places.push(place);
         }
@@ -138,7 +141,7 @@ impl<'c> Table<'c> {
         Failure::new(exit::DATA, format!("{}:{line}: {what}", self.name)).into()
     }
 
-    /// The line of the next row and its numbers, or what is wrong with them.
+    /// The line number of the next row, and its numbers or its error.
     fn next(&mut self) -> anyhow::Result<Option<(u64, Numbers)>> {
         let Some(line) = self.next_record()? else { return Ok(None) };
         Ok(Some((line, self.numbers())))
@@ -159,7 +162,7 @@ impl<'c> Table<'c> {
         self.columns.iter().zip(&self.places).map(number).collect()
     }
 
-    /// Reads the next record that is no blank line; returns its line.
+    /// Reads the next record that is not blank, and returns its line number.
     fn next_record(&mut self) -> anyhow::Result<Option<u64>> {
         while self
             .reader

@@ -1,4 +1,4 @@
-//! `trifacet trace` and `trifacet solve`: the sensor model on tables, there and back.
+//! `trifacet trace` and `trifacet solve`: apply the sensor model to tables, forward and inverse.
 
 use std::path::PathBuf;
 
@@ -9,15 +9,15 @@ use trifacet_wire::layout::{POSE, SPOTS};
 use super::ConfigArg;
 use super::table::{Column, Row, convert, digits};
 
-/// Arguments of `trace` and `solve`.
+/// Options of `trace` and `solve`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct TableArgs {
     #[command(flatten)]
     config: ConfigArg,
-    /// Model of the beam, instead of the configured one
+    /// Model of the beam, instead of that of the configuration
     #[arg(long)]
     model: Option<config::Model>,
-    /// CSV file with a header, columns by name; `-` or nothing is standard input
+    /// CSV file with a header, columns by name; by default, or with `-`, standard input
     #[arg(value_name = "IN.csv")]
     input: Option<PathBuf>,
 }
@@ -29,14 +29,14 @@ fn needed(names: &[&'static str]) -> impl Iterator<Item = Column> {
     names.iter().map(|name| Column { name, default: None })
 }
 
-/// The head and the model that the arguments ask for.
+/// The optics and the model for these options.
 fn optics(args: &TableArgs) -> anyhow::Result<(Optics, Model)> {
     let config = args.config.load()?;
     let model = args.model.unwrap_or(config.estimation.model).into();
     Ok((Optics::new(&config.head.build()?), model))
 }
 
-/// Poses to signals.
+/// Computes signals from poses.
 pub(crate) fn trace(args: &TableArgs) -> anyhow::Result<()> {
     let (optics, model) = optics(args)?;
     let columns: Vec<_> =
@@ -56,7 +56,7 @@ pub(crate) fn trace(args: &TableArgs) -> anyhow::Result<()> {
     })
 }
 
-/// Signals to poses.
+/// Computes poses from signals.
 pub(crate) fn solve(args: &TableArgs) -> anyhow::Result<()> {
     let (optics, model) = optics(args)?;
     let estimator = Estimator::new(optics, model);
@@ -69,7 +69,7 @@ pub(crate) fn solve(args: &TableArgs) -> anyhow::Result<()> {
         let solution = numbers.map_err(|reason| (reason, 0)).and_then(|n| {
             let power = |i: usize| n.get(6 + i).copied().unwrap_or(f64::NAN);
             let spots = [n[0], n[1], n[2], n[3], n[4], n[5]];
-            // Each row by itself: its result does not depend on its neighbours.
+            // Rows are independent: a result does not depend on the neighbouring rows.
             let signals = Signals { spots, powers: [power(0), power(1), power(2)] };
             estimator.solve(&signals, None).map_err(|e| (e.to_string(), e.iterations()))
         });

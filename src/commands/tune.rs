@@ -1,4 +1,4 @@
-//! `trifacet tune`: measures the loop on the live system, and writes what it found into the configuration.
+//! `trifacet tune`: identifies the loop on the live system and writes the results into the configuration.
 
 mod plot;
 mod report;
@@ -34,7 +34,7 @@ use trifacet_core::telemetry::Counters;
 
 use super::{ConfigArg, written};
 
-/// Samples that may wait for the tuner.
+/// Number of samples that may wait for the identification.
 const QUEUE: usize = 1024;
 
 /// Options of `tune`.
@@ -42,30 +42,31 @@ const QUEUE: usize = 1024;
 pub(crate) struct TuneArgs {
     #[command(flatten)]
     config: ConfigArg,
-    /// Length of a step; by default 20 um, or less where beam or stage ask for it
+    /// Length of a step; by default 20 um, or less if the beam or the stage requires it
     #[arg(long, value_name = "UM", value_parser = positive)]
     step: Option<f64>,
-    /// Steps of each axis, forth and back in turn
+    /// Number of steps of each axis, back and forth
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(10..=10_000))]
     steps: u32,
-    /// How long the stage stays after each step; by default ten times the configured delay and lag, 50 ms at least
+    /// Time that the stage rests after each step; by default ten times the configured delay and lag, at
+    /// least 50 ms
     #[arg(long, value_name = "MS", value_parser = positive)]
     dwell: Option<f64>,
-    /// Where a stage without readback stands; it is sent there first
+    /// Position of a stage without readback; the stage is sent there first
     #[arg(long, value_name = "X_UM,Y_UM", value_parser = position, allow_hyphen_values = true)]
     at: Option<Xy>,
-    /// Draw the response to the steps
+    /// Draw the response to the steps into a file
     #[arg(long, value_name = "FILE.svg")]
     plot: Option<PathBuf>,
-    /// Print what was found and leave the file as it is
+    /// Print the results and do not change the file
     #[arg(long)]
     print: bool,
-    /// Only say what would be done
+    /// Only print what would be done
     #[arg(long)]
     dry_run: bool,
 }
 
-/// Measures, says what follows, and writes it into the file of `--config` if it can be trusted.
+/// Measures, reports the results, and writes them into the file of `--config` if they are reliable.
 pub(crate) fn tune(args: &TuneArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
     let file = args.config.path().filter(|_| !args.print);
@@ -74,7 +75,7 @@ pub(crate) fn tune(args: &TuneArgs) -> anyhow::Result<()> {
     let findings = Findings::new(&recording, 1.0 / config.acquisition.rate_hz)?;
     let report = Report { config: &config, plan: &recording.plan, findings: &findings };
     eprint!("{report}");
-    // What was found is not lost with the plot.
+    // The results are stored even if the plot fails.
     let drawn = args.plot.as_deref().map_or(Ok(()), |file| draw(file, &findings, &recording));
     let kept = keep(file, &findings, &report);
     if let (Err(error), Err(_)) = (&drawn, &kept) {
@@ -83,7 +84,7 @@ pub(crate) fn tune(args: &TuneArgs) -> anyhow::Result<()> {
     kept.and(drawn)
 }
 
-/// Before anything moves: there is room for what will be written.
+/// Checks, before anything moves, that the results can be written.
 fn can_be_written(file: Option<&Path>, plot: Option<&Path>) -> anyhow::Result<()> {
     if let Some(file) = file {
         edit::check(file).with_context(|| format!("cannot write into {}", file.display()))?;
@@ -104,13 +105,13 @@ fn draw(file: &Path, findings: &Findings, recording: &Recording) -> anyhow::Resu
     Ok(())
 }
 
-/// Prints the keys and writes them, if they can be trusted.
+/// Prints the keys and writes them, if the results are reliable.
 fn keep(file: Option<&Path>, findings: &Findings, report: &Report) -> anyhow::Result<()> {
     if !findings.doubts.is_empty() {
         let why = findings.doubts.join("\n");
         return Err(Failure::new(
             exit::DATA,
-            format!("nothing is written, this is not to be trusted:\n{why}"),
+            format!("nothing is written, because the results are not reliable:\n{why}"),
         )
         .into());
     }
@@ -135,7 +136,7 @@ fn measure(config: &Config, args: &TuneArgs) -> anyhow::Result<Option<Recording>
             LocalSet::new().block_on(&runtime, with(|| Ok(source), config, args, counters))
         }
         SourceKind::Replay => {
-            let why = "acquisition.source = \"replay\": a recording cannot be measured anew";
+            let why = "acquisition.source = \"replay\": a recording cannot be measured again";
             Err(Failure::new(exit::CONFIG, why).into())
         }
         SourceKind::Twin => {
@@ -147,7 +148,7 @@ fn measure(config: &Config, args: &TuneArgs) -> anyhow::Result<Option<Recording>
     }
 }
 
-/// The wiring of the daemon's fast side, with the tuner where the loop stands there.
+/// Connects the tasks of the daemon's fast thread, with the identification in place of the loop.
 async fn with<S: Source + 'static>(
     source: impl FnOnce() -> io::Result<S>,
     config: &Config,
@@ -182,7 +183,7 @@ async fn with<S: Source + 'static>(
     let settings = Settings::new(config, looker.beam_sigma(), choices);
     let edges = task::IdentificationLinks { samples, stop: interrupted()? };
     let mut show = Show::new(args.dry_run);
-    // Nobody changes the limits meanwhile: the sender may go.
+    // The limits do not change in the meantime, so the sender can be dropped.
     let gcs = gcs::pair(config, watch::channel(config.steering.clone()).1).map(|(driver, stage)| {
         tokio::task::spawn_local(async move { stage.run(&counters).await });
         driver
@@ -192,7 +193,7 @@ async fn with<S: Source + 'static>(
     let result = task::run(settings, looker, driver, SystemClock, edges, &mut show).await;
     show.end();
     stop_acquisition.cancel();
-    acquisition.await.context("task acquisition failed at the end")?;
+    acquisition.await.context("the task acquisition failed at the end")?;
     Ok(result?)
 }
 

@@ -17,34 +17,35 @@ use trifacet_wire::stream::request::MAX_DIVIDER;
 
 use super::written;
 
-/// Over UDP nothing says that a daemon is there; after this long without a frame, say so.
+/// Time without a frame over UDP after which a message is printed: a missing daemon is not detected
+/// otherwise.
 pub(super) const SILENCE: Duration = Duration::from_secs(3);
-/// Text shows at most a frame in this time.
+/// Interval of the text output.
 const READABLE: Duration = Duration::from_millis(200);
 
-/// Prints the frames of a running daemon
+/// Print the frames of a running daemon
 #[derive(Debug, Args)]
 pub(crate) struct WatchArgs {
-    /// The daemon's TCP server (tcp://HOST:PORT), the local address or multicast group to which it sends datagrams
-    /// (udp://HOST:PORT), or where it takes subscriptions to them (subscribe://HOST:PORT)
+    /// TCP server of the daemon (tcp://HOST:PORT), local address or multicast group to which it sends
+    /// datagrams (udp://HOST:PORT), or its server for subscriptions (subscribe://HOST:PORT)
     #[arg(default_value = "tcp://127.0.0.1:7361")]
     endpoint: Endpoint,
-    /// Ask for one frame in so many (not for udp://)
+    /// Request every Nth frame (not for udp://)
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_DIVIDER)))]
     divider: u32,
-    /// Ask for the last valid pose, marked POSE_HELD, where there is none (not for udp://)
+    /// Request the last valid pose, marked POSE_HELD, if there is no valid one (not for udp://)
     #[arg(long)]
     held: bool,
-    /// Hear a multicast group through this interface
+    /// Receive a multicast group through this interface
     #[arg(long)]
     interface: Option<String>,
-    /// Connect again, and again, when the stream ends
+    /// Connect again whenever the stream ends
     #[arg(long)]
     reconnect: bool,
-    /// How to print frames
+    /// Format of the frames
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
-    /// End after this many printed frames
+    /// End after this number of printed frames
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
     count: Option<u64>,
 }
@@ -63,15 +64,15 @@ impl WatchArgs {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Format {
-    /// A line in um and urad at most five times a second, for people
+    /// One line in um and urad, at most five times a second
     Text,
-    /// Every frame as a JSON object on a line of its own, SI units, null where not known
+    /// One JSON object per frame, SI units; null for unknown values
     Json,
-    /// Every frame as a line of CSV, SI units, empty where not known
+    /// One CSV line per frame, SI units; empty for unknown values
     Csv,
 }
 
-/// Prints frames until `--count` is reached, the output is closed or the daemon is gone
+/// Prints frames until `--count` is reached, the output is closed or the daemon ends
 /// ([`exit::UNAVAILABLE`]).
 pub(crate) fn watch(args: &WatchArgs) -> Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -127,40 +128,40 @@ pub(super) fn opening_failed(endpoint: &Endpoint, error: &ClientError) -> anyhow
             unavailable(format!("nothing listens at {endpoint}: is the daemon running (`trifacet run`)?"))
         }
         (Endpoint::Subscribe(_), io::ErrorKind::ConnectionRefused) => unavailable(format!(
-            "nothing takes subscriptions at {endpoint}: is the daemon running, with [publishing] subscribe?"
+            "no server for subscriptions at {endpoint}: is the daemon running, with [publishing] subscribe?"
         )),
         (Endpoint::Udp(_), io::ErrorKind::AddrInUse) => {
-            Failure::new(exit::IN_USE, format!("{error}: another process receives there already")).into()
+            Failure::new(exit::IN_USE, format!("{error}: another process already uses this address")).into()
         }
         _ => unavailable(error.to_string()),
     }
 }
 
-/// A line on standard error, which may be closed.
+/// Prints a line to standard error, which may be closed.
 fn note(line: &str) {
     let _ = writeln!(io::stderr(), "trifacet: {line}");
 }
 
-/// Why nothing may come.
+/// Possible reasons why no frame arrives.
 fn silence(endpoint: &Endpoint, losses: Losses) -> String {
     let waited = SILENCE.as_secs();
     match (endpoint, losses.skipped_bytes) {
         (_, n @ 1..) => {
-            format!("{endpoint}: no frame for {waited} s, but {n} bytes that are none of this stream")
+            format!("{endpoint}: no frame for {waited} s, but {n} bytes that do not belong to this stream")
         }
         (Endpoint::Tcp(_), _) => {
             format!(
-                "{endpoint}: connected, but no sign of life for {waited} s; is it trifacet that listens there?"
+                "{endpoint}: connected, but nothing received for {waited} s; check that it is a trifacet daemon"
             )
         }
         (Endpoint::Subscribe(_), _) => {
             format!(
-                "{endpoint}: subscribed, but no frame for {waited} s; `trifacet doctor {endpoint}` looks why"
+                "{endpoint}: subscribed, but no frame for {waited} s; `trifacet doctor {endpoint}` finds the cause"
             )
         }
         (Endpoint::Udp(_), _) => format!(
-            "{endpoint}: no frame for {waited} s; does a daemon run, is this address among its [publishing] udp \
-             targets, and does no firewall stand between? `trifacet doctor {endpoint}` looks"
+            "{endpoint}: no frame for {waited} s; check that a daemon runs, that this address is among its [publishing] udp \
+             targets, and that no firewall is in between; `trifacet doctor {endpoint}` finds the cause"
         ),
     }
 }
@@ -171,7 +172,7 @@ struct Printer {
     left: Option<u64>,
     started: bool,
     shown: Option<Instant>,
-    /// Status bits of the frames that were not shown.
+    /// Status bits of the frames that were not printed.
     between: Status,
 }
 
@@ -222,7 +223,7 @@ impl Printer {
     }
 }
 
-/// Says what the columns are, and that most frames are not shown.
+/// The header of the text output. It states that most frames are not shown.
 fn text_header() -> String {
     let names = ["tx um", "ty um", "tz um", "roll urad", "pitch urad", "yaw urad"];
     let names: Vec<String> = names.iter().map(|n| format!("{n:>10}")).collect();
@@ -250,7 +251,7 @@ fn text_line(frame: &PoseFrame, between: Status) -> String {
     )
 }
 
-/// Says on standard error what went missing, when more of it did; at most once a second.
+/// Reports losses on standard error when they have increased, at most once a second.
 #[derive(Default)]
 struct LossNotes {
     own: Losses,

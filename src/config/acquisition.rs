@@ -1,4 +1,4 @@
-//! `[acquisition]`: where samples come from.
+//! `[acquisition]`: the source of the samples.
 
 use std::path::PathBuf;
 
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::check::Checker;
 
-/// Which source.
+/// Kind of source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SourceKind {
@@ -18,27 +18,28 @@ pub enum SourceKind {
     Replay,
 }
 
-/// `[acquisition]`.
+/// Settings of `[acquisition]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct AcquisitionConfig {
-    /// Where samples come from.
+    /// Source of the samples.
     pub source: SourceKind,
-    /// Samples per second.
+    /// Sample rate, Hz.
     pub rate_hz: f64,
-    /// The serial board.
+    /// Settings of the serial board.
     pub serial: SerialConfig,
 }
 
-/// `[acquisition.serial]`.
+/// Settings of `[acquisition.serial]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SerialConfig {
     /// Device path of the port.
     pub port: PathBuf,
-    /// Bits per second on the wire. Ten bits carry a byte.
+    /// Line rate, bits per second. A byte takes ten bits.
     pub baud: u32,
-    /// Fixed time from the end of a scan to its arrival, subtracted from the arrival times.
+    /// Constant delay from the end of a scan to its arrival, microseconds. It is subtracted from arrival
+    /// times.
     pub latency_us: f64,
 }
 

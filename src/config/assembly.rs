@@ -1,5 +1,6 @@
-//! From the configuration to the parameters of channel map, centering and estimation: the one place where units of
-//! the file become SI units.
+//! Builds the parameters of channel map, centering and estimation from the configuration.
+//!
+//! This is the only place where the units of the file are converted to SI units.
 
 use std::path::{Path, PathBuf};
 
@@ -18,23 +19,23 @@ use super::correction::{CorrectionFileError, parse_correction};
 use super::{CenteringConfig, Config, FramesConfig, SteeringConfig, TableError, Tables};
 use crate::exit::{self, Failure};
 
-/// Why a configuration gives no parameters.
+/// Why the parameters cannot be built from a configuration.
 #[derive(Debug, thiserror::Error)]
 pub enum AssemblyError {
-    /// The geometry is not that of a head.
+    /// The geometry does not describe a sensor head.
     #[error(transparent)]
     Head(#[from] HeadError),
     /// A correction table cannot be read.
     #[error(transparent)]
     Unreadable(#[from] TableError),
-    /// A file is no correction table.
+    /// A file is not a valid correction table.
     #[error("correction table of PSD {psd}, {}: {source}", path.display())]
     Correction {
-        /// A, B or C.
+        /// Name of the PSD: A, B or C.
         psd: char,
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The error in the file.
         source: CorrectionFileError,
     },
 }
@@ -46,18 +47,18 @@ impl From<AssemblyError> for Failure {
 }
 
 impl Config {
-    /// The channels with their correction tables, read from their files. Blocks.
+    /// The channels with their correction tables. Blocks: reads the files of the tables.
     ///
     /// # Errors
-    /// A table cannot be read, or is none.
+    /// Fails if a correction table cannot be read or is not valid.
     pub fn read_channels(&self) -> Result<Channels, AssemblyError> {
         self.channels(&Tables::read(self)?)
     }
 
-    /// The channels with their correction tables.
+    /// The channels with correction tables that were read before.
     ///
     /// # Errors
-    /// A table is no correction table.
+    /// Fails if a correction table is not valid.
     pub fn channels(&self, tables: &Tables) -> Result<Channels, AssemblyError> {
         let [a, b, c] = [0, 1, 2].map(|psd| self.psd_channels(psd, tables));
         Ok(Channels {
@@ -90,12 +91,12 @@ impl Config {
     /// The optics of the head.
     ///
     /// # Errors
-    /// The geometry is not that of a head.
+    /// Fails if the geometry does not describe a sensor head.
     pub fn optics(&self) -> Result<Optics, HeadError> {
         Ok(Optics::new(&self.head.build()?))
     }
 
-    /// The parameters of the loop.
+    /// The parameters of the centering loop, in SI units.
     pub fn loop_params(&self) -> LoopParams {
         let Self { steering, centering, .. } = self;
         let rate_hz = self.acquisition.rate_hz;
@@ -124,37 +125,37 @@ impl Config {
         }
     }
 
-    /// The loop, at rest.
+    /// The centering loop in its initial state.
     ///
     /// # Errors
-    /// The geometry is not that of a head.
+    /// Fails if the geometry does not describe a sensor head.
     pub fn centering_loop(&self) -> Result<Centering, HeadError> {
         Ok(Centering::new(self.loop_params(), self.optics()?))
     }
 
-    /// Mapping and estimation with these parameters, without a source.
+    /// Mapping and estimation with these parameters, without a source of samples.
     ///
     /// # Errors
-    /// The geometry is not that of a head, or a table is no correction table.
+    /// Fails if the geometry does not describe a sensor head, or if a correction table is not valid.
     pub fn measurement(&self, tables: &Tables, id: u32) -> Result<Measurement, AssemblyError> {
         let channels = self.channels(tables)?;
         let settings = self.estimation_settings(channels.calibrated(), id)?;
         Ok(Measurement { mapping: Mapping::new(channels), estimation: Estimation::new(settings) })
     }
 
-    /// The whole pipeline, at rest and without a source.
+    /// The whole pipeline in its initial state, without a source of samples.
     ///
     /// # Errors
-    /// The geometry is not that of a head, or a table is no correction table.
+    /// Fails if the geometry does not describe a sensor head, or if a correction table is not valid.
     pub fn pipeline(&self, tables: &Tables, id: u32) -> Result<Pipeline, AssemblyError> {
         Ok(Pipeline::new(self.measurement(tables, id)?, self.centering_loop()?))
     }
 
-    /// The parameters of estimation. `calibrated` says whether every PSD has a correction table; `id` is the
+    /// The parameters of estimation, in SI units. `calibrated`: every PSD has a correction table. `id`: the
     /// fingerprint of the configuration, see [`Config::id`].
     ///
     /// # Errors
-    /// The geometry is not that of a head.
+    /// Fails if the geometry does not describe a sensor head.
     pub fn estimation_settings(&self, calibrated: bool, id: u32) -> Result<Settings, HeadError> {
         let estimation = &self.estimation;
         let mut fixed = Status::default();
@@ -176,7 +177,7 @@ impl Config {
 }
 
 impl SteeringConfig {
-    /// From the stage to the beam.
+    /// The map from stage position to beam position, metres.
     pub fn beam_map(&self) -> BeamMap {
         BeamMap::new(self.matrix, self.origin_um.map(|um| um * 1e-6))
     }
@@ -195,7 +196,9 @@ impl CenteringConfig {
 }
 
 impl FramesConfig {
-    /// From the sensor's world to the user's frame. Without any frame, the poses stay as they are, bit by bit.
+    /// The transformation from the sensor's world frame to the user's frame.
+    ///
+    /// With the default configuration, poses pass unchanged, bit by bit.
     pub fn build(&self) -> Frames {
         if *self == Self::default() {
             return Frames::default();

@@ -1,4 +1,4 @@
-//! The correction tables that the configuration names, as they were read.
+//! The configuration together with the contents of its correction tables.
 
 use std::fs;
 use std::path::PathBuf;
@@ -7,12 +7,13 @@ use trifacet_optics::FACETS;
 
 use super::Config;
 
-/// The contents of the correction tables of A, B and C. Read once, so that fingerprint, channel map and
-/// recording mean the same ones.
+/// Contents of the correction tables of PSDs A, B and C.
+///
+/// They are read once, so that fingerprint, channel map and recording use the same contents.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Tables(pub [Option<Vec<u8>>; 3]);
 
-/// A table that cannot be read.
+/// A correction table that cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[error("correction table of PSD {psd}, {}: {source}", path.display())]
 pub struct TableError {
@@ -22,10 +23,10 @@ pub struct TableError {
 }
 
 impl Tables {
-    /// Reads those of a configuration. Blocks.
+    /// Reads the tables that a configuration names. Blocks.
     ///
     /// # Errors
-    /// Names the first that cannot be read.
+    /// Fails with the first table that cannot be read.
     pub fn read(config: &Config) -> Result<Self, TableError> {
         let mut tables = Self::default();
         for ((table, psd), channels) in tables.0.iter_mut().zip(FACETS).zip(config.channels.psds()) {
@@ -38,7 +39,7 @@ impl Tables {
     }
 }
 
-/// All that decides what samples and poses mean.
+/// All inputs that determine the meaning of samples and poses.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CalibrationContext {
     /// The configuration.
@@ -48,10 +49,10 @@ pub struct CalibrationContext {
 }
 
 impl CalibrationContext {
-    /// A configuration with its tables. Blocks.
+    /// Reads the tables of a configuration. Blocks.
     ///
     /// # Errors
-    /// A table cannot be read.
+    /// Fails if a correction table cannot be read.
     pub fn read(config: Config) -> Result<Self, TableError> {
         Ok(Self { tables: Tables::read(&config)?, config })
     }

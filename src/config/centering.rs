@@ -1,41 +1,43 @@
-//! `[centering]`: the loop that keeps the beam on the apex.
+//! `[centering]`: the control loop that keeps the beam on the apex.
 
 use serde::{Deserialize, Serialize};
 use trifacet_core::centering::{LoopMode, Target};
 
 use super::check::{Checker, above_zero};
 
-/// `[centering]`.
+/// Settings of `[centering]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CenteringConfig {
-    /// What the loop does.
+    /// Mode of the loop at the start.
     pub mode: LoopMode,
-    /// What the loop brings to zero.
+    /// Quantity that the loop controls to its setpoint.
     pub target: Target,
-    /// To which offset of the beam the loop goes, x and y across the beam.
+    /// Desired offset of the beam from the apex, x and y perpendicular to the beam, micrometres.
     pub setpoint_um: [f64; 2],
-    /// From a sample to the effect of its command, everything included; sets the gains.
+    /// Total delay from a sample to the effect of its command, milliseconds. It determines the default
+    /// gains.
     pub loop_delay_ms: f64,
-    /// First-order lag of the stage; sets the proportional gain.
+    /// First-order lag of the stage, milliseconds. It determines the default proportional gain.
     pub lag_ms: f64,
-    /// Proportional gain, if not from the delay.
+    /// Proportional gain. `None`: derived from the lag and the integral gain.
     pub kp: Option<f64>,
-    /// Integral gain, if not from the delay.
+    /// Integral gain, per second. `None`: derived from the delay.
     pub ki_per_s: Option<f64>,
-    /// The stage moves with the apex, by its tracked velocity, and does not wait for an error.
+    /// Whether the stage follows the apex with its tracked velocity.
     pub feed_forward: bool,
-    /// Bandwidth of the tracking filter, if not from the delay.
+    /// Bandwidth of the tracking filter, Hz. `None`: derived from the delay.
     pub tracking_hz: Option<f64>,
-    /// Without light, or with too little of it, the loop looks for the apex.
+    /// Whether the loop searches for the apex if there is too little light.
     pub search: bool,
-    /// After so many searches in vain it holds, and waits for a person or for light.
+    /// Number of failed searches after which the loop holds, until light returns or the operator starts a
+    /// search.
     pub search_attempts: u32,
-    /// Locked while offset and its rms stay within this.
+    /// The loop is locked while the error and its rms stay within this limit, micrometres, ...
     pub lock_limit_um: f64,
-    /// ... for this long.
+    /// ... for this time, milliseconds.
     pub lock_time_ms: f64,
-    /// Held becomes lost after this long.
+    /// Time without light after which the state `held` becomes `lost`, milliseconds.
     pub lost_time_ms: f64,
 }
 
@@ -70,22 +72,27 @@ impl Default for CenteringConfig {
 }
 
 impl CenteringConfig {
-    /// The delay that the gains are made for, seconds.
+    /// The loop delay that the gains are derived from, seconds.
     ///
-    /// A sampled loop has a delay of two periods at least, whatever `loop_delay_ms` says: one until
-    /// the next sample, half of one because the command stands still in between, and some to compute.
+    /// A sampled loop has a delay of at least two periods, even if `loop_delay_ms` is less: one period
+    /// until the next sample, half a period because the command is held in between, and the time for
+    /// computation.
     pub fn loop_delay_s(&self, rate_hz: f64) -> f64 {
         (self.loop_delay_ms * 1e-3).max(2.0 / rate_hz)
     }
 
-    /// The gains by the SIMC rule, `Ki = 1/(2 delay)` and `Kp = lag Ki`, unless the file sets them.
+    /// The gains: those of the file, or by the SIMC rule `Ki = 1/(2 delay)` and `Kp = lag Ki`.
+    ///
+    /// Source: Skogestad 2003, "Simple analytic rules for model reduction and PID controller tuning", J.
+    /// Process Control 13.
     pub fn gains(&self, rate_hz: f64) -> Gains {
         let ki_per_s = self.ki_per_s.unwrap_or(0.5 / self.loop_delay_s(rate_hz));
         Gains { kp: self.kp.unwrap_or(self.lag_ms * 1e-3 * ki_per_s), ki_per_s }
     }
 
-    /// Bandwidth of the tracking filter: unless the file sets it, that of the loop, `1/(2 pi delay)`. What is
-    /// faster the stage could not follow anyway.
+    /// Bandwidth of the tracking filter, Hz: that of the file, or that of the loop, `1/(2 pi delay)`.
+    ///
+    /// The stage could not follow faster movements.
     pub fn tracking_hz(&self, rate_hz: f64) -> f64 {
         self.tracking_hz.unwrap_or(1.0 / (std::f64::consts::TAU * self.loop_delay_s(rate_hz)))
     }
@@ -113,7 +120,7 @@ mod tests {
         let config = CenteringConfig::default();
         let gains = config.gains(1000.0);
         assert!((gains.ki_per_s - 200.0).abs() < 1e-9 && (gains.kp - 0.1).abs() < 1e-12);
-        // At 10 Hz the sampling is the delay, and the loop must be slower.
+        // At 10 Hz, two sample periods determine the delay, so the gain must be lower.
         assert!((config.gains(10.0).ki_per_s - 2.5).abs() < 1e-12);
         let given = CenteringConfig { kp: Some(0.3), ki_per_s: Some(7.0), ..config };
         assert_eq!(given.gains(10.0), Gains { kp: 0.3, ki_per_s: 7.0 });

@@ -1,4 +1,4 @@
-//! `[channels]`: from codes to spots and powers.
+//! `[channels]`: conversion of the converter's codes to spots and powers.
 
 use std::path::PathBuf;
 
@@ -7,39 +7,39 @@ use trifacet_core::channels::Amplifier;
 
 use super::check::{Checker, above_zero};
 
-/// `[channels]`.
+/// Settings of `[channels]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ChannelsConfig {
-    /// Below this sum signal (dark offset subtracted) a PSD has no position.
+    /// A PSD gives no position if its sum signal, less the dark reading, is below this, volts.
     pub sum_threshold_v: f64,
-    /// Fraction of the converter's range beyond which a code counts as clipped.
+    /// Fraction of the converter's range above which a code counts as clipped.
     pub clip_limit: f64,
-    /// Power per volt of the sum signal.
+    /// Power per volt of the sum signal, mW/V.
     pub power_mw_per_v: f64,
-    /// Position of the stage per volt of its readback signal.
+    /// Position of the stage per volt of its readback signal, um/V.
     pub readback_um_per_v: f64,
-    /// PSD A.
+    /// Settings of PSD A.
     pub a: PsdChannelsConfig,
-    /// PSD B.
+    /// Settings of PSD B.
     pub b: PsdChannelsConfig,
-    /// PSD C.
+    /// Settings of PSD C.
     pub c: PsdChannelsConfig,
 }
 
-/// `[channels.a]`, `[channels.b]`, `[channels.c]`.
+/// Settings of `[channels.a]`, `[channels.b]` or `[channels.c]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PsdChannelsConfig {
-    /// What the amplifier puts out.
+    /// Kind of amplifier, which determines what u and v mean.
     pub amplifier: Amplifier,
-    /// Volts at the edge of the PSD, for a normalised amplifier.
+    /// Voltage at the edge of the PSD, for a normalised amplifier.
     pub full_scale_v: f64,
-    /// Gain of u, v and power on top of the nominal one; negative turns an axis around.
+    /// Gains of u, v and power relative to the nominal ones. A negative gain reverses the axis.
     pub gain: [f64; 3],
-    /// Readings of the u, v and sum channel with the laser off; `trifacet dark` measures them.
+    /// Readings of the u, v and sum channels with the laser off, volts. `trifacet dark` measures them.
     pub dark_v: [f64; 3],
-    /// Correction table of the PSD's non-linearity, a CSV file relative to this one.
+    /// Correction table for the non-linearity of the PSD: a CSV file, relative to the configuration file.
     pub correction: Option<PathBuf>,
 }
 
@@ -70,7 +70,7 @@ impl Default for PsdChannelsConfig {
 }
 
 impl ChannelsConfig {
-    /// The channels of the three PSDs in order.
+    /// The channels of PSDs A, B and C, in this order.
     pub fn psds(&self) -> [&PsdChannelsConfig; 3] {
         [&self.a, &self.b, &self.c]
     }
@@ -97,7 +97,7 @@ impl PsdChannelsConfig {
         for (i, gain) in self.gain.iter().enumerate() {
             let useful = if i == 2 { *gain >= 0.01 } else { gain.abs() >= 0.01 };
             let allowed = if i == 2 { "0.01 to 100 (a power)" } else { "0.01 to 100 or -100 to -0.01" };
-            let in_range = (-100.0..=100.0).contains(gain); // else it is said already
+            let in_range = (-100.0..=100.0).contains(gain); // otherwise the range check reports it
             at.demand(useful || !in_range, &format!("gain[{i}]"), format!("{gain:?}"), allowed);
         }
         at.numbers("dark_v", &self.dark_v, -100.0..=100.0);

@@ -1,26 +1,28 @@
-//! Values against what is allowed. Every check goes through a [`Checker`], which knows the dotted path
-//! of the section it stands in and collects all problems, not just the first.
+//! Checks values against their allowed ranges.
+//!
+//! Every check goes through a [`Checker`]. It has the dotted path of its section, and it collects all
+//! problems.
 
 use std::collections::BTreeMap;
 use std::fmt::{Debug, Display};
 use std::ops::{Bound, RangeBounds};
 
-/// A value that is not allowed: not yet located in the file.
+/// A value that is not allowed, not yet located in the file.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Finding {
-    /// Dotted path of the key; the first one is the culprit, the others are those it clashes with.
+    /// Dotted paths of keys: first the wrong key, then the keys that it conflicts with.
     pub keys: Vec<String>,
-    /// The value, as the program sees it.
+    /// The value after parsing.
     pub found: String,
-    /// What is allowed instead.
+    /// The values that are allowed instead.
     pub allowed: String,
 }
 
-/// What the checks found, and what they allow.
+/// Results of all checks.
 #[derive(Default)]
 pub(super) struct Report {
     pub findings: Vec<Finding>,
-    /// What is allowed, by dotted path with `[]` for any index.
+    /// Allowed values by dotted path, with `[]` for any index.
     pub rules: BTreeMap<String, String>,
 }
 
@@ -31,17 +33,17 @@ pub(super) struct Checker<'a> {
 }
 
 impl<'a> Checker<'a> {
-    /// The checker of the whole file.
+    /// The checker for the whole file.
     pub(super) fn root(report: &'a mut Report) -> Self {
         Self { path: String::new(), report }
     }
 
-    /// The checker of a section of this one: `head`, or `motion[1]`.
+    /// A checker for a subsection, such as `head` or `motion[1]`.
     pub(super) fn section(&mut self, name: &str) -> Checker<'_> {
         Checker { path: self.join(name), report: self.report }
     }
 
-    /// A number must be finite and within a range.
+    /// Checks that a number is finite and within a range.
     pub(super) fn number<T>(&mut self, key: &str, value: T, allowed: impl RangeBounds<f64>)
     where
         T: Into<f64> + Debug,
@@ -49,7 +51,7 @@ impl<'a> Checker<'a> {
         self.optional(key, Some(value), allowed);
     }
 
-    /// As [`Checker::number`], for a key that may be absent.
+    /// Like [`Checker::number`], for a key that may be absent.
     pub(super) fn optional<T>(&mut self, key: &str, value: Option<T>, allowed: impl RangeBounds<f64>)
     where
         T: Into<f64> + Debug,
@@ -57,7 +59,7 @@ impl<'a> Checker<'a> {
         let rule = range_text(&allowed);
         if let Some(value) = value {
             let found = format!("{value:?}");
-            // NaN is in no range, and infinities are beyond every bound.
+            // NaN is outside every range. An infinity is outside every bounded range.
             if !allowed.contains(&value.into()) {
                 self.wrong(key, found, &rule);
             }
@@ -65,7 +67,7 @@ impl<'a> Checker<'a> {
         self.rule(key, rule);
     }
 
-    /// Every number of an array must be finite and within a range.
+    /// Checks that every number of an array is finite and within a range.
     pub(super) fn numbers(&mut self, key: &str, values: &[f64], allowed: impl RangeBounds<f64> + Clone) {
         self.rule(key, format!("{}, each", range_text(&allowed)));
         for (i, value) in values.iter().enumerate() {
@@ -73,7 +75,7 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// As [`Checker::numbers`], for a key that may be absent.
+    /// Like [`Checker::numbers`], for a key that may be absent.
     pub(super) fn optional_numbers<R>(&mut self, key: &str, values: Option<&[f64]>, allowed: R)
     where
         R: RangeBounds<f64> + Clone,
@@ -81,7 +83,7 @@ impl<'a> Checker<'a> {
         self.numbers(key, values.unwrap_or_default(), allowed);
     }
 
-    /// A vector that only gives a direction.
+    /// Checks a vector of which only the direction is used.
     pub(super) fn direction(&mut self, key: &str, value: Option<[f64; 3]>) {
         let rule = "three finite numbers, not all zero; only their direction counts";
         self.rule(key, rule);
@@ -93,15 +95,15 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// Something that is no range: demanded to be `fine`.
+    /// Checks a condition that is not a range: reports `found` and `allowed` unless `fine`.
     pub(super) fn demand(&mut self, fine: bool, key: &str, found: impl Display, allowed: impl Display) {
         if !fine {
             self.wrong(key, found, allowed);
         }
     }
 
-    /// As [`Checker::demand`], for a clash: if `key` is not in the file, the first of `others` that is
-    /// there is shown instead.
+    /// Like [`Checker::demand`], for a conflict between keys: if `key` is not in the file, the message
+    /// points to the first of `others` that is.
     pub(super) fn agree(
         &mut self,
         fine: bool,
@@ -117,7 +119,7 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// Whether no check has failed so far: what rests on several values need not be said twice.
+    /// Whether no check has failed so far. Follow-up checks on several values can then be skipped.
     pub(super) fn clean(&self) -> bool {
         self.report.findings.is_empty()
     }
@@ -139,12 +141,12 @@ impl<'a> Checker<'a> {
     }
 }
 
-/// More than nothing, up to and including `most`.
+/// The range above zero, up to and including `most`.
 pub(super) fn above_zero(most: f64) -> (Bound<f64>, Bound<f64>) {
     (Bound::Excluded(0.0), Bound::Included(most))
 }
 
-/// `twin.motion[1].amount_um` becomes `twin.motion[].amount_um`.
+/// Removes indices: `twin.motion[1].amount_um` becomes `twin.motion[].amount_um`.
 pub(super) fn without_index(path: &str) -> String {
     let mut out = String::new();
     let mut inside = false;

@@ -1,4 +1,4 @@
-//! `[control]`: the socket through which a running daemon is told what to do.
+//! `[control]`: the socket that accepts commands for a running daemon.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -8,14 +8,14 @@ use serde::{Deserialize, Deserializer, Serialize, de};
 use super::check::Checker;
 use super::text::or_off;
 
-/// `[control]`.
+/// Settings of `[control]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ControlConfig {
-    /// Path of the Unix socket; none (`"off"` in the file) for no socket.
+    /// Path of the Unix socket. `None` (`"off"` in the file) disables it.
     #[serde(deserialize_with = "path_or_off", serialize_with = "or_off")]
     pub socket: Option<PathBuf>,
-    /// Permissions of the socket: whoever may write to it may steer.
+    /// Permissions of the socket. Every user with write permission may steer.
     #[serde(deserialize_with = "permissions")]
     pub mode: u32,
 }
@@ -26,7 +26,7 @@ impl Default for ControlConfig {
     }
 }
 
-/// What the kernel takes as the name of a Unix socket, without the zero at its end.
+/// Longest path of a Unix socket that the kernel accepts, without the terminating zero.
 const LONGEST: usize = 107;
 
 impl ControlConfig {
@@ -48,7 +48,7 @@ fn path_or_off<'de, D: Deserializer<'de>>(from: D) -> Result<Option<PathBuf>, D:
     Ok((text != "off").then(|| Path::new(&text).to_owned()))
 }
 
-/// `"0660"`, or TOML's own `0o660`.
+/// Parses `"0660"`, or TOML's own `0o660`.
 fn permissions<'de, D: Deserializer<'de>>(from: D) -> Result<u32, D::Error> {
     struct Permissions;
     impl de::Visitor<'_> for Permissions {

@@ -1,19 +1,19 @@
-//! The file of a correction table: CSV with the columns `u_m, v_m, du_m, dv_m`, see [`Correction`].
+//! Reads the file of a correction table: CSV with the columns `u_m, v_m, du_m, dv_m`, see [`Correction`].
 
 use trifacet_core::channels::correction::{Correction, CorrectionError, CorrectionPoint};
 
-/// Why a file is no correction table.
+/// Why a file is not a valid correction table.
 #[derive(Debug, thiserror::Error)]
 pub enum CorrectionFileError {
-    /// A row is not four numbers.
+    /// A row does not consist of four numbers.
     #[error("{0}")]
     Csv(#[from] csv::Error),
-    /// The points make no table.
+    /// The points do not form a grid.
     #[error(transparent)]
     Table(#[from] CorrectionError),
 }
 
-/// A row of the file; the names are its columns.
+/// A row of the file. The field names are the column names.
 #[derive(serde::Deserialize)]
 #[expect(clippy::struct_field_names, reason = "the columns carry their unit")]
 struct Row {
@@ -23,10 +23,10 @@ struct Row {
     dv_m: f64,
 }
 
-/// Reads the text of a correction table for a PSD whose half edge length is `half_size` metres.
+/// Parses a correction table for a PSD whose half edge length is `half_size` metres.
 ///
 /// # Errors
-/// A row is not four numbers, or the points make no table.
+/// Fails if a row does not consist of four numbers, or if the points do not form a valid table.
 pub fn parse_correction(text: &[u8], half_size: f64) -> Result<Correction, CorrectionFileError> {
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(text);
     let point = |Row { u_m: u, v_m: v, du_m: du, dv_m: dv }| CorrectionPoint { u, v, du, dv };

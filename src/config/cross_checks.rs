@@ -1,4 +1,4 @@
-//! Checks across sections: values that are fine alone and not together.
+//! Checks across sections: each value is within its own range, but they may conflict.
 
 use trifacet_core::centering::stability::is_stable;
 use trifacet_optics::{Optics, Pose, Vec2};
@@ -8,10 +8,10 @@ use trifacet_wire::channel::SIGNALS;
 use super::check::Checker;
 use super::{CenteringConfig, Config, Model, RecordingMode, SourceKind, SteeringKind};
 
-/// Gains are refused if the loop would ring ever louder with so many times as much.
+/// Gain margin: gains are refused if the loop would be unstable with gains that are larger by this factor.
 const MARGIN: f64 = 1.2;
 
-/// All of them. Run once every value is in its own range.
+/// Runs all cross-checks. Called once every value is within its own range.
 pub(super) fn check(config: &Config, at: &mut Checker<'_>) {
     light_at_rest(config, at);
     match config.acquisition.source {
@@ -24,12 +24,12 @@ pub(super) fn check(config: &Config, at: &mut Checker<'_>) {
     gains(config, at);
 }
 
-/// The head can be built, and with the mirror at rest the light falls on all three PSDs.
+/// The head can be built, and with the mirror in its nominal pose the light reaches all three PSDs.
 fn light_at_rest(config: &Config, at: &mut Checker<'_>) {
     let head = match config.head.build() {
         Ok(head) => head,
         Err(error) => {
-            at.demand(false, "head", error, "facets that face the light and go counter-clockwise, A, B, C");
+            at.demand(false, "head", error, "facets that face the light, counter-clockwise A, B, C");
             return;
         }
     };
@@ -40,7 +40,7 @@ fn light_at_rest(config: &Config, at: &mut Checker<'_>) {
     }
 }
 
-/// The twin's signals fit into its converter, and its channels into a period.
+/// The twin's signals are within the range of its converter, and its channels fit into a sample period.
 fn twin_signals(config: &Config, at: &mut Checker<'_>) {
     let twin = &config.twin;
     let most = twin.converter_range_v * config.channels.clip_limit;
@@ -58,14 +58,16 @@ fn twin_signals(config: &Config, at: &mut Checker<'_>) {
         "twin.laser_mw",
         &["channels.power_mw_per_v", "channels.clip_limit", "twin.converter_range_v", "twin.dark_v"],
         twin.laser_mw,
-        format_args!("a power of which a third reads below {most} V; now it reads {brightest:.3} V"),
+        format_args!(
+            "a power whose third reads below {most} V on the sum channel; it reads {brightest:.3} V"
+        ),
     );
     at.agree(
         twin.steering.readback_noise_um.is_none() || config.steering.kind == SteeringKind::Outputs,
         "twin.steering.readback_noise_um",
         &["steering.kind"],
         format!("{:?}", twin.steering.readback_noise_um.unwrap_or_default()),
-        "\"off\" with another stage than its own: the twin does not see where that stands",
+        "\"off\" with another stage: the twin does not measure the position of an external stage",
     );
     if twin.steering.readback_noise_um.is_some() {
         let reach = config.steering.limit_um.min(twin.steering.limit_um) / config.channels.readback_um_per_v;
@@ -75,7 +77,7 @@ fn twin_signals(config: &Config, at: &mut Checker<'_>) {
             &["steering.limit_um", "twin.steering.limit_um", "channels.clip_limit", "twin.converter_range_v"],
             format!("{:?}", config.channels.readback_um_per_v),
             format_args!(
-                "so much that the readback stays below {most} V at the steering limit; now it is {reach:.3} V"
+                "a value with which the readback at the steering limit is below {most} V; it is {reach:.3} V"
             ),
         );
     }
@@ -86,12 +88,12 @@ fn twin_signals(config: &Config, at: &mut Checker<'_>) {
         "twin.channel_skew_us",
         &["acquisition.rate_hz"],
         twin.channel_skew_us,
-        format_args!("{} channels within a period of {period_us} us", twin.channel_count()),
+        format_args!("a skew that fits {} channels into a period of {period_us} us", twin.channel_count()),
     );
 }
 
-/// The link carries more than the board sends. How many channels it has only the board can say, and
-/// the daemon asks it; nine it must have.
+/// The link has the bandwidth for the data of the board. The number of channels is known only to the board,
+/// and the daemon queries it later. Nine is the minimum.
 fn serial_speed(config: &Config, at: &mut Checker<'_>) {
     let acquisition = &config.acquisition;
     let needed = required_baud(SIGNALS.len(), acquisition.rate_hz);
@@ -100,11 +102,11 @@ fn serial_speed(config: &Config, at: &mut Checker<'_>) {
         "acquisition.serial.baud",
         &["acquisition.rate_hz"],
         acquisition.serial.baud,
-        format_args!("{needed} or more: nine channels at {} Hz need it", acquisition.rate_hz),
+        format_args!("{needed} or more, for nine channels at {} Hz", acquisition.rate_hz),
     );
 }
 
-/// There is a recording, nothing real is steered, and nothing is recorded.
+/// A replay has a recording, steers no real stage, and records nothing.
 fn replay(config: &Config, at: &mut Checker<'_>) {
     let source = "acquisition.source";
     let file = &config.replay.file;
@@ -115,7 +117,7 @@ fn replay(config: &Config, at: &mut Checker<'_>) {
         "\"\"",
         "a recording, with acquisition.source = \"replay\"",
     );
-    // To open a pipe would wait for whoever fills it.
+    // Do not open the file here: opening a pipe would block until it has a writer.
     let wrong = match file.metadata() {
         Ok(about) if about.is_file() => None,
         Ok(_) => Some("not a regular file".to_owned()),
@@ -130,18 +132,18 @@ fn replay(config: &Config, at: &mut Checker<'_>) {
         "steering.kind",
         &[source],
         "\"gcs\"",
-        "\"outputs\" with acquisition.source = \"replay\", where no command goes anywhere",
+        "\"outputs\" with acquisition.source = \"replay\": a replay sends no commands to a stage",
     );
     at.agree(
         config.recording.mode == RecordingMode::Off,
         "recording.mode",
         &[source],
         format!("{:?}", config.recording.mode.name()),
-        "\"off\" with acquisition.source = \"replay\": it is recorded already",
+        "\"off\" with acquisition.source = \"replay\": the samples are already recorded",
     );
 }
 
-/// The loop does not ring.
+/// The loop is stable, with a margin.
 fn gains(config: &Config, at: &mut Checker<'_>) {
     let (centering, rate_hz) = (&config.centering, config.acquisition.rate_hz);
     let (gains, delay_s) = (centering.gains(rate_hz), centering.loop_delay_s(rate_hz));
@@ -152,7 +154,7 @@ fn gains(config: &Config, at: &mut Checker<'_>) {
         &["centering.kp", "centering.loop_delay_ms"],
         format!("{} with kp = {}", gains.ki_per_s, gains.kp),
         format_args!(
-            "less: with a loop delay of {} ms the loop would ring ever louder; ki_per_s = {} with kp = {} is calm",
+            "lower gains: the loop is not stable with a loop delay of {} ms; stable: ki_per_s = {} with kp = {}",
             delay_s * 1e3,
             safe.ki_per_s,
             safe.kp
@@ -171,8 +173,8 @@ fn edge_margin(config: &Config, at: &mut Checker<'_>) {
     );
 }
 
-/// The steering position can only count as a signal where the model knows the beam's offset, and where it
-/// is read back. Of a board only the board can say that, and the daemon warns.
+/// `fuse_steering` needs a model that includes the beam's offset, and a readback. Whether a board has a
+/// readback is known only once it is connected; the daemon then warns.
 fn fusion(config: &Config, at: &mut Checker<'_>) {
     let fuse = config.estimation.fuse_steering;
     at.agree(
@@ -180,7 +182,7 @@ fn fusion(config: &Config, at: &mut Checker<'_>) {
         "estimation.fuse_steering",
         &["estimation.model"],
         fuse,
-        "false with estimation.model = \"ray\", which knows no beam offset; or the model \"gaussian\"",
+        "false with estimation.model = \"ray\", which has no beam offset; or the model \"gaussian\"",
     );
     let readback = config.twin.steering.readback_noise_um.is_some();
     at.agree(
@@ -188,6 +190,6 @@ fn fusion(config: &Config, at: &mut Checker<'_>) {
         "estimation.fuse_steering",
         &["twin.steering.readback_noise_um"],
         fuse,
-        "false with twin.steering.readback_noise_um = \"off\", which leaves no position to fuse; or a number there",
+        "false with twin.steering.readback_noise_um = \"off\", without a position to fuse",
     );
 }

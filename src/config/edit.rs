@@ -1,4 +1,4 @@
-//! Writes a few keys into a configuration file and leaves the rest as it is, comments included.
+//! Writes single keys into a configuration file and preserves the rest, including comments.
 
 use std::fs;
 use std::io::{self, Write as _};
@@ -8,21 +8,21 @@ use anyhow::Context as _;
 pub use toml_edit::Value;
 use toml_edit::{DocumentMut, Item, Table, TableLike};
 
-/// A value for a key of a section, such as `dark_v` of `["channels", "a"]`.
+/// A new value for a key, such as `dark_v` in the section `["channels", "a"]`.
 #[derive(Clone, Debug)]
 pub struct Edit {
-    /// The section, step by step.
+    /// Path of the section.
     pub section: &'static [&'static str],
-    /// The key in it.
+    /// Name of the key.
     pub key: &'static str,
-    /// What it shall be: a number, or numbers collected into a list.
+    /// The new value: a number or a list of numbers.
     pub value: Value,
 }
 
-/// The text of a configuration with these values in it.
+/// Returns the text of a configuration with the new values.
 ///
 /// # Errors
-/// The text is no TOML, or a section is something else there.
+/// Fails if the text is not TOML, or if the path of a section leads to something else.
 pub fn edited(text: &str, edits: &[Edit]) -> anyhow::Result<String> {
     let mut document: DocumentMut = text.parse()?;
     for Edit { section, key, value } in edits {
@@ -36,28 +36,29 @@ pub fn edited(text: &str, edits: &[Edit]) -> anyhow::Result<String> {
     Ok(document.to_string())
 }
 
-/// The table at the end of a path, which is made where it is not there.
+/// The table at the end of a path. Missing tables are created.
 fn subsection<'a>(mut table: &'a mut dyn TableLike, path: &[&str]) -> anyhow::Result<&'a mut dyn TableLike> {
     for (depth, name) in (1..).zip(path) {
         let item = table.entry(name).or_insert_with(implicit_table);
-        let name = || format!("{} is no section", path[..depth].join("."));
+        let name = || format!("{} is not a section", path[..depth].join("."));
         table = item.as_table_like_mut().with_context(name)?;
     }
     Ok(table)
 }
 
-/// A table that shows only if it has keys of its own.
+/// A table that is written only if it has keys of its own.
 fn implicit_table() -> Item {
     let mut table = Table::new();
     table.set_implicit(true);
     Item::Table(table)
 }
 
-/// Puts values into a file, which is replaced in one step: a crash leaves the old one or the new one.
+/// Writes new values into a file. The file is replaced atomically: a crash leaves the old or the new
+/// content.
 ///
 /// # Errors
-/// The file cannot be read or written, or would not be a good configuration afterwards; then it stays
-/// as it is.
+/// Fails if the file cannot be read or written, or if the result would not be a valid configuration. The
+/// file is then unchanged.
 pub fn write(file: &Path, edits: &[Edit]) -> anyhow::Result<()> {
     let text = edited(&fs::read_to_string(file)?, edits)?;
     super::parse(&text, Some(file))?;
@@ -69,17 +70,17 @@ pub fn write(file: &Path, edits: &[Edit]) -> anyhow::Result<()> {
     Ok(fs::rename(&new, &target)?)
 }
 
-/// Whether [`write`] could put a new file in the place of this one. Leaves everything as it is.
+/// Checks whether [`write`] could replace this file. Changes nothing.
 ///
 /// # Errors
-/// The file is not there, or there can be no new one beside it.
+/// Fails if the file does not exist, or if no new file can be created beside it.
 pub fn check(file: &Path) -> io::Result<()> {
     let (_, new) = places(file)?;
     fs::File::create(&new)?;
     fs::remove_file(new)
 }
 
-/// The file itself, for a link stays a link, and the new one beside it.
+/// Path of the file with links resolved, so that a link stays a link, and path of the new file beside it.
 fn places(file: &Path) -> io::Result<(PathBuf, PathBuf)> {
     let target = fs::canonicalize(file)?;
     let new = target.with_added_extension("new");
@@ -136,6 +137,6 @@ mod tests {
     fn what_is_no_section_is_said() {
         let edits = [edit(&["frames", "tare"], "translation_mm", [0.0; 3])];
         let error = edited("frames = 3\n", &edits).unwrap_err().to_string();
-        assert!(error.contains("frames is no section"), "{error}");
+        assert!(error.contains("frames is not a section"), "{error}");
     }
 }

@@ -1,35 +1,35 @@
-//! What is wrong with a configuration, said so that it can be mended.
+//! Errors of a configuration, with the place and what is allowed.
 
 use std::fmt;
 use std::path::PathBuf;
 
 use super::locate::Place;
 
-/// Why there is no configuration.
+/// Why a configuration could not be loaded.
 #[derive(Debug)]
 pub enum ConfigError {
     /// The file cannot be read.
     Unreadable {
-        /// Which file.
+        /// Path of the file.
         file: PathBuf,
-        /// What the system says.
+        /// Error of the operating system.
         reason: std::io::Error,
     },
-    /// The file was read and is wrong.
+    /// The file was read and is not valid.
     Wrong {
-        /// Which file; none if there was none (then the defaults are wrong: a defect).
+        /// Path of the file. `None` if the defaults themselves are wrong, which is a defect of the program.
         file: Option<PathBuf>,
-        /// Everything that is wrong with it; never empty.
+        /// All problems. Never empty.
         problems: Vec<Problem>,
     },
 }
 
-/// One thing that is wrong.
+/// One problem of a configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Problem {
-    /// Where in the file; none if the file does not say anything about it.
+    /// Place in the file. `None` if the file does not contain the key.
     pub place: Option<Place>,
-    /// The key with its full path, what was found, and what is allowed.
+    /// Full path of the key, the value found, and what is allowed.
     pub message: String,
 }
 

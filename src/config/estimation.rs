@@ -1,11 +1,11 @@
-//! `[estimation]`: from samples to poses.
+//! `[estimation]`: computation of poses from samples.
 
 use serde::{Deserialize, Serialize};
 use trifacet_optics as optics;
 
 use super::check::{Checker, above_zero};
 
-/// Which model of the beam.
+/// Model of the beam.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Model {
@@ -24,23 +24,23 @@ impl From<Model> for optics::Model {
     }
 }
 
-/// `[estimation]`.
+/// Settings of `[estimation]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EstimationConfig {
-    /// Which model of the beam.
+    /// Model of the beam.
     pub model: Model,
-    /// Samples per pose: means over blocks that do not overlap.
+    /// Number of samples per pose. Poses are computed from means over blocks that do not overlap.
     pub average: u16,
-    /// One standard deviation of each spot coordinate.
+    /// Standard uncertainty of each spot coordinate, micrometres.
     pub spot_noise_um: f64,
-    /// One standard deviation of each power, relative to it.
+    /// Relative standard uncertainty of each power.
     pub power_noise: f64,
-    /// The steering position by its readback counts as two more signals.
+    /// Whether the readback of the steering position is used as two more signals.
     pub fuse_steering: bool,
-    /// Width of the margin on a PSD in which a spot is flagged.
+    /// A spot within this distance of the edge of its PSD is flagged, millimetres.
     pub edge_margin_mm: f64,
-    /// Largest difference of a power from a third of the sum, relative to the sum, before UNBALANCED.
+    /// UNBALANCED is set if a power differs from a third of the sum by more than this fraction of the sum.
     pub balance_limit: f64,
 }
 
@@ -61,7 +61,7 @@ impl Default for EstimationConfig {
 impl EstimationConfig {
     pub(super) fn check(&self, mut at: Checker<'_>) {
         at.number("average", self.average, 1.0..=60_000.0);
-        // Noise of nothing would mean deviations of nothing, and nobody has that.
+        // Zero noise would give zero uncertainty, which no sensor has.
         at.number("spot_noise_um", self.spot_noise_um, 0.0001..=1000.0);
         at.number("power_noise", self.power_noise, 0.000_000_1..=1.0);
         at.number("edge_margin_mm", self.edge_margin_mm, 0.0..=100.0);

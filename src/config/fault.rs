@@ -1,10 +1,10 @@
-//! `[[twin.fault]]`: what goes wrong in the twin, and when.
+//! `[[twin.fault]]`: simulated faults of the twin and their times.
 
 use serde::{Deserialize, Serialize};
 
 use super::check::Checker;
 
-/// What can go wrong.
+/// Kind of a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum FaultKind {
@@ -12,59 +12,59 @@ pub enum FaultKind {
     BeamBlocked,
     /// One PSD (0 to 2 for A to C) sees no light.
     PsdDark {
-        /// Which one.
+        /// Index of the PSD.
         psd: u8,
     },
-    /// One channel (0 to 8) stands at its rail.
+    /// One channel (0 to 8) reads the limit of its range.
     Clipped {
-        /// Which one.
+        /// Index of the channel.
         channel: u8,
     },
-    /// This fraction of the scans never leaves the board.
+    /// A fraction of the scans is not sent by the board.
     Dropped {
-        /// 0 to 1.
+        /// Fraction, 0 to 1.
         fraction: f64,
     },
-    /// This fraction of the scans is damaged on the way.
+    /// A fraction of the scans is damaged in transit.
     Corrupted {
-        /// 0 to 1.
+        /// Fraction, 0 to 1.
         fraction: f64,
     },
     /// The board stops sending.
     Stalled,
-    /// The stage ignores its commands.
+    /// The stage ignores commands.
     SteeringStuck,
-    /// The laser's power is multiplied.
+    /// The power of the laser is multiplied by a factor.
     LaserPower {
-        /// By this.
+        /// The factor.
         factor: f64,
     },
-    /// The noise of spots and powers is multiplied.
+    /// The noise of spots and powers is multiplied by a factor.
     NoiseBurst {
-        /// By this.
+        /// The factor.
         factor: f64,
     },
-    /// The laser is displaced in its mount: the beam moves, the readback of the stage does not.
+    /// The laser is displaced in its mount: the beam moves, but the readback of the stage does not change.
     LaserBump {
-        /// By this along x and y, micrometres.
+        /// Displacement in x and y, micrometres.
         shift_um: [f64; 2],
     },
 }
 
-/// `[[twin.fault]]`: a fault from `at_s` on, for `for_s` seconds.
+/// An entry of `[[twin.fault]]`: a fault that starts at `at_s` and lasts `for_s` seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "FaultKeys")]
 pub struct Fault {
-    /// When it starts.
+    /// Start time, seconds.
     pub at_s: f64,
-    /// How long it lasts; without, for ever.
+    /// Duration, seconds. `None`: permanent.
     pub for_s: Option<f64>,
-    /// What it is.
+    /// Kind of the fault.
     #[serde(flatten)]
     pub kind: FaultKind,
 }
 
-/// The keys as they stand in the file: which of the last five belong there is up to the kind.
+/// The keys as in the file. The kind determines which of the last five are allowed.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FaultKeys {

@@ -1,38 +1,38 @@
-//! `[frames]`: in which frame, and of which point, poses are told.
+//! `[frames]`: the coordinate frames and the point for which poses are published.
 
 use serde::{Deserialize, Serialize};
 use trifacet_optics::{Pose, Rigid, Vec3};
 
 use super::check::Checker;
 
-/// `[frames]`: pose = tare^-1 * base * (pose of the mirror in the sensor's world) * tool.
+/// Settings of `[frames]`: pose = tare^-1 * base * (pose of the mirror in the sensor's world) * tool.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FramesConfig {
-    /// The sensor's world in the user's base frame.
+    /// The sensor's world frame in the user's base frame.
     pub base: TransformConfig,
-    /// The point that matters, with its axes, in the mirror's frame.
+    /// The point of interest and its axes, in the frame of the mirror.
     pub tool: TransformConfig,
-    /// The pose that shall read zero, in the base frame.
+    /// The pose that is to read zero, in the base frame.
     pub tare: TransformConfig,
 }
 
-/// A frame in another one. Angles as in a pose: `R = Rz(yaw) * Ry(pitch) * Rx(roll)`.
+/// Pose of one frame in another. Angles as in a pose: `R = Rz(yaw) * Ry(pitch) * Rx(roll)`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TransformConfig {
-    /// x, y, z.
+    /// Translation x, y, z, millimetres.
     pub translation_mm: [f64; 3],
-    /// Roll, pitch, yaw.
+    /// Roll, pitch, yaw, degrees.
     pub rotation_deg: [f64; 3],
 }
 
-/// Digits of a tare: a tenth of a nanometre, and 17 picoradians.
+/// Steps per millimetre to which a tare is rounded: 0.1 nm. Angles are rounded to 17 prad.
 const PER_MM: f64 = 1e7;
 const PER_DEG: f64 = 1e9;
 
 impl TransformConfig {
-    /// As the file would have it: rounded to digits that no sensor sees.
+    /// A pose in the units of the file, rounded to steps far below the resolution of the sensor.
     pub fn of(pose: &Pose) -> Self {
         // Adding zero turns -0.0 into 0.0.
         let round = |x: f64, per: f64| (x * per).round() / per + 0.0;

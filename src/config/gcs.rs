@@ -1,4 +1,4 @@
-//! `[steering.gcs]`: a stage of PI at a controller with the General Command Set 2.0.
+//! `[steering.gcs]`: a PI stage whose controller uses the General Command Set 2.0.
 
 use std::path::PathBuf;
 
@@ -6,25 +6,25 @@ use serde::{Deserialize, Serialize};
 
 use super::check::{Checker, above_zero};
 
-/// `[steering.gcs]`.
+/// Settings of `[steering.gcs]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct GcsConfig {
-    /// Host and port of the controller.
+    /// Host and TCP port of the controller.
     pub address: Option<String>,
-    /// Or the serial port that it is at.
+    /// Serial port of the controller, as an alternative to `address`.
     pub port: Option<PathBuf>,
-    /// Bits per second on the serial port.
+    /// Line rate of the serial port, bits per second.
     pub baud: u32,
     /// The controller's names of the two axes.
     pub axes: [String; 2],
-    /// The controller's unit of position.
+    /// The controller's unit of position, micrometres.
     pub um_per_unit: f64,
-    /// What the controller says where the daemon says zero.
+    /// Position reading of the controller at the daemon's zero, micrometres.
     pub zero_um: [f64; 2],
-    /// A servo that is off is switched on.
+    /// Whether a servo that is off is switched on.
     pub servo_on: bool,
-    /// How long an answer may take.
+    /// Longest time that the controller may take to answer, milliseconds.
     pub timeout_ms: u16,
 }
 
@@ -47,7 +47,7 @@ const ADDRESS: &str = "a host and its port, such as \"192.168.1.20:50000\"";
 const AXIS: &str = "two different names of 1 to 16 letters, digits and _";
 
 impl GcsConfig {
-    /// `used`: the laser is steered by it.
+    /// `used`: this stage moves the laser.
     pub(super) fn check(&self, mut at: Checker<'_>, used: bool) {
         let (address, port) = (&self.address, &self.port);
         if let Some(address) = address {
@@ -64,7 +64,7 @@ impl GcsConfig {
                 address.is_none(),
                 "port",
                 format!("{port:?}"),
-                "absent: steering.gcs.address is there",
+                "absent, because steering.gcs.address is set",
             );
         }
         at.number("baud", self.baud, 1200.0..=20_000_000.0);

@@ -5,21 +5,21 @@ use trifacet_optics::{FACETS, Head, HeadError, Psd, Vec3};
 
 use super::check::Checker;
 
-/// `[head]`: four numbers build the nominal head; the rest is for heads that were calibrated.
+/// Settings of `[head]`: four numbers define the nominal head; the other keys describe a calibrated head.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct HeadConfig {
-    /// From the origin to each PSD.
+    /// Distance from the origin to each PSD, millimetres.
     pub psd_distance_mm: f64,
-    /// Side of the sensitive area.
+    /// Side of the sensitive area, millimetres.
     pub psd_size_mm: f64,
-    /// Inclination of the facets to the mirror's base.
+    /// Inclination of the facets to the base of the mirror, degrees.
     pub facet_angle_deg: f64,
-    /// 1/e^2 diameter of the beam.
+    /// 1/e^2 diameter of the beam, millimetres.
     pub beam_diameter_mm: f64,
     /// Direction in which the light travels, world frame.
     pub beam_direction: Option<[f64; 3]>,
-    /// Facet A and its PSD where they differ from the nominal ones.
+    /// Facet A and its PSD. `None`: nominal values.
     pub a: FacetConfig,
     /// Facet B and its PSD.
     pub b: FacetConfig,
@@ -27,13 +27,13 @@ pub struct HeadConfig {
     pub c: FacetConfig,
 }
 
-/// `[head.a]`, `[head.b]`, `[head.c]`.
+/// Settings of `[head.a]`, `[head.b]` or `[head.c]`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FacetConfig {
     /// Normal of the facet in the mirror frame.
     pub normal: Option<[f64; 3]>,
-    /// Centre of the PSD, world frame.
+    /// Centre of the PSD, world frame, millimetres.
     pub psd_origin_mm: Option<[f64; 3]>,
     /// Normal of the PSD, towards the mirror, world frame.
     pub psd_normal: Option<[f64; 3]>,
@@ -57,9 +57,12 @@ impl Default for HeadConfig {
 }
 
 impl HeadConfig {
-    /// The head in SI units: the nominal one, with what the file says of single parts put in its place.
+    /// The head in SI units: the nominal head, with the parts replaced that the file gives.
+    ///
+    /// # Errors
+    /// Fails if the geometry does not describe a sensor head.
     pub fn build(&self) -> Result<Head, HeadError> {
-        // Division by 1000 is exact where the result is a short decimal; multiplication by 0.001 is not.
+        // Division by 1000 is exact if the result is a short decimal. Multiplication by 0.001 is not.
         let size = self.psd_size_mm / 1e3;
         let angle = self.facet_angle_deg.to_radians();
         let mut head = Head::nominal(self.psd_distance_mm / 1e3, size, angle, self.beam_diameter_mm / 1e3)?;
@@ -79,7 +82,7 @@ impl HeadConfig {
         head.checked()
     }
 
-    /// The three facets in order.
+    /// Settings of facets A, B and C, in this order.
     pub fn facets(&self) -> [&FacetConfig; 3] {
         [&self.a, &self.b, &self.c]
     }

@@ -1,26 +1,27 @@
-//! The fingerprint of geometry and calibration that every frame carries.
+//! The fingerprint of geometry and calibration, which every frame carries.
 
 use std::fmt::Write as _;
 
 use super::{Config, FramesConfig, TableError, Tables};
 
 impl Config {
-    /// CRC-32 of all that decides which pose belongs to which codes: the head, the channels, the contents
-    /// of the correction tables, the frames, and the steering where it counts as a signal. The same on
-    /// every machine; equal for files that mean the same.
+    /// CRC-32 of everything that determines which pose belongs to which codes: the head, the channels, the
+    /// contents of the correction tables, the frames, and the steering if it is used as a signal.
+    ///
+    /// It is the same on every machine, and equal for files with the same meaning.
     ///
     /// # Errors
-    /// A correction table cannot be read.
+    /// Fails if a correction table cannot be read.
     pub fn config_id(&self) -> Result<u32, TableError> {
         Ok(self.id(self.calibration_id(&Tables::read(self)?)))
     }
 
-    /// The same, given the fingerprint of the calibration.
+    /// The same fingerprint, from the fingerprint of the calibration.
     pub fn id(&self, calibration: u32) -> u32 {
         self.frames.id(self.fusion_id(calibration))
     }
 
-    /// The calibration, and where the beam is by the steering, if that counts as two more signals.
+    /// Fingerprint of the calibration and, if the readback is used as two more signals, of the beam map.
     fn fusion_id(&self, calibration: u32) -> u32 {
         if !self.estimation.fuse_steering {
             return calibration;
@@ -31,11 +32,11 @@ impl Config {
         crc32fast::hash(text.as_bytes())
     }
 
-    /// The same without frames and steering: what decides which pose of nine signals in the sensor's world
-    /// belongs to which codes.
+    /// The fingerprint without frames and steering: everything that determines which pose in the sensor's
+    /// world frame belongs to which codes, for nine signals.
     pub fn calibration_id(&self, tables: &Tables) -> u32 {
         let mut text = String::new();
-        // `{:?}` writes the shortest digits that give the same number back, on every platform.
+        // `{:?}` writes the shortest digits that parse to the same number, on every platform.
         let _ = writeln!(text, "trifacet-geometry-1 {:?} model {:?}", self.head, self.estimation.model);
         let channels = &self.channels;
         let _ = writeln!(text, "power {:?} mW/V", channels.power_mw_per_v);
@@ -57,8 +58,8 @@ impl Config {
 }
 
 impl FramesConfig {
-    /// The fingerprint of poses in these frames, given that of the calibration behind them; the same if
-    /// the frames change nothing.
+    /// Fingerprint of poses in these frames, from the fingerprint of the calibration. It is unchanged if
+    /// the frames are the identity.
     fn id(&self, calibration: u32) -> u32 {
         if *self == Self::default() {
             return calibration;
@@ -72,7 +73,7 @@ impl FramesConfig {
     }
 }
 
-/// With -0.0 as what it means.
+/// Replaces -0.0 by 0.0.
 fn plain<const N: usize>(numbers: [f64; N]) -> [f64; N] {
     numbers.map(|x| x + 0.0)
 }

@@ -1,4 +1,4 @@
-//! From a file to a checked configuration.
+//! Loads a file and checks it.
 
 use std::path::{Path, PathBuf};
 
@@ -10,7 +10,10 @@ use super::error::{ConfigError, Problem};
 use super::locate::{Found, find, path_at, place};
 use super::{Config, Fault, FaultKind, Token};
 
-/// Reads and checks a configuration file; without one, the defaults.
+/// Reads and checks a configuration file. `None`: returns the defaults.
+///
+/// # Errors
+/// Fails if the file cannot be read, or if it is not a valid configuration.
 pub fn load(file: Option<&Path>) -> Result<Config, ConfigError> {
     let Some(file) = file else { return parse("", None) };
     let text = std::fs::read_to_string(file)
@@ -18,7 +21,10 @@ pub fn load(file: Option<&Path>) -> Result<Config, ConfigError> {
     parse(&text, Some(file))
 }
 
-/// Checks the text of a configuration. `file` is its name in messages, and paths are relative to it.
+/// Parses and checks the text of a configuration. `file`: its name in messages; paths are relative to it.
+///
+/// # Errors
+/// Fails with all problems if the text is not a valid configuration.
 pub fn parse(text: &str, file: Option<&Path>) -> Result<Config, ConfigError> {
     read(text, file).map_err(|problems| ConfigError::Wrong { file: file.map(PathBuf::from), problems })
 }
@@ -47,10 +53,10 @@ fn read(text: &str, file: Option<&Path>) -> Result<Config, Vec<Problem>> {
 }
 
 impl Config {
-    /// Checks values that did not come from a file.
+    /// Checks a configuration that was not parsed from a file.
     ///
     /// # Errors
-    /// All that is wrong: keys, values, and what is allowed.
+    /// Fails with all problems: keys, values, and what is allowed.
     pub fn verify(&self) -> Result<(), String> {
         let mut report = Report::default();
         self.check(&mut Checker::root(&mut report));
@@ -60,7 +66,7 @@ impl Config {
     }
 }
 
-/// Arrays with more numbers than were taken: serde drops the rest without a word.
+/// Finds arrays with more numbers than were parsed: serde ignores the rest silently.
 fn find_surplus(file: &DeValue<'_>, taken: &toml::Value, path: &str, text: &str, to: &mut Vec<Problem>) {
     let DeValue::Table(table) = file else { return };
     for (name, value) in table {
@@ -92,13 +98,13 @@ fn resolve_paths(config: &mut Config, file: Option<&Path>) {
     }
 }
 
-/// The text is no TOML.
+/// The problem of a text that is not TOML.
 fn syntax_problem(text: &str, error: &toml::de::Error) -> Problem {
     let place = error.span().map(|span| place(text, span.start));
     Problem { place, message: format!("not TOML: {}", error.message()) }
 }
 
-/// The text is TOML, with an unknown key or a value of a wrong type.
+/// The problem of a text that is TOML, but has an unknown key or a value of the wrong type.
 fn shape_problem(text: &str, file: &DeValue<'_>, error: &toml::de::Error) -> Problem {
     let span = error.span();
     let key = span.as_ref().and_then(|span| path_at(file, span.start)).unwrap_or_default();
@@ -115,7 +121,7 @@ fn shape_problem(text: &str, file: &DeValue<'_>, error: &toml::de::Error) -> Pro
     Problem { place: span.map(|span| place(text, span.start)), message }
 }
 
-/// A value is not allowed.
+/// The problem of a value that is not allowed.
 fn value_problem(text: &str, file: &DeValue<'_>, finding: &Finding) -> Problem {
     let Finding { keys, found, allowed } = finding;
     let key = &keys[0];
@@ -130,7 +136,7 @@ fn value_problem(text: &str, file: &DeValue<'_>, finding: &Finding) -> Problem {
             place: span.and_then(|s| at(s.start)),
             message: format!("{key}: {found}; allowed is {allowed}"),
         },
-        // Not written in the file: the default clashes with another key, or a needed key is absent.
+        // The key is not in the file: its default conflicts with another key, or a required key is absent.
         Found::Section { span, whole: false } => {
             let clash = keys[1..].iter().find_map(|other| match find(file, other) {
                 Found::Value(span) => Some(span),
@@ -143,7 +149,7 @@ fn value_problem(text: &str, file: &DeValue<'_>, finding: &Finding) -> Problem {
     }
 }
 
-/// `rest` is what serde says after "unknown field": the name, and the names it knows, in backticks.
+/// `rest`: serde's message after "unknown field": the name found, and the known names, in backticks.
 fn unknown_key(key: &str, rest: &str) -> String {
     let mut names = rest.split('`').skip(1).step_by(2);
     let name = names.next().unwrap_or_default();
@@ -154,14 +160,14 @@ fn unknown_key(key: &str, rest: &str) -> String {
         .filter(|(likeness, _)| *likeness > 0.8)
         .max_by(|a, b| a.0.total_cmp(&b.0));
     let hint = nearest.map_or(String::new(), |(_, candidate)| format!(" (did you mean {candidate}?)"));
-    format!("{key} is no key of this section{hint}; allowed are {}", known.join(", "))
+    format!("{key} is not a key of this section{hint}; allowed are {}", known.join(", "))
 }
 
 fn one_line(text: &str) -> Option<String> {
     (!text.contains('\n') && text.chars().count() <= 60).then(|| text.to_owned())
 }
 
-/// What the checks allow for a key; asked when its type is so wrong that no check saw the value.
+/// What the checks allow for a key. Needed if the type is wrong, because no check then saw the value.
 fn allowed_at(key: &str) -> Option<String> {
     let mut config = Config::default();
     let kinds = [

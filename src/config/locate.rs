@@ -1,11 +1,11 @@
-//! Where in the text of a TOML file a key stands, and which key stands at a place.
+//! Finds the place of a key in the text of a TOML file, and the key at a place.
 
 use std::ops::Range;
 
 use toml::Spanned;
 use toml::de::DeValue;
 
-/// A place that a person can go to.
+/// A place in a file, as editors count it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Place {
     /// Line, from 1.
@@ -14,20 +14,21 @@ pub struct Place {
     pub column: usize,
 }
 
-/// The place of a byte of the text.
+/// The place of a byte offset in the text.
 pub(super) fn place(text: &str, at: usize) -> Place {
     let before = text.get(..at).unwrap_or(text);
     let line_start = before.rfind('\n').map_or(0, |i| i + 1);
     Place { line: before.matches('\n').count() + 1, column: before[line_start..].chars().count() + 1 }
 }
 
-/// What the file has at a dotted path such as `twin.motion[1].amount_um`.
+/// What the file contains at a dotted path such as `twin.motion[1].amount_um`.
 #[derive(Debug, PartialEq)]
 pub(super) enum Found {
-    /// The bytes of its value.
+    /// The byte range of the value.
     Value(Range<usize>),
-    /// A section, with the bytes of its header; the path leads to it if `whole`, and else to a key
-    /// that is not in it. No bytes: the file does not have the section either.
+    /// A section, with the byte range of its header. `whole`: the path is that of the section; otherwise it
+    /// is that of a key that the section does not contain. `None`: the file does not contain the section
+    /// either.
     Section { span: Option<Range<usize>>, whole: bool },
 }
 
@@ -51,7 +52,7 @@ pub(super) fn find(file: &DeValue<'_>, path: &str) -> Found {
     }
 }
 
-/// The dotted path of the innermost key whose name or value covers a byte of the text.
+/// The dotted path of the innermost key whose name or value covers a byte offset.
 pub(super) fn path_at(file: &DeValue<'_>, at: usize) -> Option<String> {
     let inside = |name: String, child: &Spanned<DeValue<'_>>, named: bool| {
         if let Some(deeper) = path_at(child.get_ref(), at) {

@@ -1,27 +1,27 @@
-//! `[log]`: what is logged, and in which form.
+//! `[log]`: level and format of the log.
 
 use serde::{Deserialize, Serialize};
 use tracing_subscriber::filter::EnvFilter;
 
 use super::check::Checker;
 
-/// Form of the log lines.
+/// Format of the log lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LogFormat {
-    /// For people.
+    /// Plain text.
     Text,
-    /// One JSON object a line.
+    /// One JSON object per line.
     Json,
 }
 
-/// `[log]`.
+/// Settings of `[log]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LogConfig {
-    /// What is logged: error, warn, info, debug, trace, or a filter such as `trifacet::twin=debug`.
+    /// Level: error, warn, info, debug or trace, or a filter such as `trifacet::twin=debug`.
     pub level: String,
-    /// In which form.
+    /// Format of the lines.
     pub format: LogFormat,
 }
 
@@ -35,7 +35,7 @@ const LEVELS: [&str; 6] = ["off", "error", "warn", "info", "debug", "trace"];
 
 impl LogConfig {
     pub(super) fn check(&self, mut at: Checker<'_>) {
-        // A misspelt level parses as the name of a module, and then nothing at all is logged.
+        // A misspelt level would be parsed as the name of a module, and nothing would be logged.
         let levels = self.level.split(',').all(|part| {
             let level = part.rsplit('=').next().unwrap_or_default().trim().to_lowercase();
             LEVELS.contains(&level.as_str())

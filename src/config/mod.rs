@@ -1,11 +1,11 @@
-//! The configuration file: TOML to checked settings.
+//! Parses the TOML configuration file into checked settings.
 //!
 //! Every key has a default and carries its unit in its name. Unknown keys and values out of range are
-//! refused with file, line, key and what is allowed. `docs/configuration.md` has every key.
+//! refused with file, line, key and what is allowed. `docs/configuration.md` describes every key.
 //!
-//! - [`load()`] reads a file; the sections follow, one module each, with defaults and allowed ranges.
-//! - `check` collects what is wrong, `together` knows what must fit across sections, and `locate` finds
-//!   the lines.
+//! - [`load()`] reads a file.
+//! - Each section has a module with its settings, defaults and allowed ranges.
+//! - `check` collects problems, `cross_checks` checks values against each other, `locate` finds the lines.
 
 mod acquisition;
 mod assembly;
@@ -65,44 +65,44 @@ use serde::{Deserialize, Serialize};
 pub use steering::{NO_TILT, SteeringConfig, SteeringKind};
 pub use twin::{TwinConfig, TwinSteering};
 
-/// The whole file.
+/// The whole configuration.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
     /// Geometry of the sensor head.
     pub head: HeadConfig,
-    /// Where samples come from.
+    /// Source of the samples.
     pub acquisition: AcquisitionConfig,
-    /// From codes to spots and powers.
+    /// Conversion of codes to spots and powers.
     pub channels: ChannelsConfig,
     /// The centering loop.
     pub centering: CenteringConfig,
     /// The laser's steering stage.
     pub steering: SteeringConfig,
-    /// From samples to poses.
+    /// Computation of poses.
     pub estimation: EstimationConfig,
-    /// In which frame poses are told.
+    /// Coordinate frames of the poses.
     pub frames: FramesConfig,
-    /// Where poses go.
+    /// Outlets of the poses.
     pub publishing: PublishingConfig,
     /// The control socket.
     pub control: ControlConfig,
     /// Health, metrics and the live page.
     pub monitor: MonitorConfig,
-    /// What is written to files.
+    /// Recording to files.
     pub recording: RecordingConfig,
-    /// A recording as a source.
+    /// A recording as the source.
     pub replay: ReplayConfig,
     /// The digital twin.
     pub twin: TwinConfig,
     /// Priority, memory and CPU of the fast thread.
     pub realtime: RealtimeConfig,
-    /// Logs.
+    /// Level and format of the log.
     pub log: LogConfig,
 }
 
 impl Config {
-    /// Every value against its own range, then, if all are fine, against each other.
+    /// Checks every value against its own range and then, if all are valid, values against each other.
     fn check(&self, at: &mut check::Checker<'_>) {
         self.head.check(at.section("head"));
         self.acquisition.check(at.section("acquisition"));

@@ -11,32 +11,33 @@ use super::check::Checker;
 use super::publishing::address_or_off;
 use super::text::or_off;
 
-/// `[monitor]`.
+/// Settings of `[monitor]`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MonitorConfig {
-    /// Where browsers and scrapers connect; none (`"off"` in the file) switches the server off.
+    /// Address of the HTTP server. `None` (`"off"` in the file) disables it.
     #[serde(deserialize_with = "address_or_off", serialize_with = "or_off")]
     pub listen: Option<SocketAddr>,
-    /// Names that a request may be addressed to, besides `localhost` and the address that it came to.
+    /// Host names that a request may use, in addition to `localhost` and the address of the connection.
     pub allowed_hosts: Vec<String>,
-    /// Whether the page may steer.
+    /// Whether the live page may steer.
     pub control: bool,
-    /// What a person must know for that.
+    /// Secret required for steering.
     pub token: Option<Token>,
 }
 
-/// A secret: no log, message or page shows it.
+/// A secret. No log, message or page shows it.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Token(String);
 
 impl Token {
-    /// Where it stands: what is written there is repeated in no message.
+    /// Dotted path of the key. Messages do not repeat its value.
     pub(super) const KEY: &str = "monitor.token";
     const LENGTH: std::ops::RangeInclusive<usize> = 16..=256;
     const ALLOWED: &str = "16 to 256 printable ASCII characters without spaces";
 
-    /// Whether it is this. Takes as long for any wrong one of the same length.
+    /// Whether a given text is the token. The comparison takes the same time for all texts of the same
+    /// length.
     pub fn is(&self, given: &str) -> bool {
         self.0.as_bytes().ct_eq(given.as_bytes()).into()
     }
@@ -50,7 +51,7 @@ impl fmt::Debug for Token {
 
 impl<'de> Deserialize<'de> for Token {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        // Not serde's own words, which repeat what is written there.
+        // serde's own message would repeat the value.
         let wrong =
             |_| D::Error::custom(format!("allowed is a text in quotation marks, of {}", Token::ALLOWED));
         String::deserialize(deserializer).map(Token).map_err(wrong)
@@ -84,7 +85,7 @@ impl MonitorConfig {
         }
         if let Some(Token(token)) = &self.token {
             let fine = Token::LENGTH.contains(&token.len()) && token.bytes().all(|b| b.is_ascii_graphic());
-            // Not the token itself: messages end up in logs.
+            // Do not show the token: messages end up in logs.
             at.demand(
                 fine,
                 "token",
@@ -92,7 +93,7 @@ impl MonitorConfig {
                 Token::ALLOWED,
             );
         } else {
-            at.demand(!self.control, "token", "none, with control = true", Token::ALLOWED);
+            at.demand(!self.control, "token", "absent, with control = true", Token::ALLOWED);
         }
     }
 }
@@ -137,7 +138,7 @@ mod tests {
         }
         let error = config("monitor.control = true").unwrap_err();
         assert!(error.contains("control = true"), "{error}");
-        // Another one is seen, though it is not shown.
+        // A different token is detected as a change, although it is not shown.
         let other = config("monitor.control = true\nmonitor.token = 'another-secret-token'").unwrap();
         assert_eq!(reload(&good, &good, &other).unwrap().refused, ["monitor.token"]);
     }

@@ -1,4 +1,4 @@
-//! `[[twin.motion]]`: how the mirror of the twin moves.
+//! `[[twin.motion]]`: movements of the mirror of the twin.
 
 use serde::{Deserialize, Serialize};
 
@@ -14,19 +14,19 @@ pub enum Axis {
     Ty,
     /// Translation along z.
     Tz,
-    /// Turn about x.
+    /// Rotation about x.
     Roll,
-    /// Turn about y.
+    /// Rotation about y.
     Pitch,
-    /// Turn about z.
+    /// Rotation about z.
     Yaw,
 }
 
 impl Axis {
-    /// Every axis, in the order of a pose.
+    /// All axes, in the order of a pose.
     pub const ALL: [Axis; 6] = [Axis::Tx, Axis::Ty, Axis::Tz, Axis::Roll, Axis::Pitch, Axis::Yaw];
 
-    /// The name, as in a configuration.
+    /// The name, as in the configuration file.
     pub fn name(self) -> &'static str {
         match self {
             Axis::Tx => "tx",
@@ -38,50 +38,50 @@ impl Axis {
         }
     }
 
-    /// What people read its amounts in: a millionth of the SI unit.
+    /// The unit in which amounts are shown: a millionth of the SI unit.
     pub fn micro_unit(self) -> &'static str {
         if self.is_turn() { "urad" } else { "um" }
     }
 
-    /// Whether its amounts are angles.
+    /// Whether amounts of this axis are angles.
     pub fn is_turn(self) -> bool {
         matches!(self, Axis::Roll | Axis::Pitch | Axis::Yaw)
     }
 }
 
-/// `[[twin.motion]]`: one movement of one axis.
+/// An entry of `[[twin.motion]]`: one movement of one axis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Motion {
-    /// Which axis.
+    /// The axis.
     pub axis: Axis,
-    /// How far (the rms of a vibration), for translations.
+    /// Amount of a translation, micrometres; for a vibration the rms.
     pub amount_um: Option<f64>,
-    /// How far, for turns.
+    /// Amount of a rotation, microradians; for a vibration the rms.
     pub amount_urad: Option<f64>,
-    /// What kind of movement, and its own keys.
+    /// Kind of the movement.
     pub kind: MotionKind,
-    /// When it starts; 0 if absent.
+    /// Start time, seconds; 0 if absent.
     #[serde(default)]
     pub from_s: f64,
-    /// When it ends; never if absent. A ramp covers its amount between the two and stays there.
+    /// End time, seconds; no end if absent. A ramp covers its amount in that time and stays there.
     pub until_s: Option<f64>,
-    /// Frequency of a sine; lowest frequency of a vibration.
+    /// Frequency of a sine, or lowest frequency of a vibration, Hz.
     pub frequency_hz: Option<f64>,
-    /// Highest frequency of a vibration.
+    /// Highest frequency of a vibration, Hz.
     pub high_hz: Option<f64>,
-    /// Phase of a sine at its start.
+    /// Phase of a sine at its start, degrees.
     #[serde(default)]
     pub phase_deg: f64,
 }
 
-/// Kinds of movement.
+/// Kind of a movement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MotionKind {
-    /// A jump at `from_s`, there until `until_s`; from 0 on it is simply a place to rest.
+    /// A step at `from_s`, which lasts until `until_s`. With the default times it is a constant offset.
     Step,
-    /// A steady movement from `from_s` to `until_s`.
+    /// A constant velocity from `from_s` to `until_s`.
     Ramp,
     /// A sine between the two times.
     Sine,
@@ -125,14 +125,14 @@ impl Motion {
         }
     }
 
-    /// Each axis and each kind has the keys it needs, and none that would be ignored.
+    /// Checks that each axis and each kind has the keys it requires, and no key that would be ignored.
     fn check_keys(&self, at: &mut Checker<'_>) {
         let (amount, key, other, other_key) = if self.axis.is_turn() {
             (self.amount_urad, "amount_urad", self.amount_um, "amount_um")
         } else {
             (self.amount_um, "amount_um", self.amount_urad, "amount_urad")
         };
-        let axis = if self.axis.is_turn() { "a turn" } else { "a translation" };
+        let axis = if self.axis.is_turn() { "a rotation" } else { "a translation" };
         at.demand(amount.is_some(), key, "absent", format_args!("a number: {axis} needs it"));
         at.demand(other.is_none(), other_key, found(other), format_args!("absent: {axis} has {key}"));
 

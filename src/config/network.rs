@@ -1,4 +1,4 @@
-//! Networks, for lists of who may.
+//! Networks in access lists.
 
 use std::fmt;
 use std::net::IpAddr;
@@ -7,7 +7,7 @@ use std::str::FromStr;
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// The addresses that begin with the same bits: "10.1.0.0/16", "fd00::/8", or a single address.
+/// A range of addresses with a common prefix, such as "10.1.0.0/16" or "fd00::/8", or a single address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Network {
     address: IpAddr,
@@ -17,14 +17,14 @@ pub struct Network {
 const ALLOWED: &str = "a network such as \"192.168.1.0/24\" or \"fd00::/8\", or a single address";
 
 impl Network {
-    /// This machine itself.
+    /// The addresses of this machine itself.
     pub fn loopback() -> Vec<Self> {
         let v4 = Self { address: [127, 0, 0, 0].into(), bits: 8 };
         let v6 = Self { address: std::net::Ipv6Addr::LOCALHOST.into(), bits: 128 };
         vec![v4, v6]
     }
 
-    /// Whether an address belongs to it. An IPv4 address that comes in IPv6 clothes is an IPv4 address.
+    /// Whether an address belongs to the network. An IPv4-mapped IPv6 address counts as an IPv4 address.
     pub fn contains(self, address: IpAddr) -> bool {
         match (self.address, address.to_canonical()) {
             (IpAddr::V4(own), IpAddr::V4(other)) => {
@@ -39,7 +39,7 @@ impl Network {
         }
     }
 
-    /// Its first address.
+    /// The first address of the network.
     fn base(self) -> IpAddr {
         match self.address {
             IpAddr::V4(own) => {
@@ -53,7 +53,7 @@ impl Network {
         }
     }
 
-    /// Whether it has no addresses but this machine's own.
+    /// Whether the network contains only addresses of this machine.
     pub fn is_loopback(self) -> bool {
         self.address.is_loopback() && self.bits >= if self.address.is_ipv4() { 8 } else { 128 }
     }
@@ -75,7 +75,7 @@ impl FromStr for Network {
         let base = network.base();
         if address != base {
             return Err(format!(
-                "{text} is no network: its first address is {base}/{bits}; a single address has no /"
+                "{text} is not a network: its first address is {base}/{bits}; a single address has no /"
             ));
         }
         Ok(network)
@@ -108,7 +108,7 @@ impl<'de> Deserialize<'de> for Network {
                 text.parse().map_err(E::custom)
             }
         }
-        // Parsed within, so that an error is located at this one and not at the list.
+        // Parsed within the visitor, so that an error is located at this entry and not at the list.
         from.deserialize_str(Text)
     }
 }
@@ -128,7 +128,7 @@ mod tests {
         assert!(contains("10.1.2.2/31", "10.1.2.3") && contains("0.0.0.0/0", "255.1.2.3"));
         assert!(contains("fd00::/8", "fdff::1") && !contains("fd00::/8", "fe00::1"));
         assert!(contains("::/0", "1::") && contains("::1", "::1") && !contains("::1", "::2"));
-        assert!(contains("127.0.0.0/8", "::ffff:127.0.0.1"), "a socket of both kinds says so");
+        assert!(contains("127.0.0.0/8", "::ffff:127.0.0.1"), "a dual-stack socket reports mapped addresses");
         assert!(!contains("0.0.0.0/0", "::1") && !contains("::/0", "127.0.0.1"));
     }
 

@@ -1,4 +1,4 @@
-//! `[publishing]`: where poses go.
+//! `[publishing]`: outlets of the pose stream.
 
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -11,47 +11,47 @@ use super::check::Checker;
 use super::network::Network;
 use super::text::or_off;
 
-/// `[publishing]`.
+/// Settings of `[publishing]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PublishingConfig {
-    /// Where TCP clients connect; none (`"off"` in the file) switches the server off.
+    /// Address for TCP clients. `None` (`"off"` in the file) disables the server.
     #[serde(deserialize_with = "address_or_off", serialize_with = "or_off")]
     pub tcp: Option<SocketAddr>,
-    /// Most TCP clients at a time.
+    /// Largest number of TCP clients at a time.
     pub tcp_clients: usize,
-    /// Frames that a TCP client may be behind before the oldest are dropped.
+    /// Number of frames that may wait for a TCP client before the oldest are dropped.
     pub tcp_queue: usize,
-    /// Who may connect, and subscribe.
+    /// Networks whose hosts may connect and subscribe.
     pub allow: Vec<Network>,
-    /// Where datagrams go.
+    /// Targets of the datagrams.
     pub udp: Vec<UdpTarget>,
-    /// Where receivers of datagrams subscribe; none (`"off"` in the file): nowhere.
+    /// Address at which receivers subscribe to datagrams. `None` (`"off"` in the file) disables it.
     #[serde(deserialize_with = "address_or_off", serialize_with = "or_off")]
     pub subscribe: Option<SocketAddr>,
-    /// Most subscribers at a time.
+    /// Largest number of subscribers at a time.
     pub subscribers: usize,
 }
 
-/// A receiver of datagrams: an address, or a table with options.
+/// A target of datagrams: an address, or a table with options.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct UdpTarget {
-    /// Where to.
+    /// Address and port of the target.
     pub address: SocketAddr,
-    /// Frames whose sequence this divides.
+    /// Only frames whose sequence number is a multiple of this are sent.
     pub divider: u32,
-    /// In network byte order.
+    /// Whether the frames are in network byte order.
     pub big_endian: bool,
-    /// With the last valid pose instead of NaN.
+    /// Whether a frame without a valid pose carries the last valid pose instead of NaN.
     pub held: bool,
-    /// Multicast only: the name or the IPv4 address of the interface; none: as the system's routes say.
+    /// Multicast only: name or IPv4 address of the interface. `None`: the system's routes decide.
     pub interface: Option<String>,
-    /// Multicast only: routers that a datagram may pass, and one.
+    /// Multicast only: time to live, one more than the number of routers that may forward a datagram.
     pub ttl: Option<u32>,
 }
 
 impl UdpTarget {
-    /// Every frame to this address.
+    /// A target that receives every frame.
     pub fn to(address: SocketAddr) -> Self {
         Self { address, divider: 1, big_endian: false, held: false, interface: None, ttl: None }
     }
@@ -62,7 +62,7 @@ impl UdpTarget {
         at.number("divider", *divider, 1.0..=1_000_000.0);
         at.optional("ttl", *ttl, 1.0..=255.0);
         let multicast = address.ip().is_multicast();
-        let only = "a multicast address (224.0.0.0/4, ff00::/8) beside it, or none";
+        let only = "absent, unless the address is multicast (224.0.0.0/4, ff00::/8)";
         at.demand(multicast || ttl.is_none(), "ttl", ttl.unwrap_or_default(), only);
         if let Some(interface) = interface {
             at.demand(multicast, "interface", interface, only);
@@ -103,7 +103,7 @@ impl PublishingConfig {
         }
         if let Some(own) = self.subscribe {
             let taken = self.udp.iter().any(|target| target.address == own);
-            at.demand(!taken, "subscribe", own, "an address that is no target in publishing.udp");
+            at.demand(!taken, "subscribe", own, "an address that is not a target in publishing.udp");
         }
         at.number("subscribers", self.subscribers as f64, 1.0..=1024.0);
     }
@@ -119,7 +119,7 @@ pub(super) fn address_or_off<'de, D: Deserializer<'de>>(from: D) -> Result<Optio
     text.parse().map(Some).map_err(|_| D::Error::custom(format_args!("allowed is {ADDRESS}, or \"off\"")))
 }
 
-/// The table of a target.
+/// The table form of a target.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Table {

@@ -1,4 +1,4 @@
-//! `[recording]`: what is written to files.
+//! `[recording]`: files with all measured data.
 
 use std::ops::{RangeBounds as _, RangeInclusive};
 use std::path::PathBuf;
@@ -7,20 +7,20 @@ use serde::{Deserialize, Serialize};
 
 use super::check::{Checker, above_zero};
 
-/// When is recorded. `trifacet ctl record start` does so at any time.
+/// When the daemon records. `trifacet ctl record start` starts a recording in any mode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RecordingMode {
-    /// Only by command.
+    /// Only on command.
     Off,
-    /// From the start on.
+    /// From the start.
     Always,
-    /// What led to a fault, and what came of it.
+    /// The time around each fault.
     OnFault,
 }
 
 impl RecordingMode {
-    /// As in the file.
+    /// The name, as in the configuration file.
     pub fn name(self) -> &'static str {
         match self {
             Self::Off => "off",
@@ -30,43 +30,43 @@ impl RecordingMode {
     }
 }
 
-/// How files are compressed.
+/// Compression of the files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Compression {
-    /// Not at all.
+    /// No compression.
     None,
-    /// Fast.
+    /// LZ4: faster.
     Lz4,
-    /// Smaller.
+    /// Zstandard: smaller files.
     Zstd,
 }
 
-/// Files that the budget must hold: one that is being finished, one that is being written, and one to keep.
+/// Number of files that the budget must hold: one being finished, one being written, and one to keep.
 const FILES: f64 = 3.0;
-/// Sizes that a file may have, MB, and the largest budget, GB.
+/// Allowed sizes of a file, MB, and largest budget, GB.
 const ROTATE_MB: RangeInclusive<f64> = 1.0..=100_000.0;
 const BUDGET_GB: f64 = 100_000.0;
 
-/// `[recording]`.
+/// Settings of `[recording]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RecordingConfig {
-    /// Where the files are.
+    /// Folder for the files.
     pub folder: PathBuf,
-    /// When is recorded.
+    /// When the daemon records.
     pub mode: RecordingMode,
-    /// How files are compressed.
+    /// Compression of the files.
     pub compression: Compression,
-    /// Size at which the next file begins.
+    /// Size at which the next file begins, MB.
     pub rotate_mb: f64,
-    /// Age at which the next file begins.
+    /// Age at which the next file begins, minutes.
     pub rotate_min: f64,
-    /// Room for all recordings in the folder: the oldest are deleted.
+    /// Space for all recordings in the folder, GB. The oldest are deleted.
     pub budget_gb: f64,
-    /// How long before a fault a recording begins.
+    /// Time before a fault at which its recording begins, seconds.
     pub before_s: f64,
-    /// How long after the beginning of a fault it ends.
+    /// Time after the beginning of the last fault at which its recording ends, seconds.
     pub after_s: f64,
 }
 
@@ -98,7 +98,7 @@ impl RecordingConfig {
         let (rotate_mb, budget_gb) = (self.rotate_mb, self.budget_gb);
         let least = FILES * rotate_mb / 1000.0;
         let allowed = format!("at least {least}: {FILES} files of recording.rotate_mb = {rotate_mb}");
-        // What is wrong by itself is said already.
+        // A value that is out of its own range is reported elsewhere.
         let sane = ROTATE_MB.contains(&rotate_mb) && above_zero(BUDGET_GB).contains(&budget_gb);
         at.demand(!sane || budget_gb >= least, "budget_gb", budget_gb, allowed);
     }

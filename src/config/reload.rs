@@ -1,4 +1,4 @@
-//! What a running daemon takes over from a file that has changed.
+//! Reload: changes that a running daemon takes over from its configuration file.
 
 use serde_json::Value;
 
@@ -6,10 +6,10 @@ use super::Config;
 
 macro_rules! live {
     ($($($field:ident).+),* $(,)?) => {
-        /// The keys and sections that can change while the daemon runs. All others need a restart.
+        /// The keys and sections that can change while the daemon runs. All others require a restart.
         pub const LIVE: &[&[&str]] = &[$(&[$(stringify!($field)),+]),*];
 
-        /// Takes what differs between `old` and `new` over into `config`, where that can be done live.
+        /// Copies the differences between `old` and `new` into `config`, where they can take effect live.
         fn take_over(config: &mut Config, old: &Config, new: &Config) {
             $(if old.$($field).+ != new.$($field).+ {
                 config.$($field).+.clone_from(&new.$($field).+);
@@ -52,24 +52,24 @@ live! {
     log.level,
 }
 
-/// What becomes of a reload.
+/// The result of a reload.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reload {
-    /// What the daemon goes on with.
+    /// The configuration with which the daemon continues.
     pub running: Config,
-    /// The file as far as it was taken over; the next reload is compared with this.
+    /// The part of the file that was taken over. The next reload is compared with it.
     pub taken: Config,
     /// Dotted keys that were taken over.
     pub changed: Vec<String>,
-    /// Dotted keys that need a restart.
+    /// Dotted keys that require a restart.
     pub refused: Vec<String>,
 }
 
-/// Compares a file with what was last taken over from it, and puts what has changed into the running
-/// configuration. What was changed by command, and not in the file, stays.
+/// Compares a file with the state that was last taken over from it, and applies the differences to the
+/// running configuration. Values that were changed by command, and not in the file, are kept.
 ///
 /// # Errors
-/// Old and new values do not fit together.
+/// Fails if old and new values conflict.
 pub fn reload(running: &Config, taken: &Config, file: &Config) -> Result<Reload, String> {
     let (changed, refused) = differences(taken, file)?.into_iter().partition(|key| is_live(key));
     let (mut running, mut now_taken) = (running.clone(), taken.clone());
@@ -92,7 +92,7 @@ fn differences(old: &Config, new: &Config) -> Result<Vec<String>, String> {
     let mut keys = Vec::new();
     compare("", &tree(old)?, &tree(new)?, &mut keys);
     if old.monitor.token != new.monitor.token && !keys.iter().any(|key| key == "monitor.token") {
-        keys.push("monitor.token".into()); // the trees do not show it
+        keys.push("monitor.token".into()); // the serialised trees do not show the token
     }
     Ok(keys)
 }
@@ -139,7 +139,7 @@ mod tests {
              channels.b.dark_v = [0, 0, 0.001]\n",
         );
         assert_eq!(reload.running, wanted);
-        // Again: what was refused is refused again, and nothing else is news.
+        // A second reload refuses the same keys again and reports no other change.
         let again = super::reload(&reload.running, &reload.taken, &file).unwrap();
         assert!(again.changed.is_empty());
         assert_eq!(again.refused, refused);

@@ -1,4 +1,4 @@
-//! `[replay]`: a recording as a source.
+//! `[replay]`: a recording as the source of samples.
 
 use std::path::PathBuf;
 
@@ -6,15 +6,15 @@ use serde::{Deserialize, Serialize};
 
 use super::check::Checker;
 
-/// `[replay]`.
+/// Settings of `[replay]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ReplayConfig {
-    /// The recording, relative to the configuration file.
+    /// Path of the recording, relative to the configuration file.
     pub file: PathBuf,
-    /// So many times as fast as it was recorded.
+    /// Speed of the replay relative to that of the recording.
     pub speed: f64,
-    /// Begins again at the end.
+    /// Whether the replay starts again at the end of the recording.
     pub repeat: bool,
 }
 

@@ -6,20 +6,20 @@ use trifacet_core::centering::OnExit;
 use super::check::{Checker, above_zero};
 use super::gcs::GcsConfig;
 
-/// What moves the laser.
+/// Kind of the stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", try_from = "String")]
 pub enum SteeringKind {
     /// The two outputs of the board, or of the twin.
     Outputs,
-    /// A stage of PI at a controller with the General Command Set 2.0.
+    /// A PI stage whose controller uses the General Command Set 2.0.
     Gcs,
 }
 
-/// Why nothing that turns can steer.
-pub const NO_TILT: &str = "the model is for a laser that is translated; a mirror that turns tilts the beam (100 um over 1 m are \
-                           100 urad, which would read as 12.5 um and 50 urad of pose), and until the beam's direction is modelled \
-                           such stages are refused";
+/// Why tilting stages are refused.
+pub const NO_TILT: &str = "the model assumes a laser that is translated; a tilting mirror turns the beam \
+                           (100 um over 1 m are 100 urad, which would appear as 12.5 um and 50 urad of pose); \
+                           until the model includes the beam's direction, such stages are not supported";
 
 impl TryFrom<String> for SteeringKind {
     type Error = String;
@@ -34,34 +34,35 @@ impl TryFrom<String> for SteeringKind {
     }
 }
 
-/// `[steering]`.
+/// Settings of `[steering]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SteeringConfig {
-    /// What moves the laser.
+    /// Kind of the stage.
     pub kind: SteeringKind,
-    /// How far the beam moves across its direction (rows: x, y) per length that each axis of the stage
-    /// moves (columns).
+    /// Displacement of the beam perpendicular to its direction (rows: x, y) per displacement of each stage
+    /// axis (columns).
     pub matrix: [[f64; 2]; 2],
-    /// Where the beam crosses the plane of the apex while the stage stands at zero.
+    /// Position of the beam in the plane of the apex with the stage at zero, micrometres.
     pub origin_um: [f64; 2],
-    /// One standard deviation of where the beam is by the stage's readback, its pointing drift included.
+    /// Standard uncertainty of the beam position derived from the readback, including pointing drift,
+    /// micrometres.
     pub deviation_um: f64,
-    /// Position at the full-scale output code.
+    /// Position at the full-scale output code, micrometres.
     pub full_scale_um: f64,
-    /// The command never leaves plus/minus this.
+    /// Limit of the command, plus and minus, micrometres.
     pub limit_um: f64,
-    /// The command never moves faster.
+    /// Limit of the velocity of the command, mm/s.
     pub slew_mm_per_s: f64,
-    /// Parking position.
+    /// Parking position, micrometres.
     pub park_um: [f64; 2],
-    /// When the daemon ends.
+    /// Action when the daemon ends.
     pub on_exit: OnExit,
-    /// How long a command is good for.
+    /// Validity of a command, milliseconds.
     pub lease_ms: u16,
-    /// When a command's lease ends.
+    /// Action of the board when the lease of a command expires.
     pub on_lease: OnExit,
-    /// The stage's controller, if it is one of PI.
+    /// The controller of a PI stage.
     pub gcs: GcsConfig,
 }
 
@@ -115,19 +116,19 @@ impl SteeringConfig {
             "on_lease",
             &["kind"],
             "\"park\"",
-            "\"hold\" with steering.kind = \"gcs\": its controller knows no lease, and stays when commands cease",
+            "\"hold\" with steering.kind = \"gcs\": the controller has no lease and holds its position when commands stop",
         );
         self.gcs.check(at.section("gcs"), self.kind == SteeringKind::Gcs);
     }
 
-    /// Two axes that move the beam in two directions.
+    /// The matrix describes two axes that move the beam in two different directions.
     fn check_matrix(&self, at: &mut Checker<'_>) {
         let [[a, b], [c, d]] = self.matrix;
         at.numbers("matrix[0]", &self.matrix[0], -100.0..=100.0);
         at.numbers("matrix[1]", &self.matrix[1], -100.0..=100.0);
         let size = a.hypot(c) * b.hypot(d);
         let apart = (a * d - b * c).abs() >= 0.1 * size && size >= 1e-6;
-        let allowed = "columns that are not zero, and not nearly parallel: the axes must move the beam in two directions";
+        let allowed = "columns that are neither zero nor nearly parallel: the axes must move the beam in two directions";
         at.demand(apart || size.is_nan(), "matrix", format!("{:?}", self.matrix), allowed);
     }
 }

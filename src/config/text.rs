@@ -1,14 +1,15 @@
-//! The configuration as the text of a file.
+//! Serialises the configuration to the text of a file.
 
 use serde::{Serialize, Serializer};
 
 use super::Config;
 
 impl Config {
-    /// The text of a file that means the same, without secrets, and so without control by the page.
+    /// The text of a file with the same meaning, but without secrets. Steering by the live page is
+    /// therefore disabled.
     ///
     /// # Errors
-    /// A number is too large for TOML.
+    /// Fails if a number is too large for TOML.
     pub fn to_text(&self) -> Result<String, toml::ser::Error> {
         let mut public = self.clone();
         (public.monitor.token, public.monitor.control) = (None, false);
@@ -16,7 +17,7 @@ impl Config {
     }
 }
 
-/// None is `"off"`.
+/// Serialises `None` as `"off"`.
 #[expect(clippy::ref_option, reason = "so serde calls it")]
 pub(super) fn or_off<T: Serialize, S: Serializer>(value: &Option<T>, to: S) -> Result<S::Ok, S::Error> {
     match value {

@@ -7,53 +7,54 @@ use super::fault::Fault;
 use super::motion::{Axis, Motion, MotionKind};
 use super::text::or_off;
 
-/// `[twin]`.
+/// Settings of `[twin]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TwinConfig {
-    /// Starts the random numbers: the same seed gives the same samples.
+    /// Seed of the random numbers: the same seed gives the same samples.
     pub seed: u64,
-    /// Radius of the mirror; light outside is lost.
+    /// Radius of the mirror, millimetres. Light outside it is lost.
     pub mirror_radius_mm: f64,
-    /// Power of the laser.
+    /// Power of the laser, milliwatts.
     pub laser_mw: f64,
-    /// Beam position at rest, world x and y, before steering.
+    /// Position of the beam at rest, world x and y, before steering, micrometres.
     pub laser_offset_um: [f64; 2],
-    /// One standard deviation of each spot coordinate.
+    /// Standard deviation of the noise of each spot coordinate, micrometres.
     pub spot_noise_um: f64,
-    /// One standard deviation of each power, relative to it.
+    /// Relative standard deviation of the noise of each power.
     pub power_noise: f64,
-    /// Resolution of the converter.
+    /// Resolution of the converter, bits.
     pub converter_bits: u8,
-    /// Range of the converter, plus and minus.
+    /// Range of the converter, plus and minus, volts.
     pub converter_range_v: f64,
-    /// What the nine channels read without light, volts: u, v, sum of A, of B, of C.
+    /// Readings of the nine channels without light, volts: u, v, sum of A, of B, of C.
     pub dark_v: [f64; 9],
-    /// Delay from one channel of the converter to the next.
+    /// Time from one channel of the converter to the next, microseconds.
     pub channel_skew_us: f64,
-    /// Bow of the PSDs: how far the reading is off at the middle of an edge.
+    /// Bow of the PSDs: error of the reading at the middle of an edge, micrometres.
     pub bow_um: f64,
     /// The steering stage.
     pub steering: TwinSteering,
-    /// How the mirror moves; motions add up.
+    /// Movements of the mirror. They are added.
     pub motion: Vec<Motion>,
-    /// What goes wrong, and when.
+    /// Simulated faults.
     pub fault: Vec<Fault>,
 }
 
-/// `[twin.steering]`.
+/// Settings of `[twin.steering]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TwinSteering {
-    /// How the axes of the stage truly move the beam: rows x and y across it, a column for each axis.
+    /// True displacement of the beam in x and y (rows) per displacement of each stage axis (columns).
     pub matrix: [[f64; 2]; 2],
-    /// From command to the start of the movement.
+    /// Time from a command to the start of the movement, milliseconds.
     pub delay_ms: f64,
-    /// Time constant of the movement.
+    /// Time constant of the movement, milliseconds.
     pub lag_ms: f64,
-    /// Mechanical limits, plus and minus.
+    /// Mechanical limits, plus and minus, micrometres.
     pub limit_um: f64,
-    /// One standard deviation of the readback; none (`"off"` in the file) without a readback channel.
+    /// Standard deviation of the noise of the readback, micrometres. `None` (`"off"` in the file): no
+    /// readback channels.
     #[serde(deserialize_with = "number_or_off", serialize_with = "or_off")]
     pub readback_noise_um: Option<f64>,
 }
@@ -91,7 +92,7 @@ impl Default for TwinSteering {
     }
 }
 
-/// The mirror of the demo wanders slowly by some tens of micrometres and microradians on every axis.
+/// The default motion: slow sines of some tens of micrometres and microradians on every axis.
 fn demo_motion() -> Vec<Motion> {
     let wander = [
         (Axis::Tx, 40.0, 0.11),
@@ -118,13 +119,14 @@ fn demo_motion() -> Vec<Motion> {
 }
 
 impl TwinConfig {
-    /// Channels of a scan: nine signals, and the readback of both steering axes if there is one.
+    /// Number of channels of a scan: nine signals, and two readbacks if the stage has them.
     pub fn channel_count(&self) -> usize {
         if self.steering.readback_noise_um.is_some() { 11 } else { 9 }
     }
 
     pub(super) fn check(&self, mut at: Checker<'_>, rate_hz: f64) {
-        at.number("seed", self.seed as f64, 0.0..=9_007_199_254_740_992.0); // what a double can say exactly
+        // The integers that a double represents exactly.
+        at.number("seed", self.seed as f64, 0.0..=9_007_199_254_740_992.0);
         at.number("mirror_radius_mm", self.mirror_radius_mm, 0.01..=1000.0);
         at.number("laser_mw", self.laser_mw, 0.0..=1e6);
         at.numbers("laser_offset_um", &self.laser_offset_um, -100_000.0..=100_000.0);

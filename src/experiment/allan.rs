@@ -1,24 +1,25 @@
-//! A record at rest: Allan deviation and drift.
+//! Allan deviation and drift of a record at rest.
 //!
-//! The Allan deviation over a time tau is the rms difference of neighbouring means over tau, divided by the root
-//! of two. Of white noise it falls as the deviation of a mean does, sigma / sqrt(n); what drifts makes it rise
-//! again, and the minimum is the longest mean that pays.
+//! The Allan deviation for an averaging time tau is the rms difference of adjacent means over tau, divided
+//! by the square root of two. For white noise it is sigma / sqrt(n), like the standard deviation of a mean.
+//! Drift makes it rise again; its minimum is at the longest averaging time that reduces the error.
 
 use super::fit::{Slope, slope};
 
-/// The Allan deviation over one time.
+/// The Allan deviation for one averaging time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Allan {
-    /// Readings in each mean.
+    /// Number of readings per mean.
     pub n: usize,
-    /// The deviation, in the unit of the record.
+    /// The Allan deviation, in the unit of the record.
     pub deviation: f64,
-    /// How far chance leaves it open: one deviation, in parts of it.
+    /// Relative standard uncertainty of the Allan deviation, from the limited number of differences.
     pub part: f64,
 }
 
-/// The Allan deviation of readings at equal times, for means of 1, 2, 4, ... of them, overlapping. The
-/// longest means are an eighth of the record: of longer ones there are too few.
+/// The overlapping Allan deviation of equally spaced readings, for means of 1, 2, 4, ... readings.
+///
+/// The longest means are an eighth of the record; for longer ones there are too few differences.
 pub fn allan(readings: &[f64]) -> Vec<Allan> {
     let mean = readings.iter().sum::<f64>() / readings.len() as f64;
     let mut sums = vec![0.0];
@@ -41,7 +42,7 @@ fn over(sums: &[f64], n: usize) -> Allan {
     Allan { n, deviation: (square / 2.0).sqrt(), part: 1.0 / (2.0 * freedom).sqrt() }
 }
 
-/// The steady drift of a record: per second, from times in seconds.
+/// The drift of a record: slope per second. `times`: seconds.
 pub fn drift(times: &[f64], readings: &[f64]) -> Slope {
     slope(times, readings)
 }
@@ -71,7 +72,7 @@ mod tests {
 
     #[test]
     fn the_scatter_is_as_stated() {
-        // Of many records, the deviation over 16 readings scatters by the stated part.
+        // Over many records, the deviation for 16 readings scatters by the stated relative uncertainty.
         let x = white(400 * 512, 1.0);
         let found: Vec<Allan> = x.chunks(512).map(|chunk| allan(chunk)[4]).collect();
         let n = found.len() as f64;

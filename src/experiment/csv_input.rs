@@ -1,4 +1,4 @@
-//! CSV by column names, in which whatever is wrong is named with its line.
+//! Reads CSV files by column names. Errors contain the line.
 
 use std::path::Path;
 
@@ -7,14 +7,14 @@ use csv::StringRecord;
 use super::quantity::plain;
 use crate::exit::{self, Failure};
 
-/// A CSV file whose header is read.
+/// A CSV file after its header was read.
 pub struct CsvInput {
     name: String,
     reader: csv::Reader<std::fs::File>,
     columns: Vec<String>,
 }
 
-/// One row of it.
+/// One row of the file.
 pub struct Row<'s> {
     sheet: &'s str,
     columns: &'s [String],
@@ -23,10 +23,11 @@ pub struct Row<'s> {
 }
 
 impl CsvInput {
-    /// Opens a file that must have these columns, in any order; others are ignored, and so are lines that begin with #.
+    /// Opens a file that must have these columns, in any order. Other columns, and lines that begin with #,
+    /// are ignored.
     ///
     /// # Errors
-    /// It cannot be read, or a column is missing, or there twice.
+    /// Fails if the file cannot be read, or if a column is missing or occurs twice.
     pub fn open(file: &Path, needed: &[&str]) -> Result<Self, Failure> {
         let name = file.display().to_string();
         let cannot = |e: &dyn std::fmt::Display| Failure::new(exit::IO, format!("cannot read {name}: {e}"));
@@ -40,19 +41,19 @@ impl CsvInput {
             let what = match columns.iter().filter(|c| c == column).count() {
                 0 => "is missing",
                 1 => continue,
-                _ => "is there twice",
+                _ => "occurs twice",
             };
             let needed = needed.join(",");
-            let message = format!("{name}: the column {column} {what}; needed are {needed}");
+            let message = format!("{name}: the column {column} {what}; required are {needed}");
             return Err(Failure::new(exit::DATA, message));
         }
         Ok(Self { name, reader, columns })
     }
 
-    /// The next row.
+    /// The next row. `None` at the end of the file.
     ///
     /// # Errors
-    /// It cannot be read, or has not as many fields as the header.
+    /// Fails if the row cannot be read, or if its number of fields differs from that of the header.
     pub fn next_row(&mut self) -> Result<Option<Row<'_>>, Failure> {
         let mut record = StringRecord::new();
         let read = self.reader.read_record(&mut record);
@@ -63,13 +64,16 @@ impl CsvInput {
 }
 
 impl Row<'_> {
-    /// A field as it is written; "" where there is no such column.
+    /// A field as text; "" if the column does not exist.
     pub fn text(&self, column: &str) -> &str {
         let place = self.columns.iter().position(|c| c == column);
         place.and_then(|place| self.record.get(place)).unwrap_or_default()
     }
 
-    /// A field as this, if it can be that; `what` says what is allowed.
+    /// A field parsed by `parse`. `what` states the allowed values, for the error message.
+    ///
+    /// # Errors
+    /// Fails if `parse` returns `None`.
     pub fn parse<T>(
         &self,
         column: &str,
@@ -81,16 +85,22 @@ impl Row<'_> {
     }
 
     /// A field as a finite number.
+    ///
+    /// # Errors
+    /// Fails if the field is not a finite number.
     pub fn number(&self, column: &str) -> Result<f64, Failure> {
         self.parse(column, "a finite number", |text| plain(text).parse().ok().filter(|x: &f64| x.is_finite()))
     }
 
-    /// A field as a count.
+    /// A field as a whole number.
+    ///
+    /// # Errors
+    /// Fails if the field is not a whole number within the range of the type.
     pub fn count<T: std::str::FromStr>(&self, column: &str) -> Result<T, Failure> {
         self.parse(column, "a whole number", |text| text.parse().ok())
     }
 
-    /// What is wrong with this row.
+    /// An error message for this row.
     pub fn wrong(&self, what: &str) -> Failure {
         Failure::new(exit::DATA, format!("{}:{}: {what}", self.sheet, self.line))
     }

@@ -1,15 +1,15 @@
 //! Medians and straight lines.
 
-/// The slope of a straight line through points.
+/// The slope of a straight line fitted to points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Slope {
-    /// Rise per unit.
+    /// Slope: change of y per unit of x.
     pub value: f64,
-    /// One standard deviation of it, from how the points scatter about the line.
+    /// Standard uncertainty of the slope, from the scatter of the points about the line.
     pub sigma: f64,
 }
 
-/// The least-squares line of `y` on `x`; NaN where there is none.
+/// The slope of the least-squares line of `y` on `x`. NaN if it is not defined.
 pub fn slope(x: &[f64], y: &[f64]) -> Slope {
     let n = x.len() as f64;
     let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
@@ -20,7 +20,7 @@ pub fn slope(x: &[f64], y: &[f64]) -> Slope {
     Slope { value, sigma: (left / (n - 2.0) / xx).sqrt() }
 }
 
-/// The middle value, of an even number the mean of the two; NaN of none.
+/// The median; for an even number of values the mean of the middle two. NaN if there are no values.
 pub fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut sorted: Vec<f64> = values.collect();
     sorted.sort_by(f64::total_cmp);

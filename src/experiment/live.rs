@@ -1,4 +1,4 @@
-//! Readings from a running daemon, through its TCP stream.
+//! Takes readings from a running daemon through its TCP stream.
 
 use std::time::Duration;
 
@@ -10,34 +10,34 @@ use super::static_record::parted;
 use super::twin::why_not;
 use crate::client::{Client, ClientError, Endpoint, Message, PoseFrame};
 
-/// A daemon says something each second. After this long without a word the link is dead.
+/// The daemon sends a message at least once a second. After this time without one, the link has failed.
 const SILENCE: Duration = Duration::from_secs(3);
-/// Frames must count for so long, one after the other, before one is taken: the hand has left the stage, and what it did
-/// is no longer taken for noise.
+/// Time for which all frames must have been usable before one is taken, nanoseconds. The operator has then
+/// released the stage, and the filters have settled.
 const SETTLE_NS: i64 = 600_000_000;
-/// Without a frame that counts for so long, something is to be done about it.
+/// Time without a usable frame after which an error is reported, nanoseconds.
 const FRAME_TIMEOUT_NS: i64 = 5_000_000_000;
 
 /// Why there is no reading.
 #[derive(Debug, thiserror::Error)]
 pub enum Trouble {
-    /// The daemon is gone, or was never there.
+    /// There is no connection to the daemon.
     #[error("{0}")]
     Lost(String),
-    /// It is there, and its poses do not count.
-    #[error("no pose to count on for 5 s: {0}")]
+    /// The daemon sends frames, but their poses are not usable.
+    #[error("no usable pose for 5 s: {0}")]
     NoPose(String),
-    /// The readings do not belong together.
+    /// The readings do not belong together: a gap, or a change of the configuration.
     #[error("{0}")]
     Parted(String),
 }
 
-/// The stream of a daemon.
+/// The frame stream of a daemon.
 #[derive(Debug)]
 pub struct DaemonStream {
     client: Client,
     endpoint: Endpoint,
-    /// Frames a second, once the daemon has told.
+    /// Frames per second according to the descriptor; 0 before it arrives.
     rate_hz: f64,
 }
 
@@ -45,17 +45,17 @@ impl DaemonStream {
     /// Connects to a daemon.
     ///
     /// # Errors
-    /// As the client has it.
+    /// Fails if the daemon does not answer or refuses the connection.
     pub async fn connect(endpoint: &Endpoint) -> Result<Self, ClientError> {
         let silent = |_| ClientError::Refused(format!("{endpoint} does not answer"));
         let client = timeout(SILENCE, Client::connect(endpoint)).await.map_err(silent)??;
         Ok(Self { client, endpoint: endpoint.clone(), rate_hz: 0.0 })
     }
 
-    /// Lets frames go by until something else has come.
+    /// Discards frames until another future is ready.
     ///
     /// # Errors
-    /// The stream has ended before.
+    /// Fails if the stream ends before.
     pub async fn until<T>(&mut self, other: impl Future<Output = T>) -> Result<T, Trouble> {
         tokio::pin!(other);
         loop {
@@ -67,10 +67,11 @@ impl DaemonStream {
         }
     }
 
-    /// The next so many readings, each the mean of so many poses; `taken` sees all that there are after each.
+    /// Takes `count` readings, each the mean of `average` poses. After each reading, `taken` is called with
+    /// all readings so far.
     ///
     /// # Errors
-    /// The stream has ended, its poses do not count, or `taken` objects.
+    /// Fails if the stream ends, if there is no usable pose for 5 s, or if `taken` returns an error.
     pub async fn readings(
         &mut self,
         count: u32,
@@ -101,19 +102,20 @@ impl DaemonStream {
         Ok(readings)
     }
 
-    /// Poses in so many seconds.
+    /// Number of poses in a time of `seconds`.
     ///
     /// # Errors
-    /// The stream has ended.
+    /// Fails if the stream ends.
     pub async fn poses(&mut self, seconds: f64) -> Result<u64, Trouble> {
-        self.frame().await?; // the descriptor comes before it
+        self.frame().await?; // the descriptor precedes the first frame
         Ok((seconds * self.rate_hz) as u64)
     }
 
-    /// The mirror at rest for so many seconds.
+    /// Takes a record of `seconds` seconds with the mirror at rest.
     ///
     /// # Errors
-    /// As [`DaemonStream::readings`]; or there is a hole in the record, or the sensor was tared meanwhile.
+    /// Fails like [`DaemonStream::readings`], or if the record has a gap or the configuration of the sensor
+    /// changes.
     pub async fn rest(&mut self, seconds: f64) -> Result<Vec<Observation>, Trouble> {
         let poses = self.poses(seconds).await?;
         let average = at_rest(poses);
@@ -133,13 +135,13 @@ impl DaemonStream {
                 Ok(Ok(Message::Descriptor(descriptor))) => self.rate_hz = descriptor.rate_hz,
                 Ok(Ok(_)) => {}
                 Ok(Err(e)) => return Err(lost(e.to_string())),
-                Err(_) => return Err(lost(format!("no sign of life for {} s", SILENCE.as_secs()))),
+                Err(_) => return Err(lost(format!("nothing received for {} s", SILENCE.as_secs()))),
             }
         }
     }
 }
 
-/// Why a frame does not count, if it does not.
+/// Why a frame is not usable. `None`: it is usable.
 fn objection(frame: &PoseFrame) -> Option<String> {
     let counts = frame.status.has(Status::POSE_VALID) && frame.lock == LockState::Locked;
     (!counts).then(|| why_not(frame.status, frame.lock))

@@ -1,10 +1,12 @@
-//! The paper's experiment: each axis moved in small intervals, fifty readings at each point, held against a
-//! reference.
+//! The experiment of the paper: each axis is moved in small steps, with fifty readings at each point, and
+//! the readings are compared with a reference.
 //!
-//! - [`protocol`]: what is measured where. [`quantity`], [`reference`](mod@reference): the interferometer.
-//! - [`observation`], [`reading`]: what was read, and its file. [`statistics`], [`static_record`], [`allan`](mod@allan), [`fit`]: what it says.
-//! - [`twin`], [`live`]: where readings come from.
-//! - [`table`], [`report`]: how it is told.
+//! - [`protocol`]: the points of the measurement. [`quantity`], [`reference`](mod@reference): input from
+//!   the interferometer.
+//! - [`observation`], [`reading`]: values of the sensor and their file.
+//! - [`statistics`], [`static_record`], [`allan`](mod@allan), [`fit`]: evaluation.
+//! - [`twin`], [`live`]: sources of readings.
+//! - [`table`], [`report`]: output.
 
 pub mod allan;
 pub mod csv_input;
@@ -21,12 +23,12 @@ pub mod statistics;
 pub mod table;
 pub mod twin;
 
-/// A number with three digits that count, for people.
+/// Formats a number with three significant digits.
 pub fn three(x: f64) -> String {
     if !x.is_finite() {
         return "-".into();
     }
-    // Rounded first: 0.9999 has one digit before the point.
+    // Rounded first: 0.9999 becomes 1.00, which has one digit before the point.
     let rounded: f64 = format!("{x:.2e}").parse().unwrap_or(x);
     let whole = if rounded == 0.0 { 1 } else { rounded.abs().log10().floor() as i32 + 1 };
     if whole > 6 {
@@ -35,8 +37,8 @@ pub fn three(x: f64) -> String {
     format!("{x:.*}", (3 - whole).clamp(0, 9) as usize)
 }
 
-/// Where something is, in um or urad, with its sign: two digits behind the point, and three that count where these say
-/// nothing.
+/// Formats a position in um or urad with its sign: two decimal places, or three significant digits if these
+/// would show too few.
 pub fn place(x: f64) -> String {
     let few = x != 0.0 && !(0.1..1e6).contains(&x.abs());
     let sign = if few && x > 0.0 { "+" } else { "" };

@@ -1,33 +1,34 @@
-//! What the sensor says, and means of it.
+//! Observations of the sensor and their means.
 
 use trifacet_wire::Status;
 
-/// What the sensor says at one moment, or in the mean over some.
+/// The output of the sensor at one time, or the mean over several.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
-    /// Nanoseconds: UTC since 1970, with the twin since its start.
+    /// Time, nanoseconds: UTC since 1970; with the twin since its start.
     pub time_ns: i64,
     /// tx, ty, tz (m), roll, pitch, yaw (rad).
     pub pose: [f64; 6],
-    /// One standard deviation of each, as stated with the pose.
+    /// Standard uncertainty of each component, as published with the pose.
     pub deviations: [f32; 6],
-    /// Samples in it.
+    /// Number of samples averaged.
     pub averaged: u32,
-    /// Fingerprint of geometry, calibration and frames: with another one, poses mean something else.
+    /// Fingerprint of geometry, calibration and frames. Poses with different fingerprints are not
+    /// comparable.
     pub config: u32,
     /// Status bits.
     pub status: Status,
 }
 
-/// More readings than this of a record at rest are made into means.
+/// Largest number of readings in a record at rest. Longer records are averaged.
 const MOST_AT_REST: u64 = 10_000;
 
-/// How many poses make a reading of a record at rest of so many poses.
+/// Number of poses per reading in a record at rest with this number of poses.
 pub fn at_rest(poses: u64) -> u32 {
     poses.div_ceil(MOST_AT_REST).max(1) as u32
 }
 
-/// A mean that is being made of looks.
+/// A running mean of observations.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Mean {
     n: f64,
@@ -40,7 +41,7 @@ pub struct Mean {
 }
 
 impl Mean {
-    /// Takes one more; gives the mean of `of` looks when it has them, and begins anew.
+    /// Adds an observation. Returns the mean when `of` observations are complete, and then starts again.
     pub fn push(&mut self, look: &Observation, of: u32) -> Option<Observation> {
         if self.n == 0.0 {
             self.first_ns = look.time_ns;
@@ -60,7 +61,7 @@ impl Mean {
         let mean = Observation {
             time_ns: self.first_ns + (self.since_ns / n) as i64,
             pose: self.pose.map(|sum| sum / n),
-            // The noise of the looks is independent.
+            // The noise of the observations is independent.
             deviations: self.variance.map(|sum| (sum.sqrt() / n) as f32),
             averaged: self.averaged,
             config: look.config,

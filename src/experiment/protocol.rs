@@ -1,30 +1,30 @@
-//! What is measured where: the paper's Table 2, and what a user makes of it.
+//! The points of the measurement: those of Table 2 in the paper, or those that the user chooses.
 
 use crate::config::Axis;
 
 /// A row of the paper's Table 2, in micrometres or microradians.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Printed {
-    /// Which axis is moved.
+    /// The axis that is moved.
     pub axis: Axis,
-    /// From the first point to the last.
+    /// Distance from the first to the last point.
     pub range: f64,
-    /// From point to point.
+    /// Distance between adjacent points.
     pub interval: f64,
-    /// The median over the points of the deviations of fifty readings.
+    /// The median over the points of the standard deviations of fifty readings.
     pub std: f64,
-    /// The relative uncertainty, percent. The paper does not define it.
+    /// The relative uncertainty, percent, which the paper does not define.
     pub relative: f64,
-    /// Number of the figure.
+    /// Number of the figure in the paper.
     pub figure: u8,
 }
 
-/// Readings at each point in the paper.
+/// Number of readings at each point in the paper.
 pub const READINGS: u32 = 50;
-/// Points of each axis in the paper: every range is twenty intervals.
+/// Number of points of each axis in the paper: every range is twenty intervals.
 pub const POINTS: u32 = 21;
 
-/// The paper's Table 2.
+/// Table 2 of the paper.
 pub const TABLE_2: [Printed; 6] = [
     Printed { axis: Axis::Tx, range: 28.8, interval: 1.44, std: 0.98, relative: 11.0, figure: 5 },
     Printed { axis: Axis::Ty, range: 28.3, interval: 1.42, std: 0.95, relative: 16.0, figure: 6 },
@@ -34,47 +34,47 @@ pub const TABLE_2: [Printed; 6] = [
     Printed { axis: Axis::Yaw, range: 326.0, interval: 16.3, std: 2.43, relative: 4.3, figure: 10 },
 ];
 
-/// What the paper says of an axis.
+/// The values in the paper for an axis.
 pub fn printed(axis: Axis) -> &'static Printed {
     &TABLE_2[axis as usize]
 }
 
-/// The points at which one axis is measured.
+/// The points of one axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Course {
-    /// The axis that is moved; all others stay.
+    /// The axis that is moved; all others stay at zero.
     pub axis: Axis,
-    /// Where it goes, metres or radians from the middle.
+    /// Positions relative to the middle, metres or radians.
     pub points: Vec<f64>,
 }
 
 impl Course {
-    /// So many points at equal intervals (metres or radians), the middle of them at zero.
+    /// `points` points at equal intervals (metres or radians); the middle one is at zero.
     pub fn even(axis: Axis, interval: f64, points: u32) -> Self {
         let middle = f64::from(points - 1) / 2.0;
-        // No farther than to the picometre: the digits behind it mean nothing.
+        // Rounded to picometres or picoradians; further digits are rounding errors.
         let pico = |x: f64| (x * 1e12).round() / 1e12;
         let points = (0..points).map(|k| pico(interval * (f64::from(k) - middle))).collect();
         Self { axis, points }
     }
 
-    /// As in the paper.
+    /// The points in the paper.
     pub fn paper(axis: Axis) -> Self {
         Self::even(axis, printed(axis).interval * 1e-6, POINTS)
     }
 }
 
-/// What is measured, and how often.
+/// The points of all axes, and the number of readings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Protocol {
-    /// Axis after axis.
+    /// The points of each axis, in order of measurement.
     pub courses: Vec<Course>,
-    /// Readings at each point.
+    /// Number of readings at each point.
     pub readings: u32,
 }
 
 impl Protocol {
-    /// Readings in all.
+    /// Total number of readings.
     pub fn total(&self) -> u64 {
         self.courses.iter().map(|course| course.points.len() as u64 * u64::from(self.readings)).sum()
     }
@@ -93,7 +93,7 @@ impl std::fmt::Display for Protocol {
 }
 
 impl Default for Protocol {
-    /// The paper's.
+    /// The protocol of the paper.
     fn default() -> Self {
         Self { courses: Axis::ALL.map(Course::paper).to_vec(), readings: READINGS }
     }
@@ -111,7 +111,7 @@ mod tests {
             assert_eq!(printed.axis, course.axis);
             assert_eq!(course.points.len(), 21);
             assert!((last + first).abs() < 1e-18);
-            // The paper rounds both.
+            // The paper rounds both values.
             assert!(((last - first) * 1e6 / printed.range - 1.0).abs() < 0.005, "{course:?}");
         }
         assert_eq!(Protocol::default().total(), 6300);

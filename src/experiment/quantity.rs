@@ -1,4 +1,4 @@
-//! Lengths and angles as people write them.
+//! Parses lengths and angles with units.
 
 use crate::config::Axis;
 
@@ -16,41 +16,42 @@ fn units(axis: Axis) -> &'static [(&'static str, f64)] {
     if axis.is_turn() { ANGLES } else { LENGTHS }
 }
 
-/// Metres or radians in a unit, if this axis can be told in it.
+/// The size of a unit in metres or radians. `None`: not a unit for this axis.
 pub fn unit(axis: Axis, name: &str) -> Option<f64> {
-    let name = name.replace('\u{3bc}', "µ"); // the Greek mu for the sign of the same look
+    let name = name.replace('\u{3bc}', "µ"); // Greek mu (U+03BC) looks like the micro sign
     units(axis).iter().find(|(unit, _)| *unit == name).map(|(_, si)| *si)
 }
 
-/// The units of an axis, for messages.
+/// The units for an axis, for messages.
 pub fn allowed(axis: Axis) -> String {
     let names: Vec<_> = units(axis).iter().map(|(name, _)| *name).filter(|name| name.is_ascii()).collect();
     names.join(", ")
 }
 
-/// A number with a sign as keyboards have it: some programs write minus as U+2212.
+/// Replaces the minus sign U+2212, which some programs write, by the ASCII hyphen.
 pub fn plain(number: &str) -> String {
     number.replace('\u{2212}', "-")
 }
 
-/// Metres or radians of "-14.40", which is um or urad, or of "-0.0144 mm".
+/// Parses "-14.40", which is in um or urad, or "-0.0144 mm". Returns metres or radians.
 ///
 /// # Errors
-/// What is wrong, and what is allowed.
+/// Fails if the number or the unit is not valid. The message states what is allowed.
 pub fn parse(axis: Axis, text: &str) -> Result<f64, String> {
     let text = text.trim();
     let end = text.rfind(|c: char| c.is_ascii_digit() || c == '.').map_or(0, |last| last + 1);
     let (number, name) = (text[..end].trim(), text[end..].trim());
     let value = plain(number).parse::<f64>().ok().filter(|x| x.is_finite()).ok_or_else(|| {
         format!(
-            "\"{text}\" is no number in {0}, such as -14.40; other units are said behind it: {1}",
+            "\"{text}\" is not a number in {0}, such as -14.40; another unit can follow the number: {1}",
             axis.micro_unit(),
             allowed(axis)
         )
     })?;
     let name = if name.is_empty() { axis.micro_unit() } else { name };
-    let si = unit(axis, name)
-        .ok_or_else(|| format!("\"{name}\" is no unit of {}: allowed are {}", axis.name(), allowed(axis)))?;
+    let si = unit(axis, name).ok_or_else(|| {
+        format!("\"{name}\" is not a unit for {}: allowed are {}", axis.name(), allowed(axis))
+    })?;
     Ok(value * si)
 }
 
@@ -68,11 +69,11 @@ mod tests {
         near(parse(Axis::Roll, "1e2"), 100e-6);
         near(parse(Axis::Yaw, "1arcsec"), std::f64::consts::PI / 648_000.0);
         for (axis, bad, told) in [
-            (Axis::Tx, "", "no number in um"),
-            (Axis::Tx, "1,44", "no number"),
-            (Axis::Tx, "inf", "no number"),
+            (Axis::Tx, "", "not a number in um"),
+            (Axis::Tx, "1,44", "not a number"),
+            (Axis::Tx, "inf", "not a number"),
             (Axis::Tx, "3 urad", "allowed are um, nm, mm, m"),
-            (Axis::Roll, "3 um", "no unit of roll"),
+            (Axis::Roll, "3 um", "not a unit for roll"),
         ] {
             let error = parse(axis, bad).unwrap_err();
             assert!(error.contains(told), "{error}");

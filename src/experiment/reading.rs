@@ -1,4 +1,4 @@
-//! Readings of the sensor beside the reference, and how they are kept.
+//! Readings of the sensor with their references, and their file format.
 
 use std::collections::HashSet;
 use std::io::{BufRead, BufReader, Write};
@@ -12,14 +12,14 @@ use super::observation::Observation;
 use crate::config::Axis;
 use crate::exit::{self, Failure};
 
-/// Which part of the experiment a reading belongs to.
+/// Part of the experiment to which a reading belongs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// The points of the paper's Table 2.
+    /// The points of Table 2 in the paper.
     Table2,
-    /// The same with what the design reaches beyond the paper.
+    /// The same points with a better converter, less noise and averaging.
     Beyond,
-    /// The mirror at rest, one reading after the other.
+    /// The record with the mirror at rest.
     StaticRecord,
 }
 
@@ -35,46 +35,46 @@ impl Part {
     }
 }
 
-/// A reading with its place in the experiment.
+/// A reading with its position in the experiment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
-    /// Which part of the experiment.
+    /// Part of the experiment.
     pub part: Part,
-    /// The axis that is moved, and where the reference says it is, metres or radians; not at rest.
+    /// The axis that is moved, and its reference, metres or radians. `None` at rest.
     pub moved: Option<(Axis, f64)>,
-    /// Counts the points of an axis from 1; 0 at rest.
+    /// Number of the point on its axis, from 1; 0 at rest.
     pub point: u32,
-    /// Counts the readings of a point from 1.
+    /// Number of the reading at its point, from 1.
     pub number: u32,
-    /// What the sensor says.
+    /// The output of the sensor.
     pub look: Observation,
 }
 
-/// Readings, where they come from, and how they were taken.
+/// Readings with their source and the options of the measurement.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Record {
-    /// Where they come from, for people; "" where the file does not say.
+    /// Description of the source; "" if the file does not contain it.
     pub source: String,
-    /// What was asked for, for people; readings with other options do not belong to them.
+    /// Description of the options. Readings with different options must not be combined.
     pub options: String,
-    /// In the order in which they were taken.
+    /// Readings in the order of measurement.
     pub readings: Vec<Reading>,
 }
 
-/// What begins the line of the source, and that of the options.
+/// Prefixes of the lines with the source and with the options.
 const HEAD: [&str; 2] = ["# source: ", "# options: "];
 
-/// All columns, in order.
+/// Names of all columns, in order.
 fn columns() -> Vec<&'static str> {
     let first = ["part", "axis", "point", "reading", "time_ns", "reference_si"];
     let last = ["averaged", "config", "status"];
     [&first[..], &POSE, &DEVIATIONS, &last].concat()
 }
 
-/// Writes readings as CSV, in SI units, under two lines that say where they come from.
+/// Writes readings as CSV, in SI units, after two comment lines with source and options.
 ///
 /// # Errors
-/// The writer fails.
+/// Fails if the writer fails.
 pub fn write(record: &Record, to: impl Write) -> std::io::Result<()> {
     let mut out = std::io::BufWriter::new(to);
     for (name, text) in HEAD.iter().zip([&record.source, &record.options]) {
@@ -97,10 +97,10 @@ pub fn write(record: &Record, to: impl Write) -> std::io::Result<()> {
     out.flush()
 }
 
-/// Reads what [`write`] wrote.
+/// Reads a file that [`write`] wrote.
 ///
 /// # Errors
-/// What is wrong, with file and line.
+/// Fails if the file cannot be read or contains an error. The message contains file and line.
 pub fn read(file: &Path) -> Result<Record, Failure> {
     let mut sheet = CsvInput::open(file, &columns())?;
     let mut readings = Vec::new();
@@ -109,12 +109,12 @@ pub fn read(file: &Path) -> Result<Record, Failure> {
         let reading = reading(&row)?;
         let axis = reading.moved.map(|(axis, _)| axis as usize);
         if !seen.insert((reading.part as usize, axis, reading.point, reading.number)) {
-            return Err(row.wrong("this reading is there twice"));
+            return Err(row.wrong("this reading occurs twice"));
         }
         readings.push(reading);
     }
     if readings.is_empty() {
-        return Err(Failure::new(exit::DATA, format!("{}: there are no readings in it", file.display())));
+        return Err(Failure::new(exit::DATA, format!("{}: the file contains no readings", file.display())));
     }
     let [source, options] =
         head(file).map_err(|e| Failure::new(exit::IO, format!("cannot read {}: {e}", file.display())))?;
@@ -154,13 +154,13 @@ fn reading(row: &Row) -> Result<Reading, Failure> {
     let bit = |name: &str| Status::NAMES.iter().find(|(_, n)| *n == name).map(|(bit, _)| *bit);
     let bits =
         |text: &str| text.split_whitespace().try_fold(Status::default(), |all, name| Some(all | bit(name)?));
-    let status = row.parse("status", "names of status bits with blanks between", bits)?;
+    let status = row.parse("status", "names of status bits separated by blanks", bits)?;
     if !status.has(Status::POSE_VALID) {
-        return Err(row.wrong("its status has no POSE_VALID: it is no reading"));
+        return Err(row.wrong("its status does not contain POSE_VALID: it is not a reading"));
     }
     let deviations = six(&DEVIATIONS)?.map(|x| x as f32);
     if !deviations.iter().all(|x| *x > 0.0 && x.is_finite()) {
-        return Err(row.wrong("a stated deviation (sd_...) is not above 0"));
+        return Err(row.wrong("a standard uncertainty (sd_...) is not above 0"));
     }
     Ok(Reading {
         part,
@@ -178,7 +178,7 @@ fn reading(row: &Row) -> Result<Reading, Failure> {
     })
 }
 
-/// The axis of a row.
+/// Parses the axis of a row.
 pub(super) fn axis(row: &Row) -> Result<Axis, Failure> {
     row.parse("axis", "tx, ty, tz, roll, pitch or yaw", |text| {
         Axis::ALL.into_iter().find(|a| a.name() == text)

@@ -1,4 +1,4 @@
-//! Readings of the interferometer in a CSV file: where the mirror was at each point.
+//! Reads a CSV file with interferometer readings: the position of the mirror at each point.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,13 +10,13 @@ use super::reading::axis;
 use crate::config::Axis;
 use crate::exit::{self, Failure};
 
-/// The columns of such a file: `unit` is that of `reference`, `point` counts from 1.
+/// Columns of the file. `unit` is that of `reference`; `point` counts from 1.
 pub const COLUMNS: [&str; 4] = ["axis", "unit", "point", "reference"];
 
-/// The points of each axis in the file, in the order of a pose, metres or radians.
+/// Reads the points of each axis, in the order of a pose, metres or radians.
 ///
 /// # Errors
-/// What is wrong, with file and line.
+/// Fails if the file cannot be read or contains an error. The message contains file and line.
 pub fn read(file: &Path) -> Result<Vec<Course>, Failure> {
     let mut sheet = CsvInput::open(file, &COLUMNS)?;
     let mut found: BTreeMap<(usize, u32), f64> = BTreeMap::new();
@@ -27,14 +27,14 @@ pub fn read(file: &Path) -> Result<Vec<Course>, Failure> {
         let point: u32 = row.parse("point", "1, 2, 3, ...", |text| text.parse().ok().filter(|n| *n > 0))?;
         let reference = row.number("reference")? * si;
         if found.insert((axis as usize, point), reference).is_some() {
-            return Err(row.wrong(&format!("point {point} of {} is there twice", axis.name())));
+            return Err(row.wrong(&format!("point {point} of {} occurs twice", axis.name())));
         }
     }
     let courses = Axis::ALL.into_iter().map(|axis| course(axis, &found));
     let courses: Result<Vec<_>, String> =
         courses.filter(|c| !matches!(c, Ok(c) if c.points.is_empty())).collect();
     let courses =
-        courses.and_then(|c| if c.is_empty() { Err("there are no readings in it".into()) } else { Ok(c) });
+        courses.and_then(|c| if c.is_empty() { Err("the file contains no readings".into()) } else { Ok(c) });
     courses.map_err(|what| Failure::new(exit::DATA, format!("{}: {what}", file.display())))
 }
 
@@ -44,7 +44,7 @@ fn course(axis: Axis, found: &BTreeMap<(usize, u32), f64>) -> Result<Course, Str
     for ((_, point), reference) in own {
         let due = points.len() as u32 + 1;
         if *point != due {
-            return Err(format!("point {due} of {} is missing, point {point} is there", axis.name()));
+            return Err(format!("point {due} of {} is missing, but point {point} exists", axis.name()));
         }
         points.push(*reference);
     }
@@ -77,8 +77,8 @@ mod tests {
             ("1,x,0,um\n", "allowed is tx, ty, tz, roll, pitch or yaw"),
             ("0,tx,0,um\n", "point is \"0\""),
             ("1,tx,zero,um\n", "reference is \"zero\": allowed is a finite number"),
-            ("1,tx,0,um\n1,tx,1,um\n", ":3: point 1 of tx is there twice"),
-            ("1,tx,0,um\n3,tx,1,um\n", "point 2 of tx is missing, point 3 is there"),
+            ("1,tx,0,um\n1,tx,1,um\n", ":3: point 1 of tx occurs twice"),
+            ("1,tx,0,um\n3,tx,1,um\n", "point 2 of tx is missing, but point 3 exists"),
             ("1,tx,0\n", "line: 2"),
         ] {
             let error = of(rows).unwrap_err().message;

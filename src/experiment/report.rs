@@ -1,4 +1,4 @@
-//! The report: one HTML file that needs nothing else.
+//! The report: a single HTML file without external resources.
 
 mod cells;
 mod html;
@@ -17,35 +17,35 @@ use crate::exit::{self, Failure};
 const PAGE: &str = include_str!("assets/report.html");
 const STYLE: &str = include_str!("assets/report.css");
 const SCRIPT: &str = include_str!("assets/report.js");
-/// The chart library, as the live page has it.
+/// The chart library, compressed, shared with the live page.
 const PLOTLY: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/plotly.js.gz"));
 
-/// All that the readings say.
+/// All results of the readings.
 #[derive(Clone, Debug)]
 pub struct Report {
-    /// Where they come from, for people.
+    /// Description of the source.
     pub source: String,
-    /// The paper's Table 2, repeated.
+    /// The results for Table 2 of the paper.
     pub table2: Vec<Measured>,
-    /// The same beyond the paper; empty where that was not measured.
+    /// The results beyond the paper; empty if there are none.
     pub beyond: Vec<Measured>,
     /// The record at rest, if there is one.
     pub rest: Option<StaticRecord>,
-    /// The light was computed by a twin.
+    /// Whether the readings are from the twin.
     pub simulated: bool,
-    /// Every status bit of any reading.
+    /// All status bits that occur in the readings.
     status: Status,
-    /// First and last reading, nanoseconds.
+    /// Times of the first and the last reading, nanoseconds.
     time_ns: [i64; 2],
-    /// Samples in a reading, of each part.
+    /// Number of samples per reading, of both parts.
     averaged: [u32; 2],
 }
 
 impl Report {
-    /// Works out readings.
+    /// Evaluates readings.
     ///
     /// # Errors
-    /// There are too few of them, or they do not belong together.
+    /// Fails if there are too few readings, or if they do not belong together.
     pub fn new(readings: &[Reading], source: String) -> Result<Self, Failure> {
         let table2 = measured(readings, Part::Table2)?;
         if table2.is_empty() {
@@ -69,11 +69,11 @@ impl Report {
     /// The report as HTML.
     ///
     /// # Errors
-    /// The chart library cannot be unpacked: a defect.
+    /// Fails if the chart library cannot be unpacked, which is a defect of the program.
     pub fn html(&self) -> std::io::Result<String> {
         let mut plotly = String::new();
         GzDecoder::new(PLOTLY).read_to_string(&mut plotly)?;
-        // The library comes last: nothing is looked for in it.
+        // The library is inserted last, so that it is not searched for placeholders.
         Ok(html::page(self, PAGE)
             .replace("{{style}}", STYLE)
             .replace("{{script}}", SCRIPT)
@@ -81,7 +81,7 @@ impl Report {
             .replacen("{{plotly}}", &plotly, 1))
     }
 
-    /// What the figures show, in um, urad and seconds.
+    /// The data of the figures, in um, urad and seconds.
     fn data(&self) -> Value {
         json!({
             "axes": self.table2.iter().map(figure).collect::<Vec<_>>(),

@@ -1,4 +1,4 @@
-//! What the record at rest says.
+//! Evaluates the record at rest.
 
 use trifacet_core::time::NS_PER_S;
 
@@ -8,50 +8,52 @@ use super::observation::Observation;
 use super::reading::{Part, Reading};
 use crate::exit::{self, Failure};
 
-/// Fewer readings say nothing of how noise and time go together.
+/// Smallest number of readings for which an Allan deviation is computed.
 pub const LEAST: usize = 64;
-/// Readings farther apart than so many periods have a hole between them: a single sample that was dropped is none.
+/// Readings farther apart than this number of periods have a gap between them. A single lost sample is
+/// tolerated.
 const HOLE: f64 = 2.5;
-/// The time from the first to the last may differ from that of as many periods by this part.
+/// Largest relative difference between the length of the record and that of the same number of periods.
 const UNEVEN: f64 = 0.01;
-/// Stretches of the drawing.
+/// Number of sections in the plot.
 const STRETCHES: usize = 60;
 
-/// A record of the mirror at rest.
+/// A record with the mirror at rest.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StaticRecord {
-    /// Readings.
+    /// Number of readings.
     pub readings: usize,
-    /// From one to the next, seconds: the median.
+    /// Time between adjacent readings, seconds: the median.
     pub period_s: f64,
-    /// From the first to the last, seconds.
+    /// Time from the first to the last reading, seconds.
     pub span_s: f64,
-    /// Why there is no Allan deviation, if there is none: the readings do not follow each other at equal times.
+    /// Why there is no Allan deviation: the readings are not equally spaced. `None` if there is one.
     pub uneven: Option<String>,
-    /// Each axis, in the order of a pose.
+    /// Results of each axis, in the order of a pose.
     pub axes: [Still; 6],
-    /// The middles of the stretches of the drawing, seconds from the first reading.
+    /// Centres of the sections of the plot, seconds after the first reading.
     pub times_s: Vec<f64>,
 }
 
-/// One axis at rest. Metres or radians.
+/// Results of one axis at rest, metres or radians.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Still {
-    /// The deviation over means of growing length; none of an uneven record.
+    /// The Allan deviation for increasing averaging times; empty if the record is not equally spaced.
     pub allan: Vec<Allan>,
-    /// The deviation of a reading, as stated with the poses.
+    /// Standard uncertainty of a reading, as published with the poses: the median.
     pub stated: f64,
-    /// Per second.
+    /// Drift per second.
     pub drift: Slope,
-    /// Means over the stretches of the drawing, less the mean of all.
+    /// Means over the sections of the plot, relative to the mean of all readings.
     pub course: Vec<f64>,
 }
 
 impl StaticRecord {
-    /// The part at rest of all readings, if there is one.
+    /// Evaluates the readings at rest. `None` if there are none.
     ///
     /// # Errors
-    /// It is too short, or the sensor was tared or configured anew within it.
+    /// Fails if the record is too short, or if the configuration of the sensor changed within it (for
+    /// example by a tare).
     pub fn of(readings: &[Reading]) -> Result<Option<Self>, Failure> {
         let rest: Vec<&Reading> = readings.iter().filter(|r| r.part == Part::StaticRecord).collect();
         let [first, .., last] = rest[..] else { return Ok(None) };
@@ -62,11 +64,11 @@ impl StaticRecord {
         }
         if let Some(other) = rest.iter().find(|r| r.look.config != first.look.config) {
             let at_s = seconds(&first.look, &other.look);
-            let message = format!("the record at rest: {CHANGED}, {at_s:.3} s after its begin");
+            let message = format!("the record at rest: {CHANGED}, {at_s:.3} s after its start");
             return Err(Failure::new(exit::DATA, message));
         }
         let times: Vec<f64> = rest.iter().map(|r| seconds(&first.look, &r.look)).collect();
-        // Stamps are whole nanoseconds; the digits behind that are of the arithmetic.
+        // Times are whole nanoseconds; further digits are rounding errors.
         let period_s = (median(times.windows(2).map(|t| t[1] - t[0])) * 1e9).round() / 1e9;
         let uneven = uneven(&times, period_s);
         Ok(Some(Self {
@@ -86,7 +88,8 @@ fn seconds(from: &Observation, to: &Observation) -> f64 {
     (to.time_ns - from.time_ns) as f64 / NS_PER_S as f64
 }
 
-/// Why two looks, one after the other, do not belong to one record at rest with this period (seconds), if they do not.
+/// Why two consecutive observations cannot belong to one record at rest with this period (seconds). `None`:
+/// they can.
 pub fn parted(last: &Observation, next: &Observation, period_s: f64) -> Option<String> {
     if last.config != next.config {
         return Some(CHANGED.into());
@@ -96,7 +99,7 @@ pub fn parted(last: &Observation, next: &Observation, period_s: f64) -> Option<S
 
 fn hole(step_s: f64, period_s: f64) -> Option<String> {
     let wrong = !(step_s > 0.0 && step_s <= HOLE * period_s);
-    wrong.then(|| format!("{step_s:.4} s from one reading to the next, where {period_s:.4} s are due"))
+    wrong.then(|| format!("{step_s:.4} s from one reading to the next instead of {period_s:.4} s"))
 }
 
 fn uneven(times: &[f64], period_s: f64) -> Option<String> {
@@ -105,7 +108,8 @@ fn uneven(times: &[f64], period_s: f64) -> Option<String> {
     let (span, even) = (times[times.len() - 1], period_s * (times.len() - 1) as f64);
     let stretched = (span - even).abs() > UNEVEN * even;
     holed.or_else(|| {
-        stretched.then(|| format!("{span:.3} s in all, where periods of {period_s:.4} s make {even:.3} s"))
+        stretched
+            .then(|| format!("{span:.3} s in total instead of {even:.3} s with periods of {period_s:.4} s"))
     })
 }
 
@@ -121,7 +125,7 @@ fn still(axis: usize, times: &[f64], rest: &[&Reading], even: bool) -> Still {
     }
 }
 
-/// Means over stretches of equal length, as many as can be drawn.
+/// Means over sections of equal length, at most as many as the plot has.
 fn stretches(values: &[f64]) -> Vec<f64> {
     let long = values.len().div_ceil(STRETCHES);
     values.chunks(long).map(|chunk| chunk.iter().sum::<f64>() / chunk.len() as f64).collect()
@@ -167,8 +171,8 @@ mod tests {
         let many: Vec<i64> = even.iter().copied().filter(|ms| ms % 500 != 0).collect();
         let back: Vec<i64> = even.iter().rev().copied().collect();
         for (times, told) in [
-            (blocked, "3.0100 s from one reading to the next, where 0.0100 s are due, at 0.500 s"),
-            (many, "s in all, where periods of 0.0100 s make"),
+            (blocked, "3.0100 s from one reading to the next instead of 0.0100 s, at 0.500 s"),
+            (many, "s in total instead of"),
             (back, "-0.0100 s from one"),
         ] {
             let rest = rest(&times);
@@ -182,7 +186,7 @@ mod tests {
         let mut readings = at(&(0..100).collect::<Vec<_>>());
         readings[40].look.config = 4;
         let error = StaticRecord::of(&readings).unwrap_err().message;
-        assert!(error.contains("have changed (a tare?), 0.040 s after its begin"), "{error}");
+        assert!(error.contains("have changed (a tare?), 0.040 s after its start"), "{error}");
         assert!(parted(&readings[39].look, &readings[40].look, 0.001).is_some());
     }
 }

@@ -1,4 +1,5 @@
-//! What readings say: deviations at each point, errors against the reference, crosstalk.
+//! Statistics of the readings: standard deviations at each point, errors against the reference, and
+//! crosstalk.
 
 use super::fit::{Slope, median, slope};
 use super::protocol::{Printed, printed};
@@ -6,73 +7,75 @@ use super::reading::{Part, Reading};
 use crate::config::Axis;
 use crate::exit::{self, Failure};
 
-/// Fewer points make no straight line with a deviation.
+/// Smallest number of points for a line with a standard uncertainty.
 const POINTS: usize = 3;
-/// Fewer readings make no deviation.
+/// Smallest number of readings for a standard deviation.
 const READINGS: usize = 2;
 
 /// The readings at one point.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Point {
-    /// Where the reference says the axis is, metres or radians.
+    /// Reference of the axis, metres or radians.
     pub reference: f64,
-    /// How many.
+    /// Number of readings.
     pub readings: usize,
-    /// Mean of each axis, metres and radians.
+    /// Mean of each axis, metres or radians.
     pub means: [f64; 6],
-    /// One standard deviation of the moved axis, from the mean of this point.
+    /// Standard deviation of the moved axis about the mean of this point.
     pub std: f64,
     /// Smallest reading of the moved axis.
     pub min: f64,
-    /// Largest.
+    /// Largest reading of the moved axis.
     pub max: f64,
 }
 
-/// What is known of one axis that was moved. Metres and radians.
+/// Results of one axis that was moved, metres or radians.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Measured {
-    /// Which axis.
+    /// The axis.
     pub axis: Axis,
-    /// Point by point.
+    /// Results of each point.
     pub points: Vec<Point>,
-    /// Mean of measured less reference over the points: an interferometer has no zero of its own, so this is no error.
+    /// Mean over the points of measured value minus reference. It is not an error: the zero of an
+    /// interferometer is arbitrary.
     pub offset: f64,
-    /// From the smallest to the largest reference.
+    /// Difference of the largest and the smallest reference.
     pub range: f64,
-    /// The range over the number of steps.
+    /// The range divided by the number of steps.
     pub interval: f64,
-    /// Median over the points of their deviations, as in the paper.
+    /// Median of the standard deviations of the points, as in the paper.
     pub std: f64,
-    /// Root of the mean variance over the points.
+    /// Square root of the mean variance of the points.
     pub pooled: f64,
-    /// How far the readings that made `pooled` leave it open: one deviation, in parts of it.
+    /// Relative standard uncertainty of `pooled`, from the limited number of readings.
     pub pooled_part: f64,
-    /// Median of the deviations that were stated with the poses.
+    /// Median of the standard uncertainties that were published with the poses.
     pub predicted: f64,
-    /// rms over the points of the error of the mean, in parts of the interval.
+    /// Rms over the points of the error of the mean, relative to the interval.
     pub relative: f64,
-    /// The same if there were nothing but the predicted noise.
+    /// The value of `relative` that the predicted noise alone would give.
     pub relative_noise: f64,
-    /// How much each axis reads per unit of this one: the axis itself (1 is right), and crosstalk.
+    /// Slope of each axis against the reference of this one: ideally 1 for the axis itself, and 0 for the
+    /// others (crosstalk).
     pub response: [Slope; 6],
 }
 
 impl Measured {
-    /// What the paper says of this axis.
+    /// The values in the paper for this axis.
     pub fn printed(&self) -> &'static Printed {
         printed(self.axis)
     }
 
-    /// How far the mean of a point is from the reference.
+    /// Error of the mean of a point against the reference.
     pub fn error(&self, point: &Point) -> f64 {
         point.means[self.axis as usize] - point.reference - self.offset
     }
 }
 
-/// Every axis that was moved in this part of the experiment.
+/// Results of all axes that were moved in this part of the experiment.
 ///
 /// # Errors
-/// An axis has too few points or readings.
+/// Fails if an axis has too few points or readings, or if its readings do not belong together.
 pub fn measured(readings: &[Reading], part: Part) -> Result<Vec<Measured>, Failure> {
     let of =
         |axis| readings.iter().filter(move |r| r.part == part && r.moved.is_some_and(|(a, _)| a == axis));
@@ -85,13 +88,13 @@ fn measured_axis(axis: Axis, readings: &[&Reading]) -> Result<Measured, Failure>
         let what = "its readings were made with different geometries, calibrations or frames";
         return Err(Failure::new(
             exit::DATA,
-            format!("{}: {what}; was the sensor tared meanwhile?", axis.name()),
+            format!("{}: {what}; was the sensor tared in between?", axis.name()),
         ));
     }
     let numbers: std::collections::BTreeSet<u32> = readings.iter().map(|r| r.point).collect();
     let of = |number| readings.iter().filter(move |r| r.point == number).copied().collect::<Vec<_>>();
     if let Some((due, _)) = (1..).zip(&numbers).find(|(due, number)| due != *number) {
-        let message = format!("{} point {due} is missing, and a later one is there", axis.name());
+        let message = format!("{} point {due} is missing, but a later point exists", axis.name());
         return Err(Failure::new(exit::DATA, message));
     }
     let points = numbers.into_iter().map(|number| point(axis, number, &of(number)));
@@ -106,7 +109,8 @@ fn measured_axis(axis: Axis, readings: &[&Reading]) -> Result<Measured, Failure>
     let smallest = references.iter().copied().fold(f64::INFINITY, f64::min);
     let range = references.iter().copied().fold(f64::NEG_INFINITY, f64::max) - smallest;
     if range <= 0.0 {
-        let message = format!("{}: the reference is the same at all points; it must have moved", axis.name());
+        let message =
+            format!("{}: the reference is the same at all points: the axis must be moved", axis.name());
         return Err(Failure::new(exit::DATA, message));
     }
     let interval = range / (n - 1.0);
@@ -127,7 +131,7 @@ fn measured_axis(axis: Axis, readings: &[&Reading]) -> Result<Measured, Failure>
         pooled_part: 1.0 / (2.0 * freedom).sqrt(),
         predicted,
         relative: square.sqrt() / interval,
-        // The offset takes one of the points' freedoms.
+        // The offset uses one degree of freedom of the points.
         relative_noise: predicted * (each * (n - 1.0) / n).sqrt() / interval,
         response: std::array::from_fn(|k| {
             let means: Vec<f64> = points.iter().map(|p| p.means[k]).collect();
@@ -166,7 +170,7 @@ mod tests {
     use super::*;
     use crate::experiment::observation::Observation;
 
-    /// Readings about a line of slope 1.1 with an offset, and with yaw a tenth of tx.
+    /// Readings about a line of slope 1.1 with an offset. The slope of yaw is a tenth of that of tx.
     fn line(points: u32, readings: u32) -> Vec<Reading> {
         let one = |point: u32, number: u32| {
             let x = f64::from(point) * 2e-6;
@@ -220,7 +224,7 @@ mod tests {
             ),
             (
                 line(4, 5).iter().map(|r| Reading { moved: Some((Axis::Tx, 1.0)), ..*r }).collect(),
-                "must have moved",
+                "must be moved",
             ),
         ] {
             let error = measured(&readings, Part::Table2).unwrap_err().message;

@@ -1,4 +1,4 @@
-//! Table 2 beside the paper's: as CSV, and for a terminal.
+//! Table 2 next to that of the paper: as CSV and as text.
 
 use std::fmt;
 
@@ -16,7 +16,7 @@ pub fn csv(measured: &[Measured]) -> String {
     csv
 }
 
-/// The table for a terminal.
+/// The table as text for a terminal.
 pub struct Table<'m>(pub &'m [Measured]);
 
 impl fmt::Display for Table<'_> {

@@ -1,5 +1,5 @@
-//! The experiment on the digital twin: the daemon's cores in lockstep, the loop closed, the twin's truth for
-//! the reference.
+//! Runs the experiment on the digital twin: the daemon's code in lockstep, with the loop closed and the
+//! true position as reference.
 
 use trifacet_core::estimation::PoseReport;
 use trifacet_optics::Pose;
@@ -13,29 +13,29 @@ use crate::closed_loop_sim::ClosedLoopSim;
 use crate::config::{Axis, Config, FramesConfig};
 use crate::exit::{self, Failure};
 
-/// Without a pose that counts for so long, seconds of the twin, there will be none.
+/// Time without a usable pose after which the measurement fails, seconds of the twin.
 const POSE_TIMEOUT_S: f64 = 5.0;
-/// Samples that the mirror takes from point to point: a jump would be taken for noise, as that of a stage is not.
+/// Number of samples in which the mirror moves to the next point. A jump could be taken for noise.
 const WAY: u32 = 64;
 
-/// The paper's bench, as a twin.
+/// The bench of the paper as a twin.
 pub struct Bench {
     sim: ClosedLoopSim,
-    /// Where the mirror stands, metres and radians.
+    /// Position of the mirror, metres and radians.
     at: [f64; 6],
-    /// Samples for which poses must count, one after the other, before one is taken.
+    /// Number of samples for which all poses must have been usable before one is taken.
     settle: u64,
-    /// Samples for which that has been so.
+    /// Number of samples for which this has been the case.
     calm: u64,
-    /// Samples after which there is no hope.
+    /// Number of samples after which the measurement fails.
     patience: u64,
     rate_hz: f64,
     average: u32,
-    /// Why the last pose did not count.
+    /// Why the last pose was not usable.
     why: String,
 }
 
-/// What the design reaches beyond the paper: another converter, quieter detectors, means of a hundred samples.
+/// The configuration beyond the paper: an 18-bit converter, less spot noise, means of a hundred samples.
 #[must_use]
 pub fn beyond(config: &Config) -> Config {
     let mut config = config.clone();
@@ -47,26 +47,26 @@ pub fn beyond(config: &Config) -> Config {
 }
 
 impl Bench {
-    /// The twin of a configuration, with the mirror at rest, told in the sensor's own frame.
+    /// The twin of a configuration, with the mirror at rest. Poses are in the sensor's world frame.
     ///
     /// # Errors
-    /// What would keep the daemon from starting.
+    /// Fails if the configuration is not valid.
     pub fn new(config: &Config) -> Result<Self, Failure> {
         let config = Config { frames: FramesConfig::default(), ..config.clone() };
         let mut sim = ClosedLoopSim::new(&config)?;
         sim.place(Pose::default());
         let rate_hz = config.acquisition.rate_hz;
         let average = u32::from(config.estimation.average);
-        // What was begun before the mirror moved does not count, nor how the loop comes after it.
+        // Blocks that began before the movement are discarded, and the loop must have locked again.
         let settle = (config.centering.lock_time_ms * 1e-3 * rate_hz).ceil() as u64 + u64::from(average);
         let patience = (POSE_TIMEOUT_S * rate_hz).ceil() as u64 + 2 * settle;
         Ok(Self { sim, at: [0.0; 6], settle, calm: 0, patience, rate_hz, average, why: String::new() })
     }
 
-    /// Goes through a protocol; `taken` hears of every reading.
+    /// Takes all readings of a protocol. `taken` is called after every reading.
     ///
     /// # Errors
-    /// A reading cannot be had: where, and why.
+    /// Fails if a reading cannot be taken. The message contains the point and the reason.
     pub fn measure(
         &mut self,
         protocol: &Protocol,
@@ -93,10 +93,10 @@ impl Bench {
         Ok(readings)
     }
 
-    /// The mirror at rest for so many seconds.
+    /// Takes a record of `seconds` seconds with the mirror at rest.
     ///
     /// # Errors
-    /// A reading cannot be had, or there is a hole between two: why.
+    /// Fails if a reading cannot be taken, or if there is a gap between two.
     pub fn rest(&mut self, seconds: f64) -> Result<Vec<Reading>, Failure> {
         self.place(Axis::Tx, 0.0);
         let poses = (seconds * self.rate_hz / f64::from(self.average)) as u64;
@@ -104,13 +104,14 @@ impl Bench {
         let mut mean = Mean::default();
         let mut readings = Vec::new();
         let period_s = f64::from(self.average) / self.rate_hz;
-        let failed = |why| Failure::new(exit::UNAVAILABLE, format!("at rest: {why}; --rest 0 does without"));
+        let failed =
+            |why| Failure::new(exit::UNAVAILABLE, format!("at rest: {why}; --rest 0 omits this record"));
         let mut last: Option<Observation> = None;
         for _ in 0..poses {
             let look = self.look().map_err(failed)?;
             if let Some(why) = last.and_then(|last| static_record::parted(&last, &look, period_s)) {
                 let at_s = look.time_ns as f64 * 1e-9;
-                return Err(failed(format!("{why}, at {at_s:.3} s; before: {}", self.why)));
+                return Err(failed(format!("{why}, at {at_s:.3} s; last reason: {}", self.why)));
             }
             last = Some(look);
             if let Some(look) = mean.push(&look, of) {
@@ -121,7 +122,7 @@ impl Bench {
         Ok(readings)
     }
 
-    /// Moves the mirror to where only this axis is off the middle.
+    /// Moves the mirror to a position of this axis, with all other axes at zero.
     fn place(&mut self, axis: Axis, amount: f64) {
         let mut to = [0.0; 6];
         to[axis as usize] = amount;
@@ -134,7 +135,7 @@ impl Bench {
         (self.at, self.calm) = (to, 0);
     }
 
-    /// The next pose that counts: valid and locked, as were those before it since the mirror settled.
+    /// The next usable pose: valid and locked, like all poses since the mirror settled.
     fn look(&mut self) -> Result<Observation, String> {
         for _ in 0..self.patience {
             let Some(report) = self.sim.step().report else { continue };
@@ -148,11 +149,11 @@ impl Bench {
                 Err(why) => (self.calm, self.why) = (0, why),
             }
         }
-        Err(format!("no pose to count on for {POSE_TIMEOUT_S} s: {}", self.why))
+        Err(format!("no usable pose for {POSE_TIMEOUT_S} s: {}", self.why))
     }
 }
 
-/// A report as a look, or why it does not count.
+/// Converts a report to an observation, or returns why it is not usable.
 fn look(report: &PoseReport) -> Result<Observation, String> {
     let (Some(pose), Some(covariance)) = (report.pose, report.covariance) else {
         return Err(why_not(report.status, report.lock));
@@ -170,7 +171,7 @@ fn look(report: &PoseReport) -> Result<Observation, String> {
     })
 }
 
-/// Why a pose does not count, in words for people.
+/// Why a pose is not usable, as text.
 pub(super) fn why_not(status: Status, lock: LockState) -> String {
     let names: Vec<_> = status.names().filter(|n| *n != "SIMULATED" && *n != "UNCALIBRATED").collect();
     let pose = if status.has(Status::POSE_VALID) { "the pose is valid" } else { "the pose is invalid" };

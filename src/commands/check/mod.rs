@@ -1,4 +1,4 @@
-//! `trifacet check`: what a configuration means.
+//! `trifacet check`: explains a configuration.
 
 mod recording;
 mod steering;
@@ -19,20 +19,20 @@ use trifacet_optics::{
 
 use super::{ConfigArg, written};
 
-/// Arguments of `check`.
+/// Options of `check`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct CheckArgs {
     #[command(flatten)]
     config: ConfigArg,
 }
 
-/// Says what a configuration means, or fails with what is wrong with it.
+/// Prints the meaning of a configuration, or fails with its errors.
 pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
     let beginning = RecordingHeader::of_source(&config)?;
     let (config, id) = match &beginning {
         None => {
-            config.read_channels()?; // the correction tables are part of it
+            config.read_channels()?; // the correction tables are part of the configuration
             let id = config.config_id()?;
             (config, id)
         }
@@ -43,7 +43,7 @@ pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
     };
     let mut lines = Lines::default();
     let name = args.config.config.as_ref().map_or("defaults".into(), |file| file.display().to_string());
-    lines.say("configuration", format!("{name}: fine, id {id:08x}"));
+    lines.say("configuration", format!("{name}: valid, id {id:08x}"));
     head(&config, &mut lines)?;
     source(&config, &mut lines);
     if let Some(then) = &beginning {
@@ -51,7 +51,7 @@ pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
             "",
             format!("recorded {}; id, head, channels, estimation and frames", rfc3339(then.first.1)),
         );
-        lines.say("", "are those at its beginning, these sections of the file are not used");
+        lines.say("", "are taken from its beginning; these sections of the file are not used");
     }
     steering::centering(&config, &mut lines);
     steering::stage(&config, &mut lines);
@@ -65,13 +65,13 @@ pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
     written(std::io::stdout().write_all(lines.0.as_bytes()))
 }
 
-/// Lines of a subject and what is said of it; a subject is named once.
+/// Lines of output, each with a subject. The subject is printed in its first line only.
 #[derive(Default)]
 struct Lines(String);
 
 impl Lines {
     fn say(&mut self, subject: &str, what: impl AsRef<str>) {
-        let _ = writeln!(self.0, "{subject:<14} {}", what.as_ref()); // a String takes everything
+        let _ = writeln!(self.0, "{subject:<14} {}", what.as_ref()); // writing to a String cannot fail
     }
 }
 
@@ -87,14 +87,14 @@ fn head(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
             head.psd_distance_mm,
             head.facet_angle_deg,
             head.beam_diameter_mm,
-            if calibrated { "; single parts as calibrated" } else { "" }
+            if calibrated { "; some parts calibrated" } else { "" }
         ),
     );
     let rest = Optics::new(&head.build()?).trace(Model::Gaussian, &Pose::default(), Vec2::zeros())?;
     for (i, name) in FACETS.iter().enumerate() {
         let (u, v) = (rest.spots[2 * i] * 1e3, rest.spots[2 * i + 1] * 1e3);
         let subject = if i == 0 { "light at rest" } else { "" };
-        // Adding zero turns the zeros of rounding, such as -0.0000, into plain ones.
+        // Adding zero turns -0.0 into 0.0.
         let [u, v] = [u, v].map(|x| (x * 1e4).round() / 1e4 + 0.0);
         lines.say(
             subject,
@@ -111,7 +111,7 @@ fn source(config: &Config, lines: &mut Lines) {
         "source",
         match acquisition.source {
             SourceKind::Twin => format!(
-                "digital twin (the light is computed), {rate} Hz, {} motions, {} faults, seed {}",
+                "digital twin (simulated light), {rate} Hz, {} motions, {} faults, seed {}",
                 config.twin.motion.len(),
                 config.twin.fault.len(),
                 config.twin.seed
@@ -120,7 +120,7 @@ fn source(config: &Config, lines: &mut Lines) {
                 "recording {}, {rate} Hz, {} times as fast as recorded{}",
                 config.replay.file.display(),
                 config.replay.speed,
-                if config.replay.repeat { ", again and again" } else { "" }
+                if config.replay.repeat { ", repeated" } else { "" }
             ),
             SourceKind::Serial => format!(
                 "serial board at {}, {} baud, {rate} Hz",
@@ -160,16 +160,16 @@ fn estimation(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
         .map_or(spread.pose_covariance(), |innovation| innovation.fuse(&solution).spread.pose_covariance());
     let sigma = deviations(&covariance) * 1e6;
     lines.say(
-        "deviations",
+        "uncertainties",
         format!(
-            "tx {:.3} ty {:.3} tz {:.3} um, roll {:.3} pitch {:.3} yaw {:.3} urad (one sigma, at rest)",
+            "tx {:.3} ty {:.3} tz {:.3} um, roll {:.3} pitch {:.3} yaw {:.3} urad (standard, mirror at rest)",
             sigma[0], sigma[1], sigma[2], sigma[3], sigma[4], sigma[5]
         ),
     );
     Ok(())
 }
 
-/// Frames that change nothing need no words.
+/// Frames that are the identity are not listed.
 fn frames(config: &Config, lines: &mut Lines) {
     let FramesConfig { base, tool, tare } = config.frames;
     let mut subject = "frames";
@@ -198,7 +198,7 @@ fn publishing(config: &Config, lines: &mut Lines) {
     let allow: Vec<_> = publishing.allow.iter().map(ToString::to_string).collect();
     lines.say(
         "publishing",
-        format!("clients from {}", if allow.is_empty() { "nowhere".into() } else { allow.join(", ") }),
+        format!("clients from {}", if allow.is_empty() { "no host".into() } else { allow.join(", ") }),
     );
 }
 
@@ -224,7 +224,7 @@ fn machine(config: &Config, lines: &mut Lines) {
     lines.say("log", format!("{}, as {format}", config.log.level));
 }
 
-/// What is allowed, and may surprise.
+/// Settings that are allowed but may have unexpected effects.
 fn notes(config: &Config, lines: &mut Lines) {
     let bare: Vec<_> = FACETS
         .iter()
@@ -234,17 +234,20 @@ fn notes(config: &Config, lines: &mut Lines) {
         .collect();
     if !bare.is_empty() {
         let psds = bare.join(", ");
-        lines.say("note", format!("no correction table for PSD {psds}: the frames say UNCALIBRATED"));
+        lines.say("note", format!("no correction table for PSD {psds}: the frames carry UNCALIBRATED"));
     }
     let publishing = &config.publishing;
     let open = [publishing.tcp, publishing.subscribe].into_iter().flatten().any(|a| !a.ip().is_loopback());
     if open && publishing.allow.iter().all(|network| network.is_loopback()) {
-        lines.say("note", "publishing.allow has this machine only: clients from elsewhere are refused");
+        lines.say(
+            "note",
+            "publishing.allow contains only this machine: clients on other machines are refused",
+        );
     }
     if let Some(address) = config.monitor.listen.filter(|address| !address.ip().is_loopback()) {
         lines.say(
             "note",
-            format!("monitor.listen = {address}: everybody who reaches it may read, without encryption"),
+            format!("monitor.listen = {address}: every host that reaches it may read, without encryption"),
         );
     }
     let period_ms = 1e3 / config.acquisition.rate_hz;
@@ -253,7 +256,7 @@ fn notes(config: &Config, lines: &mut Lines) {
         lines.say(
             "note",
             format!(
-                "steering.lease_ms = {} is short: samples, and with them commands, come every {period_ms} ms",
+                "steering.lease_ms = {} is short: commands are sent with the samples, every {period_ms} ms",
                 config.steering.lease_ms
             ),
         );
@@ -261,6 +264,6 @@ fn notes(config: &Config, lines: &mut Lines) {
     if config.centering.mode != LoopMode::Off
         && config.centering.loop_delay_s(config.acquisition.rate_hz) > config.centering.loop_delay_ms * 1e-3
     {
-        lines.say("note", "centering.loop_delay_ms is less than two sample periods: two periods count");
+        lines.say("note", "centering.loop_delay_ms is less than two sample periods: two periods are used");
     }
 }

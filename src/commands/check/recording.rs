@@ -1,4 +1,4 @@
-//! What a configuration means for recordings.
+//! Explains the settings for recordings.
 
 use trifacet::config::{Config, RecordingConfig, RecordingMode, SourceKind};
 use trifacet::recording::folder::Folder;
@@ -7,12 +7,12 @@ use super::Lines;
 
 pub(super) fn recording(config: &Config, lines: &mut Lines) {
     if config.acquisition.source == SourceKind::Replay {
-        return lines.say("recording", "none: a recording is replayed");
+        return lines.say("recording", "off: a recording is replayed");
     }
     let RecordingConfig { mode, rotate_mb, rotate_min, budget_gb, before_s, after_s, .. } = config.recording;
     let when = match mode {
         RecordingMode::Off => "off until `trifacet ctl record start`".to_owned(),
-        RecordingMode::Always => "always".to_owned(),
+        RecordingMode::Always => "from the start".to_owned(),
         RecordingMode::OnFault => format!("from {before_s} s before each fault to {after_s} s after it"),
     };
     lines.say("recording", format!("{when}, in {}", config.recording.folder.display()));
@@ -24,7 +24,7 @@ pub(super) fn recording(config: &Config, lines: &mut Lines) {
     );
 }
 
-/// A folder that cannot be used; while nothing is to be recorded, nobody needs it.
+/// A note on a folder that cannot be used. It is omitted if no recording is configured.
 pub(super) fn note(config: &Config, lines: &mut Lines) {
     let RecordingConfig { mode, folder, .. } = &config.recording;
     if *mode == RecordingMode::Off {
@@ -32,6 +32,9 @@ pub(super) fn note(config: &Config, lines: &mut Lines) {
     }
     if let Err(why) = Folder(folder.clone()).usable() {
         let folder = folder.display();
-        lines.say("note", format!("recording.folder, {folder}, cannot be used by whoever runs this: {why}"));
+        lines.say(
+            "note",
+            format!("recording.folder, {folder}, cannot be used by the user of this command: {why}"),
+        );
     }
 }

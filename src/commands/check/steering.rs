@@ -1,4 +1,4 @@
-//! What a configuration means for the loop and its stage.
+//! Explains the settings of the loop and its stage.
 
 use std::path::Path;
 
@@ -11,19 +11,20 @@ use super::Lines;
 pub(super) fn centering(config: &Config, lines: &mut Lines) {
     let centering = &config.centering;
     if config.acquisition.source == SourceKind::Replay {
-        return lines.say("steering", "none: a recording is replayed, with what its loop did then");
+        return lines
+            .say("steering", "off: a recording is replayed, including the recorded moves of its loop");
     }
     match centering.mode {
-        LoopMode::Off => return lines.say("centering", "off: the laser stays where it is"),
+        LoopMode::Off => return lines.say("centering", "off: the laser does not move"),
         LoopMode::Manual => {
-            return lines.say("centering", "manual: the laser goes where `trifacet ctl move` sends it");
+            return lines.say("centering", "manual: `trifacet ctl move` moves the laser");
         }
         LoopMode::On | LoopMode::Shadow => {}
     }
     let rate_hz = config.acquisition.rate_hz;
     let target = match centering.target {
         Target::Apex => "the beam on the apex",
-        Target::Balance => "equal powers",
+        Target::Balance => "equal powers on the PSDs",
     };
     let gains = centering.gains(rate_hz);
     let delay_ms = 1e3 * centering.loop_delay_s(rate_hz);
@@ -43,18 +44,18 @@ pub(super) fn centering(config: &Config, lines: &mut Lines) {
     );
     lines.say("", search(config));
     if centering.mode == LoopMode::Shadow {
-        lines.say("", "in the shadow: all this is computed, and the laser stays where it is");
+        lines.say("", "shadow: the loop computes its moves, but the laser does not move");
     }
 }
 
 fn search(config: &Config) -> String {
     let centering = &config.centering;
     if !centering.search {
-        return "what is lost is not searched for".into();
+        return "no search after the light is lost".into();
     }
     let spiral = Spiral::of(&config.loop_params(), [0.0; 2], config.head.beam_diameter_mm * 0.5e-3);
     format!(
-        "what is lost is searched for within the limits, {:.2} s from their middle, at most {} times",
+        "a search after the light is lost, within the limits: {:.2} s from their middle, at most {} times",
         spiral.duration(1.0 / config.acquisition.rate_hz),
         centering.search_attempts
     )
@@ -73,7 +74,7 @@ pub(super) fn stage(config: &Config, lines: &mut Lines) {
             let full_scale_um = steering.full_scale_um;
             let source = match config.acquisition.source {
                 SourceKind::Twin => "the twin's own stage",
-                SourceKind::Serial => "the board's two outputs",
+                SourceKind::Serial => "the two outputs of the board",
                 SourceKind::Replay => return,
             };
             lines.say("steering", format!("{source}, full scale +-{full_scale_um} um, {limits}"));
@@ -83,10 +84,8 @@ pub(super) fn stage(config: &Config, lines: &mut Lines) {
         }
         SteeringKind::Gcs => {
             lines.say("steering", format!("{}, {limits}", gcs(&steering.gcs)));
-            lines.say(
-                "",
-                format!("{at_the_end}; stays where it is after the last command: it knows no lease"),
-            );
+            lines
+                .say("", format!("{at_the_end}; holds its position after the last command: it has no lease"));
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What the frames themselves say.
+//! Checks the contents of the frames.
 
 use trifacet::client::{Descriptor, Heartbeat, Losses, PoseFrame};
 use trifacet::publishing::columns::rfc3339;
@@ -6,10 +6,10 @@ use trifacet_wire::{LockState, Status};
 
 use super::Report;
 
-/// Two clocks that differ by more spoil any check of a pose's age.
+/// Largest difference of the two clocks at which the age of a pose can be checked, seconds.
 const CLOCKS_S: f64 = 0.1;
 
-/// What came.
+/// The messages received.
 #[derive(Default)]
 pub(super) struct Seen {
     pub(super) descriptor: Option<Box<Descriptor>>,
@@ -17,10 +17,10 @@ pub(super) struct Seen {
     last: Option<PoseFrame>,
     frames: u64,
     valid: u64,
-    /// Bits of the frames without a valid pose, and of those with one.
+    /// Status bits of frames without a valid pose; `valid_bits`: of frames with one.
     invalid_bits: Status,
     valid_bits: Status,
-    /// The least that a frame seemed to be on its way, by the two clocks.
+    /// Shortest apparent transit time of a frame, from the difference of the two clocks.
     way_ns: Option<i64>,
 }
 
@@ -29,7 +29,7 @@ impl Seen {
         self.frames
     }
 
-    /// Takes a frame that arrived at this time, by the clock of this machine.
+    /// Registers a frame that arrived at `now_ns` on the clock of this machine.
     pub(super) fn frame(&mut self, frame: &PoseFrame, now_ns: i64) {
         self.frames += 1;
         if frame.status.has(Status::POSE_VALID) {
@@ -43,12 +43,12 @@ impl Seen {
         self.last = Some(*frame);
     }
 
-    /// Judges what came.
+    /// Evaluates the messages and reports the results.
     pub(super) fn tell(&self, losses: Losses, report: &mut Report) {
         let Some(last) = &self.last else { return };
         if let Some(descriptor) = &self.descriptor {
             report.good(&format!(
-                "daemon {} speaks version {} of the stream, {} frames a second",
+                "daemon {}, stream version {}, {} frames per second",
                 descriptor.daemon_version, descriptor.stream_version, descriptor.rate_hz
             ));
         }
@@ -59,7 +59,7 @@ impl Seen {
         self.losses(losses, report);
         if self.replayed() {
             self.replay(last, report);
-            return self.poses(last.lock, report); // the time is not that of now, which is no fault of a clock
+            return self.poses(last.lock, report); // the times of a replay are in the past
         }
         self.poses(last.lock, report);
         self.clock(report);
@@ -73,25 +73,25 @@ impl Seen {
         let told = self.descriptor.as_ref().and_then(|descriptor| descriptor.replay.as_ref());
         let what = match told {
             Some(replay) => format!("REPLAYED: a replay of {}, recorded {}", replay.file, replay.recorded),
-            None => format!("REPLAYED: the newest frame is of {}", rfc3339(last.time_ns)),
+            None => format!("REPLAYED: the newest frame is from {}", rfc3339(last.time_ns)),
         };
-        report.note(&what, "the poses are of the past: never steer a machine by them");
+        report.note(&what, "the poses are from the past: do not control a machine with them");
     }
 
-    /// Why a replay gives no samples, and what to do.
+    /// Why a replay sends no samples, and what to do.
     fn nothing_due(&self) -> (&'static str, &'static str) {
         let ends = self.heartbeat.as_ref().and_then(|heartbeat| heartbeat.counters.get("replay_ends"));
         let told = self.descriptor.as_ref().and_then(|descriptor| descriptor.replay.as_ref());
         match (told, ends) {
             (Some(replay), Some(1..)) if !replay.repeat => (
-                "the recording is at its end",
-                "restart the daemon to see it again, or let it begin again by itself (replay.repeat = true)",
+                "the recording has ended",
+                "restart the daemon to replay it again, or set replay.repeat = true",
             ),
             (Some(_), Some(_)) => (
-                "the recording has a hole here",
-                "wait: it goes on behind it; trifacet info FILE says how large it is",
+                "the recording has a gap here",
+                "wait: the replay continues after the gap; trifacet info FILE shows its length",
             ),
-            _ => ("the recording gives no samples", "it is at its end, or has a hole here"),
+            _ => ("the recording gives no samples", "it has ended, or it has a gap here"),
         }
     }
 
@@ -101,7 +101,7 @@ impl Seen {
         if missed_frames + late_frames + skipped_bytes + dropped > 0 {
             report.note(
                 &format!("{missed_frames} frames are missing, {late_frames} late, {skipped_bytes} bytes unreadable, {dropped} frames dropped by the daemon"),
-                "is this machine or the network too slow? A larger receive buffer (net.core.rmem_max) or a divider helps",
+                "if this machine or the network is too slow, use a larger receive buffer (net.core.rmem_max) or a divider",
             );
         }
     }
@@ -120,7 +120,10 @@ impl Seen {
         let low = Status::PSD_A_LOW | Status::PSD_B_LOW | Status::PSD_C_LOW;
         let mut bits = self.invalid_bits;
         if bits.has(low) {
-            report.wrong("no light on any PSD", "is the laser on, the beam free, the amplifier powered?");
+            report.wrong(
+                "no light on any PSD",
+                "check that the laser is on, the beam is not blocked, and the amplifier is powered",
+            );
             bits = Status(bits.0 & !low.0);
         }
         if bits.has(Status::SOURCE_DOWN) && self.replayed() {
@@ -144,22 +147,24 @@ impl Seen {
     fn lock(&self, lock: LockState, report: &mut Report) {
         let bits = self.valid_bits | self.invalid_bits;
         if self.replayed() && bits.has(Status::SOURCE_DOWN) {
-            return; // nothing is held
+            return; // the stage is not held
         }
         if bits.has(Status::NOT_LOCKED) {
             let advice = match lock {
-                _ if self.replayed() => "nothing steers in a replay: so it was when it was recorded",
-                LockState::Off => "the centering loop is switched off: [centering] enabled",
-                LockState::Manual => "a person moves the laser",
+                _ if self.replayed() => "a replay does not steer: this is the recorded state",
+                LockState::Off => {
+                    "the centering loop is off: set [centering] mode, or use `trifacet ctl loop on`"
+                }
+                LockState::Manual => "the operator moves the laser",
                 LockState::Searching | LockState::Lost => "there is no light to centre: see above",
                 LockState::Acquiring => {
-                    "the beam is not on the apex yet: if it stays so, align the laser, and check the gains"
+                    "the beam is not on the apex yet; if this persists, align the laser and check the gains"
                 }
                 LockState::Railed => {
-                    "the steering stands at its limit: align the laser by hand until it comes free"
+                    "the stage is at its limit: align the laser by hand until the stage leaves it"
                 }
-                LockState::Held => "the steering holds: light or samples are missing for a moment",
-                LockState::Locked => "the loop lost its lock for a moment, and has it again",
+                LockState::Held => "the stage is held: light or samples are missing at the moment",
+                LockState::Locked => "the loop lost its lock for a short time, and has it again",
             };
             report.note(&format!("NOT_LOCKED: the lock state is {}", lock.name()), advice);
         }
@@ -170,8 +175,8 @@ impl Seen {
         if way_s.abs() > CLOCKS_S {
             let which = if way_s > 0.0 { "behind" } else { "ahead of" };
             report.note(
-                &format!("the clock is off: the daemon's is {:.3} s {which} that of this machine", way_s.abs()),
-                "set both by NTP or PTP, or do not compare time_ns with the clock of this machine; then restart the daemon",
+                &format!("clock error: the clock of the daemon is {:.3} s {which} that of this machine", way_s.abs()),
+                "synchronise both with NTP or PTP and restart the daemon, or do not compare time_ns with the clock of this machine",
             );
         }
     }
@@ -185,14 +190,16 @@ fn fatal(bits: Status) -> impl Iterator<Item = (Status, &'static str)> {
     FATAL.into_iter().filter(move |(bit, _)| bits.has(*bit))
 }
 
-const LOW: &str =
-    "too little light there: is that part of the beam blocked, the cable in, the mirror near the middle?";
-const CLIPPED: &str = "the converter is at its rail there: too much light or too much gain";
-const EDGE: &str = "the spot is near the edge there: move the mirror back towards the middle";
+const LOW: &str = "too little light there: check the beam, the cable, and that the mirror is near the middle";
+const CLIPPED: &str = "the converter is at its limit there: too much light or too much gain";
+const EDGE: &str = "the spot is near the edge there: move the mirror towards the middle";
 
-/// The bits that make a pose invalid.
+/// The status bits that make a pose invalid.
 const FATAL: [(Status, &str); 10] = [
-    (Status::SOURCE_DOWN, "no samples come: is the board plugged in and powered? The daemon's log says more"),
+    (
+        Status::SOURCE_DOWN,
+        "no samples: check that the board is plugged in and powered, and see the daemon's log",
+    ),
     (Status::PSD_A_LOW, LOW),
     (Status::PSD_B_LOW, LOW),
     (Status::PSD_C_LOW, LOW),
@@ -201,10 +208,13 @@ const FATAL: [(Status, &str); 10] = [
     (Status::PSD_C_CLIPPED, CLIPPED),
     (
         Status::NOT_CONVERGED,
-        "no pose explains the signals: is something else reflecting, is the geometry in [head] right?",
+        "no pose explains the signals: check for reflections, and the geometry in [head]",
     ),
-    (Status::POWER_STEP, "the laser's power makes steps: is it stable, does something cut into the beam?"),
-    (Status::OUT_OF_RANGE, "a spot is off its PSD, or the pose out of range: move the mirror back"),
+    (
+        Status::POWER_STEP,
+        "steps of the laser power: check that the power is stable and nothing cuts into the beam",
+    ),
+    (Status::OUT_OF_RANGE, "a spot is off its PSD, or the pose is out of range: move the mirror back"),
 ];
 
 const WARNINGS: [(Status, &str); 10] = [
@@ -215,10 +225,13 @@ const WARNINGS: [(Status, &str); 10] = [
         Status::UNBALANCED,
         "the powers differ: the beam is off the apex, or dark offsets and gains are wrong (trifacet dark)",
     ),
-    (Status::STEERING_RAILED, "align the laser by hand until the steering comes free of its limit"),
-    (Status::SAMPLE_GAP, "samples get lost before the daemon: see its counters"),
+    (Status::STEERING_RAILED, "align the laser by hand until the stage leaves its limit"),
+    (Status::SAMPLE_GAP, "samples are lost before they reach the daemon: see its counters"),
     (Status::CLOCK_UNSYNCED, "the daemon's system clock was stepped: wait, or restart the daemon"),
-    (Status::UNCALIBRATED, "errors up to 250 um on the spots: give [channels] correction tables"),
-    (Status::INCONSISTENT, "steering and pose contradict each other: was the laser or the stage bumped?"),
-    (Status::SIMULATED, "the light is computed: never steer a machine by it"),
+    (Status::UNCALIBRATED, "spot errors up to 250 um: set correction tables in [channels]"),
+    (
+        Status::INCONSISTENT,
+        "steering and pose are inconsistent: check whether the laser or the stage was displaced",
+    ),
+    (Status::SIMULATED, "simulated light: do not control a machine with it"),
 ];

@@ -1,4 +1,4 @@
-//! What is wrong between here and the daemon.
+//! Checks the link from this machine to the daemon.
 
 use std::io;
 use std::net::SocketAddr;
@@ -13,7 +13,7 @@ use trifacet::config::Config;
 use super::frames::Seen;
 use super::{Report, port};
 
-/// The endpoint cannot be opened.
+/// Reports why the endpoint cannot be opened.
 pub(super) fn not_open(endpoint: &Endpoint, error: &ClientError, config: &Config, report: &mut Report) {
     let source = match error {
         ClientError::Open { source, .. } => source,
@@ -23,21 +23,21 @@ pub(super) fn not_open(endpoint: &Endpoint, error: &ClientError, config: &Config
     match (endpoint, source.kind()) {
         (Endpoint::Tcp(_), io::ErrorKind::ConnectionRefused) => {
             let configured = match config.publishing.tcp {
-                Some(address) => format!("the configuration has it at {address}"),
-                None => "the configuration has switched it off ([publishing] tcp)".into(),
+                Some(address) => format!("in the configuration it is {address}"),
+                None => "it is off in the configuration ([publishing] tcp)".into(),
             };
             report.wrong(
                 &format!("the port is closed: nothing listens at {endpoint}"),
-                &format!("is the daemon running (trifacet run, or systemctl status trifacet)? {configured}; one that listens at 127.0.0.1 is reached from its own machine only"),
+                &format!("check that the daemon is running (trifacet run, or systemctl status trifacet). Address: {configured}; 127.0.0.1 can be reached only from the same machine"),
             );
         }
         (Endpoint::Subscribe(_), io::ErrorKind::ConnectionRefused) => report.wrong(
-            &format!("the port is closed: nothing takes subscriptions at {endpoint}"),
-            "is the daemon running, and does its [publishing] subscribe have this address?",
+            &format!("the port is closed: no server for subscriptions at {endpoint}"),
+            "check that the daemon is running and that its [publishing] subscribe has this address",
         ),
         (_, io::ErrorKind::TimedOut) => report.wrong(
             &format!("{endpoint} does not answer"),
-            "is that the right machine, is it on, and does no firewall drop packets to this port?",
+            "check that this is the right machine, that it is on, and that no firewall drops packets to this port",
         ),
         (_, io::ErrorKind::AddrInUse) => {
             let port = endpoint.to_string().rsplit_once(':').and_then(|(_, port)| port.parse().ok());
@@ -45,24 +45,24 @@ pub(super) fn not_open(endpoint: &Endpoint, error: &ClientError, config: &Config
             let holder = holder.unwrap_or_else(|| "a process that this user cannot see".into());
             report.wrong(
                 &format!("the port of {endpoint} is taken by {holder}"),
-                "one process receives at an address: end that one, or send to another port ([publishing] udp)",
+                "only one process can receive at an address: end that process, or send to another port ([publishing] udp)",
             );
         }
         (_, io::ErrorKind::AddrNotAvailable) => report.wrong(
             &what,
-            "no interface of this machine has this address (ip address shows them): udp:// takes the receiver's own address, or 0.0.0.0 for all",
+            "no interface of this machine has this address (see ip address): udp:// needs an address of the receiver, or 0.0.0.0 for all",
         ),
         (_, io::ErrorKind::NetworkUnreachable | io::ErrorKind::HostUnreachable) => {
-            report.wrong(&what, "there is no way to that network: is the right interface up (ip route)?");
+            report.wrong(&what, "no route to that network: check that the right interface is up (ip route)");
         }
         (_, io::ErrorKind::PermissionDenied) => {
-            report.wrong(&what, "this user may not: ports below 1024 are for root, and a firewall may forbid others");
+            report.wrong(&what, "no permission: ports below 1024 require root, and a firewall may forbid others");
         }
-        _ => report.wrong(&what, "is the name or the interface right?"),
+        _ => report.wrong(&what, "check the name and the interface"),
     }
 }
 
-/// The link was open, and is no more.
+/// Reports why the link was closed.
 pub(super) fn broken(error: &ClientError, report: &mut Report) {
     let what = error.to_string();
     match error {
@@ -72,20 +72,22 @@ pub(super) fn broken(error: &ClientError, report: &mut Report) {
         ),
         ClientError::Refused(_) => report.wrong(
             &format!("refused: {what}"),
-            "end clients that are not needed, or raise [publishing] tcp_clients, or subscribers",
+            "end clients that are not needed, or raise tcp_clients or subscribers in [publishing]",
         ),
         ClientError::Message(MessageError::Version { .. }) => {
             report.wrong(&what, "install the same version of trifacet on both sides");
         }
-        ClientError::Message(_) => report.wrong(&what, "is it trifacet, of this version, that sends there?"),
-        ClientError::Closed => {
-            report.wrong(&what, "does the daemon end just now (its log says why), or is it another program?");
+        ClientError::Message(_) => {
+            report.wrong(&what, "check that the sender is trifacet in a compatible version")
         }
-        _ => report.wrong(&what, "the daemon's log says more"),
+        ClientError::Closed => {
+            report.wrong(&what, "the daemon may have ended (see its log), or this is another program");
+        }
+        _ => report.wrong(&what, "see the daemon's log"),
     }
 }
 
-/// The link is open, and no frame comes.
+/// Reports why no frame arrives although the link is open.
 pub(super) async fn silent(
     endpoint: &Endpoint,
     seen: &Seen,
@@ -95,26 +97,26 @@ pub(super) async fn silent(
 ) {
     match (endpoint, losses.skipped_bytes) {
         (_, n @ 1..) => report.wrong(
-            &format!("{n} bytes arrive that are none of this stream"),
-            "another program sends there: look for it, or use another port",
+            &format!("{n} bytes arrive that do not belong to this stream"),
+            "another program sends to this port: find it, or use another port",
         ),
         (Endpoint::Tcp(_), _) if seen.heartbeat.is_some() => report.wrong(
             "heartbeats arrive, but no frames",
-            "the fast side of the daemon is stuck: its log says more; restart it, and report it",
+            "the fast thread of the daemon has stalled: see its log, restart it, and report this",
         ),
         (Endpoint::Tcp(_), _) => report.wrong(
-            "something accepts connections and says nothing",
-            "is it trifacet that listens there, in a version that knows the stream command?",
+            "a program accepts connections but sends nothing",
+            "check that it is trifacet, in a version that has the stream command",
         ),
         (Endpoint::Subscribe(_), _) => report.wrong(
             "the subscription is granted, but no frame arrives",
-            "does a firewall let only short exchanges through? Otherwise the fast side of the daemon is stuck: see its log",
+            "a firewall may pass only short exchanges; otherwise the fast thread of the daemon has stalled: see its log",
         ),
         (Endpoint::Udp(place), _) => nothing_sent(place, config, report).await,
     }
 }
 
-/// Datagrams do not come: is this where they should, and does a daemon send them?
+/// Reports why no datagrams arrive: wrong target, or no daemon.
 async fn nothing_sent(place: &str, config: &Config, report: &mut Report) {
     let targets = &config.publishing.udp;
     let here: Option<SocketAddr> = place.parse().ok();
@@ -126,10 +128,10 @@ async fn nothing_sent(place: &str, config: &Config, report: &mut Report) {
     });
     let Some(target) = meant else {
         let all: Vec<_> = targets.iter().map(|target| target.address.to_string()).collect();
-        let all = if all.is_empty() { "nowhere".into() } else { all.join(", ") };
+        let all = if all.is_empty() { "no address".into() } else { all.join(", ") };
         return report.wrong(
             &format!("no datagram arrives, and the configuration sends none to {place}: it sends to {all}"),
-            "add this address to [publishing] udp, or listen where they are sent (--config names the daemon's file)",
+            "add this address to [publishing] udp, or listen at a configured address (--config: the daemon's file)",
         );
     };
     report.good(&format!("the configuration sends to {}", target.address));
@@ -139,22 +141,22 @@ async fn nothing_sent(place: &str, config: &Config, report: &mut Report) {
                 report.good(&format!("a daemon answers at tcp://{tcp}: {line}"));
                 let multicast = target.address.ip().is_multicast();
                 report.wrong(
-                    "it sends, and nothing arrives",
+                    "the daemon sends, but nothing arrives",
                     if multicast {
-                        "is the group heard through the right interface (--interface here, interface = in the daemon), and is ttl large enough?"
+                        "check the interface for the group (--interface here, interface = in the daemon), and that ttl is large enough"
                     } else {
-                        "does it run with this configuration (config id in its status)? Does a firewall here drop UDP? Is the address that of this machine?"
+                        "check that it runs with this configuration (config id in its status), that no firewall here drops UDP, and that the address is one of this machine"
                     },
                 );
             }
             _ => report.wrong(
                 &format!("no datagram arrives, and no daemon answers at tcp://{tcp}"),
-                "start the daemon (trifacet run), or look at its log",
+                "start the daemon (trifacet run), or see its log",
             ),
         },
         None => report.wrong(
             "no datagram arrives",
-            "is the daemon running, and does no firewall stand between? With [publishing] tcp switched on this could be told",
+            "check that the daemon is running and no firewall is in between; with [publishing] tcp enabled, this command can distinguish the two",
         ),
     }
 }

@@ -1,4 +1,4 @@
-//! Who has a UDP port, as far as this user may see.
+//! Finds the process that uses a UDP port, as far as this user may see it.
 
 use std::fs;
 
@@ -22,7 +22,7 @@ pub(super) fn holder(port: u16) -> Option<String> {
     (!found.is_empty()).then(|| found.join(", "))
 }
 
-/// The inodes of the sockets at this port, in a table as the kernel writes it.
+/// The inodes of the sockets bound to this port, from a table of the kernel.
 fn sockets(table: &str, port: u16) -> Vec<u64> {
     let inode = |line: &str| {
         let mut columns = line.split_ascii_whitespace();

@@ -1,42 +1,42 @@
-//! What a person may order the emulated board to do: one line each.
+//! Commands on standard input of the emulated board, one per line.
 
 use std::str::FromStr;
 
 use trifacet::config::FaultKind;
 
-/// What may be ordered, as `--help` says it.
+/// The commands, as `--help` lists them.
 pub(super) const HELP: &str = "\
-Prints the path of the port and runs until SIGTERM or SIGINT. Orders come on standard input, one a line;
-S is a duration in seconds, without it a fault stays:
+Prints the path of the port and runs until SIGTERM or SIGINT. Commands are read from standard input, one per line.
+S is a duration in seconds; without S, a fault is permanent:
   beam-blocked [S]          no light at all
   psd-dark 0..2 [S]         a PSD sees no light
-  clipped 0..8 [S]          a channel stands at its rail
-  dropped 0..1 [S]          this part of the scans never leaves the board
-  corrupted 0..1 [S]        this part of the scans is damaged on the way
-  stalled [S]               the board does nothing
-  steering-stuck [S]        the stage does not move
-  laser-power FACTOR [S]    the laser's power is multiplied
+  clipped 0..8 [S]          a channel reads the limit of its range
+  dropped 0..1 [S]          this fraction of the scans is not sent
+  corrupted 0..1 [S]        this fraction of the scans is damaged in transit
+  stalled [S]               the board stops sending
+  steering-stuck [S]        the stage ignores commands
+  laser-power FACTOR [S]    the power of the laser is multiplied
   noise-burst FACTOR [S]    the noise of spots and powers is multiplied
-  laser-bump X Y [S]        the laser is displaced by so many micrometres; the readback does not know
-  unplug S                  the port is gone, and comes back
-  status                    prints what the board is doing, one line of JSON";
+  laser-bump X Y [S]        the laser is displaced by X, Y micrometres; the readback does not change
+  unplug S                  the port disappears for S seconds
+  status                    prints the state of the board, one line of JSON";
 
-/// The same for those who typed something else.
+/// The same list for error messages.
 const ALLOWED: &str = "allowed are: beam-blocked [S], psd-dark 0..2 [S], clipped 0..8 [S], dropped 0..1 [S], \
     corrupted 0..1 [S], stalled [S], steering-stuck [S], laser-power FACTOR [S], noise-burst FACTOR [S], \
-    laser-bump X Y [S], unplug S, status (S: for so many seconds)";
+    laser-bump X Y [S], unplug S, status (S: duration in seconds)";
 
-/// The longest duration, seconds: what is longer may as well stay.
+/// Longest duration, seconds. A longer fault can be permanent.
 const LONGEST_S: f64 = 1e6;
 
-/// A line, understood.
+/// A parsed command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum EmulatorCommand {
-    /// Let something go wrong, for so many seconds or for good.
+    /// Simulate a fault. `for_s`: duration, seconds; `None`: permanent.
     Fault { kind: FaultKind, for_s: Option<f64> },
-    /// Pull the cable for so many seconds.
+    /// Unplug the cable. `for_s`: duration, seconds.
     Unplug { for_s: f64 },
-    /// Say what the board is doing.
+    /// Print the state of the board.
     Status,
 }
 
@@ -47,7 +47,7 @@ impl FromStr for EmulatorCommand {
         let mut words = line.split_whitespace();
         parse(&mut words)
             .filter(|_| words.next().is_none())
-            .ok_or_else(|| format!("cannot do `{}`; {ALLOWED}", line.trim()))
+            .ok_or_else(|| format!("not a command: `{}`; {ALLOWED}", line.trim()))
     }
 }
 

@@ -1,4 +1,4 @@
-//! A symbolic link to a port, gone when the port is.
+//! A symbolic link to a port, removed together with the port.
 
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
@@ -14,7 +14,8 @@ pub(super) struct Link {
 }
 
 impl Link {
-    /// Makes `path` a link to `target`. A link that is there is replaced; anything else is left alone.
+    /// Creates `path` as a link to `target`. An existing link is replaced; any other file is left
+    /// unchanged.
     pub(super) fn new(path: &Path, target: &Path) -> Result<Self, Failure> {
         let failed = |error: io::Error| Failure::new(IO, format!("{}: {error}", path.display()));
         match fs::symlink_metadata(path) {
@@ -33,9 +34,9 @@ impl Link {
 
 impl Drop for Link {
     fn drop(&mut self) {
-        // By now it may be someone else's.
+        // Another process may have replaced the link in the meantime.
         if fs::read_link(&self.path).is_ok_and(|target| target == self.target) {
-            let _ = fs::remove_file(&self.path); // a link to nowhere is replaced the next time
+            let _ = fs::remove_file(&self.path); // a dangling link would be replaced the next time
         }
     }
 }

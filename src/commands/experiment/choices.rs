@@ -1,4 +1,4 @@
-//! What the command line says of the protocol.
+//! Builds the protocol from the command line.
 
 use trifacet::client::Endpoint;
 use trifacet::config::Axis;
@@ -8,18 +8,18 @@ use trifacet::experiment::{quantity, reference};
 
 use super::ExperimentArgs;
 
-/// The longest interval, metres or radians.
+/// Longest interval, metres or radians.
 const MOST: f64 = 1e-3;
 
-/// The protocol that is asked for.
+/// The protocol for these options.
 pub(super) fn protocol(args: &ExperimentArgs) -> Result<Protocol, Failure> {
     let wanted = |axis: &Axis| args.axes.is_empty() || args.axes.contains(axis);
     for (before, (axis, _)) in args.interval.iter().enumerate() {
         let name = axis.name();
         let what = if !wanted(axis) {
-            format!("--interval {name}: {name} is not moved, as --axes says")
+            format!("--interval {name}: {name} is not among the --axes")
         } else if args.interval[..before].iter().any(|(other, _)| other == axis) {
-            format!("--interval gives {name} twice")
+            format!("--interval contains {name} twice")
         } else {
             continue;
         };
@@ -29,7 +29,7 @@ pub(super) fn protocol(args: &ExperimentArgs) -> Result<Protocol, Failure> {
         Some(file) => {
             let courses = reference::read(file)?;
             if let Some(axis) = args.axes.iter().find(|axis| courses.iter().all(|c| c.axis != **axis)) {
-                let message = format!("{}: there are no readings of {} in it", file.display(), axis.name());
+                let message = format!("{}: the file contains no readings of {}", file.display(), axis.name());
                 return Err(Failure::new(exit::DATA, message));
             }
             courses.into_iter().filter(|c| wanted(&c.axis)).collect()
@@ -49,13 +49,13 @@ fn course(args: &ExperimentArgs, axis: Axis) -> Course {
     Course::even(axis, own.unwrap_or(printed(axis).interval * 1e-6), args.points)
 }
 
-/// An axis by its name.
+/// Parses the name of an axis.
 pub(super) fn axis(text: &str) -> Result<Axis, String> {
     let found = Axis::ALL.into_iter().find(|axis| axis.name() == text);
     found.ok_or_else(|| "allowed are tx, ty, tz, roll, pitch, yaw".into())
 }
 
-/// `AXIS=X`, X in um or urad, or with a unit.
+/// Parses `AXIS=X`, with X in um or urad, or with a unit.
 pub(super) fn interval(text: &str) -> Result<(Axis, f64), String> {
     let (name, quantity) = text.split_once('=').ok_or("must be AXIS=X, such as tx=1.44")?;
     let axis = axis(name)?;
@@ -66,7 +66,7 @@ pub(super) fn interval(text: &str) -> Result<(Axis, f64), String> {
     Err(format!("must be above 0 and at most 1000 {}", axis.micro_unit()))
 }
 
-/// The daemon's TCP server.
+/// Parses the address of the daemon's TCP server.
 pub(super) fn endpoint(text: &str) -> Result<Endpoint, String> {
     let full = if text.contains("://") { text.to_owned() } else { format!("tcp://{text}") };
     match full.parse() {
@@ -75,7 +75,7 @@ pub(super) fn endpoint(text: &str) -> Result<Endpoint, String> {
     }
 }
 
-/// A length of the record at rest.
+/// Parses the duration of the record at rest.
 pub(super) fn seconds(text: &str) -> Result<f64, String> {
     let seconds = text.parse().ok().filter(|s| (0.0..=86_400.0).contains(s));
     seconds.ok_or_else(|| "must be a number of seconds from 0 to 86400".into())

@@ -1,4 +1,5 @@
-//! A person at the stage, a daemon at the sensor: point by point.
+//! Guided measurement: an operator moves the stage, and a running daemon gives the readings, point by
+//! point.
 
 use std::fs;
 use std::io::{self, BufRead, IsTerminal, Write};
@@ -18,20 +19,20 @@ use super::steps::{Step, steps};
 use super::{ExperimentArgs, READINGS, bar, fresh, keep, long_enough, options};
 use crate::commands::watch::{opening_failed, unavailable};
 
-/// So often a record at rest is begun.
+/// Number of attempts to take a record at rest.
 const ATTEMPTS: u32 = 3;
 
-/// What a person at the prompt wants.
+/// What the operator entered.
 enum Said {
-    /// Take the readings; this is the reference.
+    /// Take the readings of this point; the value is the reference.
     Reference(f64),
-    /// Begin the record at rest.
+    /// Take the record at rest.
     StaticRecord,
-    /// There is nobody left to leave the mirror alone.
+    /// Omit the record at rest: the input has ended.
     NoRest,
-    /// Once more the point before.
+    /// Repeat the previous point.
     Back,
-    /// Enough for now.
+    /// Stop the session.
     Stop,
 }
 
@@ -40,11 +41,13 @@ struct Guide<'a> {
     feed: DaemonStream,
     lines: mpsc::UnboundedReceiver<String>,
     record: Record,
-    /// Readings that are in the file.
+    /// Number of readings in the file.
     kept: usize,
 }
 
-/// Goes through the protocol with a person, and records the rest. Every finished point is in the file at once.
+/// Takes the readings of all points together with the operator, and then the record at rest.
+///
+/// Every completed point is stored in the file at once.
 pub(super) fn guided(
     args: &ExperimentArgs,
     endpoint: &Endpoint,
@@ -66,7 +69,7 @@ pub(super) fn guided(
         let feed = DaemonStream::connect(endpoint).await.map_err(|e| opening_failed(endpoint, &e))?;
         let kept = record.readings.len();
         let mut guide = Guide { args, feed, lines: typed(), record, kept };
-        eprintln!("connected to {endpoint}; at each point: b takes the point before once more, q stops, and --resume goes on");
+        eprintln!("connected to {endpoint}; at each point: b repeats the previous point, q stops; continue later with --resume");
         if args.rest > 0.0 {
             let poses = guide.feed.poses(args.rest).await.map_err(|why| lost(&why))?;
             long_enough(args.rest, poses as f64)?;
@@ -77,15 +80,15 @@ pub(super) fn guided(
     })
 }
 
-/// What was measured before was measured there, and so.
+/// Checks that stored readings have the same source and the same options.
 fn belongs(before: &Record, now: &Record) -> Result<(), Failure> {
     for (what, before, now) in
         [("source", &before.source, &now.source), ("options", &before.options, &now.options)]
     {
         if before != now {
             let message = format!(
-                "{READINGS} says \"{what}: {before}\", now it is \"{now}\": go on with the same options as before, \
-                or name a new folder with --out"
+                "{READINGS} contains \"{what}: {before}\", but now it is \"{now}\": use the same options as before, \
+                or choose a new folder with --out"
             );
             return Err(Failure::new(exit::USAGE, message));
         }
@@ -93,7 +96,7 @@ fn belongs(before: &Record, now: &Record) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Lines of standard input. A thread of its own waits for them, and is left behind at the end.
+/// Lines of standard input. A separate thread reads them; it is not joined at the end.
 fn typed() -> mpsc::UnboundedReceiver<String> {
     let (sender, lines) = mpsc::unbounded_channel();
     std::thread::spawn(move || {
@@ -126,7 +129,7 @@ impl Guide<'_> {
         }
     }
 
-    /// Asks until there is an answer that can be used.
+    /// Prompts until the operator enters a valid answer.
     async fn ask(&mut self, step: &Step, steps: &[Step]) -> anyhow::Result<Said> {
         let Step { axis, point, of, target } = *step;
         let (name, unit) = (axis.name(), axis.micro_unit());
@@ -144,7 +147,9 @@ impl Guide<'_> {
                 "b" => return Ok(Said::Back),
                 "q" => return Ok(Said::Stop),
                 "" if given => return Ok(Said::Reference(target)),
-                _ if given => "the reference of this point stands in the file: just Enter, b or q".into(),
+                _ if given => {
+                    "the reference of this point is in the file: press Enter, or type b or q".into()
+                }
                 text => match quantity::parse(axis, text) {
                     Ok(reference) => match implausible(step, steps, reference, &self.record.readings) {
                         None => return Ok(Said::Reference(reference)),
@@ -157,16 +162,16 @@ impl Guide<'_> {
         }
     }
 
-    /// Asks until the mirror is left alone.
+    /// Prompts until the operator starts the record at rest.
     async fn ask_rest(&mut self) -> anyhow::Result<Said> {
         let seconds = self.args.rest;
         loop {
-            eprint!("leave the mirror alone for {seconds} s, the record at rest; Enter starts it: ");
+            eprint!("record at rest: do not move the mirror for {seconds} s; Enter starts it: ");
             match self.line().await?.as_deref().map(str::trim) {
                 Some("") => return Ok(Said::StaticRecord),
                 Some("b") => return Ok(Said::Back),
                 Some("q") => return Ok(Said::Stop),
-                Some(_) => once_more(exit::DATA, "just Enter, b or q")?,
+                Some(_) => once_more(exit::DATA, "press Enter, or type b or q")?,
                 None => {
                     eprintln!("the input has ended: the report is made without a record at rest");
                     return Ok(Said::NoRest);
@@ -175,13 +180,13 @@ impl Guide<'_> {
         }
     }
 
-    /// The answer to what was asked; nothing at the end of the input.
+    /// The next line of input. `None` at the end of the input.
     async fn line(&mut self) -> anyhow::Result<Option<String>> {
-        let _ = io::stderr().flush(); // whoever does not see the question does not answer
+        let _ = io::stderr().flush(); // without the prompt, the operator cannot answer
         self.feed.until(self.lines.recv()).await.map_err(|why| lost(&why))
     }
 
-    /// Takes the readings of a point; says why, if there are none.
+    /// Takes the readings of a point. Returns `false` and prints the reason if there are none.
     async fn take(&mut self, step: &Step, reference: f64) -> anyhow::Result<bool> {
         let progress = bar(self.args.readings.into());
         let counted = |_: &[Observation]| {
@@ -193,15 +198,15 @@ impl Guide<'_> {
         let looks = match looks {
             Ok(looks) => looks,
             Err(why @ Trouble::NoPose(_)) => {
-                let why = format!("{why}\nonce more, when that is mended; `trifacet doctor` may know more");
+                let why = format!("{why}\nsolve this and try again; `trifacet doctor` may find the cause");
                 return once_more(exit::UNAVAILABLE, &why).map(|()| false);
             }
             Err(why) => return Err(lost(&why)),
         };
         if self.other_config(step, &looks) {
-            let what = "geometry, calibration or frames of the sensor have changed (a tare?) since the points before";
+            let what = "geometry, calibration or frames of the sensor have changed since the previous points (a tare?)";
             let name = step.axis.name();
-            let why = format!("{what}: this point is not taken; undo the change, or take {name} anew with b");
+            let why = format!("{what}: this point is not stored; undo the change, or repeat {name} with b");
             return once_more(exit::DATA, &why).map(|()| false);
         }
         say(step, reference, &looks);
@@ -221,7 +226,7 @@ impl Guide<'_> {
         Ok(true)
     }
 
-    /// These looks do not belong to what was read of the same axis before.
+    /// Whether the configuration has changed since earlier readings of the same axis, or during these.
     fn other_config(&self, step: &Step, looks: &[Observation]) -> bool {
         let before =
             self.record.readings.iter().filter(|r| r.moved.is_some_and(|(axis, _)| axis == step.axis));
@@ -234,12 +239,12 @@ impl Guide<'_> {
         self.args.average.unwrap_or(1).into()
     }
 
-    /// There is a record at rest, or none is wanted.
+    /// Whether the record at rest is complete or not requested.
     fn rested(&self) -> bool {
         self.args.rest == 0.0 || self.record.readings.iter().any(|r| r.part == Part::StaticRecord)
     }
 
-    /// Takes the record at rest; says why, if there is none.
+    /// Takes the record at rest, or prints the reason why there is none.
     async fn rest(&mut self) -> anyhow::Result<()> {
         eprintln!("recording");
         match self.record(self.args.rest).await {
@@ -255,14 +260,15 @@ impl Guide<'_> {
                 self.keep()
             }
             Err(why @ (Trouble::NoPose(_) | Trouble::Parted(_))) => {
-                let what = "once more, when that is mended; or q, and --resume with --rest 0";
+                let what =
+                    "solve this and try again; or stop with q, and continue with --resume and --rest 0";
                 once_more(exit::UNAVAILABLE, &format!("{why}\n{what}"))
             }
             Err(why) => Err(lost(&why)),
         }
     }
 
-    /// Brings the file up to date. Without readings there is none.
+    /// Updates the file. If there are no readings, removes it.
     fn keep(&mut self) -> anyhow::Result<()> {
         let n = self.record.readings.len();
         if n == 0 {
@@ -275,43 +281,45 @@ impl Guide<'_> {
         Ok(())
     }
 
-    /// The record at rest, begun anew a few times where it has a hole.
+    /// Takes the record at rest. It is started again a few times if it has a gap.
     async fn record(&mut self, seconds: f64) -> Result<Vec<Observation>, Trouble> {
         for _ in 1..ATTEMPTS {
             match self.feed.rest(seconds).await {
-                Err(Trouble::Parted(why)) => eprintln!("{why}: the record begins anew"),
+                Err(Trouble::Parted(why)) => eprintln!("{why}: the record starts again"),
                 other => return other,
             }
         }
         self.feed.rest(seconds).await
     }
 
-    /// Why it ended, and what there is.
+    /// Adds to an error which readings are stored.
     fn kept(&self, why: &anyhow::Error) -> anyhow::Error {
         let code = why.downcast_ref::<Failure>().map_or(exit::IO, |failure| failure.code);
         let out = self.args.out.display();
         let go_on = match self.kept {
-            0 => "no readings are kept".into(),
+            0 => "no readings are stored".into(),
             n => {
-                format!("{n} readings are kept in {out}/{READINGS}; go on with the same options and --resume")
+                format!(
+                    "{n} readings are stored in {out}/{READINGS}; continue with the same options and --resume"
+                )
             }
         };
         Failure::new(code, format!("{why:#}\n{go_on}")).into()
     }
 }
 
-/// Whoever sits at a terminal is asked once more. In a file or a pipe the next line is meant for the next point: with
-/// it the session ends.
+/// At a terminal, the operator is prompted again. In a file or a pipe, the next line belongs to the next
+/// point, so the session ends.
 fn once_more(code: u8, why: &str) -> anyhow::Result<()> {
     if io::stdin().is_terminal() {
         eprintln!("{why}");
         return Ok(());
     }
-    let message = format!("{why}\nthe input is no terminal: its next line would be taken for this point");
+    let message = format!("{why}\nthe input is not a terminal: its next line would be used for this point");
     Err(Failure::new(code, message).into())
 }
 
-/// What was read at a point, in a line.
+/// Prints a summary of the readings of a point, one line.
 fn say(step: &Step, reference: f64, looks: &[Observation]) {
     let (i, n) = (step.axis as usize, looks.len() as f64);
     let mean = looks.iter().map(|look| look.pose[i]).sum::<f64>() / n;
@@ -319,7 +327,7 @@ fn say(step: &Step, reference: f64, looks: &[Observation]) {
     let unit = step.axis.micro_unit();
     let [mean, reference] = [mean, reference].map(|x| x * 1e6);
     eprintln!(
-        "  {n} readings: {mean:+.3} {unit}, deviation {} {unit}, reference {reference:+.3} {unit}",
+        "  {n} readings: {mean:+.3} {unit}, standard deviation {} {unit}, reference {reference:+.3} {unit}",
         three(std * 1e6)
     );
 }

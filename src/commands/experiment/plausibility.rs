@@ -1,4 +1,4 @@
-//! What cannot be right with a typed reference.
+//! Plausibility checks of references that the operator types.
 
 use trifacet::experiment::observation::Observation;
 use trifacet::experiment::reading::Reading;
@@ -6,13 +6,13 @@ use trifacet::experiment::{place, three};
 
 use super::steps::Step;
 
-/// Metres or radians by which a reference may be off its target, beside the range of the axis: an interferometer has a
-/// zero of its own.
+/// Largest distance of a reference from its target, in addition to the range of the axis, metres or
+/// radians. The zero of an interferometer is arbitrary.
 const MARGIN: f64 = 100e-6;
-/// Deviations of the difference of two means.
+/// Threshold in standard uncertainties of the difference of two means.
 const SURE: f64 = 5.0;
 
-/// Why a reference cannot be that of this point, if it cannot.
+/// Why a reference is not plausible for this point. `None`: it is plausible.
 pub(super) fn implausible(step: &Step, steps: &[Step], reference: f64, before: &[Reading]) -> Option<String> {
     let targets = || steps.iter().filter(|s| s.axis == step.axis).map(|s| s.target);
     let range = targets().fold(f64::NEG_INFINITY, f64::max) - targets().fold(f64::INFINITY, f64::min);
@@ -21,14 +21,14 @@ pub(super) fn implausible(step: &Step, steps: &[Step], reference: f64, before: &
         let most = three((range + MARGIN) * 1e6);
         let target = place(step.target * 1e6);
         return Some(format!(
-            "{typed} {unit} is more than {most} {unit} from the target {target} {unit}: not taken"
+            "{typed} {unit} is more than {most} {unit} from the target {target} {unit}: not accepted"
         ));
     }
     let same = last(step, before).next()?.moved?.1 == reference;
-    same.then(|| format!("{typed} {unit} is what the point before has: the mirror must move"))
+    same.then(|| format!("{typed} {unit} is the reference of the previous point: the mirror must move"))
 }
 
-/// A word of warning where the sensor went one way and the reference the other.
+/// A warning if sensor and reference moved in opposite directions.
 pub(super) fn opposite(
     step: &Step,
     reference: f64,
@@ -41,7 +41,7 @@ pub(super) fn opposite(
     let moved = (now.0 - then.0) * went.signum();
     (moved < -SURE * now.1.hypot(then.1)).then(|| {
         format!(
-            "the sensor moved by {} {unit}, the reference by {} {unit}: is a sign swapped? (b takes the point before once more)",
+            "the sensor moved by {} {unit}, the reference by {} {unit}: check the signs (b repeats the previous point)",
             place((now.0 - then.0) * 1e6),
             place(went * 1e6),
             unit = step.axis.micro_unit(),
@@ -49,13 +49,13 @@ pub(super) fn opposite(
     })
 }
 
-/// The readings of the point before on this axis.
+/// The readings of the previous point on this axis.
 fn last<'r>(step: &Step, before: &'r [Reading]) -> impl Iterator<Item = &'r Reading> + use<'r> {
     let (axis, point) = (step.axis, step.point);
     before.iter().filter(move |r| r.moved.is_some_and(|(a, _)| a == axis) && r.point + 1 == point)
 }
 
-/// A mean and its stated deviation.
+/// The mean of one axis and its standard uncertainty, metres or radians.
 fn mean<'l>(axis: usize, looks: impl Iterator<Item = &'l Observation>) -> (f64, f64) {
     let (mut n, mut sum, mut square) = (0.0, 0.0, 0.0);
     for look in looks {
@@ -96,9 +96,9 @@ mod tests {
         assert_eq!((typed(103e-6), typed(-99e-6)), (String::new(), String::new()));
         assert!(typed(105e-6).contains("is more than 102 um from the target +2.00 um"), "{}", typed(105e-6));
         assert!(typed(1.0).len() < 100 && typed(1e300).len() < 100);
-        assert!(typed(5e-6).contains("what the point before has"));
+        assert!(typed(5e-6).contains("the reference of the previous point"));
         assert_eq!(implausible(&steps[0], &steps, 5e-6, &readings), None);
-        // Four readings: five deviations of the difference are 3.5 um.
+        // With four readings, five standard uncertainties of the difference are 3.5 um.
         let went = |reference, x| opposite(&steps[1], reference, &[look(x); 4], &readings);
         assert!(
             went(4e-6, 4e-6).unwrap().contains("the sensor moved by +4.00 um, the reference by -1.00 um")

@@ -1,4 +1,4 @@
-//! The points of a protocol, one after the other.
+//! The points of a protocol, in order.
 
 use trifacet::config::Axis;
 use trifacet::experiment::protocol::{Course, Protocol};
@@ -8,22 +8,22 @@ use trifacet::experiment::reading::Reading;
 #[derive(Clone, Copy)]
 pub(super) struct Step {
     pub(super) axis: Axis,
-    /// Counts the points of an axis from 1.
+    /// Number of the point on its axis, from 1.
     pub(super) point: u32,
-    /// Points of the axis.
+    /// Number of points of the axis.
     pub(super) of: usize,
-    /// Where the mirror is to go, metres or radians; with a file of references where it is.
+    /// Target position of the mirror, metres or radians. With a file of references, the actual position.
     pub(super) target: f64,
 }
 
 impl Step {
-    /// A reading was taken there.
+    /// Whether a reading was taken at this point.
     pub(super) fn took(&self, reading: &Reading) -> bool {
         reading.moved.is_some_and(|(axis, _)| (axis, reading.point) == (self.axis, self.point))
     }
 }
 
-/// Every point of a protocol, in order.
+/// All points of a protocol, in order.
 pub(super) fn steps(protocol: &Protocol) -> Vec<Step> {
     let of_course = |c: &Course| {
         let (axis, of) = (c.axis, c.points.len());

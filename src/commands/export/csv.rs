@@ -1,4 +1,4 @@
-//! As text.
+//! Tables as CSV text.
 
 use std::io::{self, Write};
 
@@ -6,7 +6,7 @@ use trifacet::publishing::columns::Columns;
 
 use super::{Row, Table};
 
-/// Lines of text, the first with the names.
+/// A CSV writer. The first line contains the names of the columns.
 pub(super) struct Csv<W> {
     to: W,
     begun: bool,

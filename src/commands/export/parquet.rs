@@ -1,4 +1,4 @@
-//! As Parquet, by the crate of that name: columns without nulls, compressed with Zstandard.
+//! Tables as Parquet: columns without nulls, compressed with Zstandard.
 
 use std::io::{self, Write};
 use std::sync::Arc;
@@ -13,10 +13,10 @@ use trifacet::publishing::columns::Value;
 
 use super::{Row, Table};
 
-/// Rows in a group.
+/// Number of rows in a row group.
 const GROUP: usize = 65_536;
 
-/// A file that is being written; its columns are known with the first row.
+/// A Parquet file while it is written. Its columns are those of the first row.
 pub(super) struct Parquet<W: Write + Send> {
     to: Option<W>,
     file: Option<SerializedFileWriter<W>>,
@@ -24,10 +24,10 @@ pub(super) struct Parquet<W: Write + Send> {
     rows: usize,
 }
 
-/// The values of a column that are not yet written.
+/// Values of a column that are not written yet.
 enum Column {
     Numbers(Vec<f64>),
-    /// Counts without a sign, too: the schema says which.
+    /// Also unsigned integers: the schema makes the distinction.
     Integers(Vec<i64>),
     Words(Vec<ByteArray>),
 }
@@ -61,7 +61,7 @@ impl<W: Write + Send> Parquet<W> {
         if self.rows == GROUP { self.group() } else { Ok(()) }
     }
 
-    /// Writes the rows so far.
+    /// Writes the collected rows as a row group.
     fn group(&mut self) -> Result<()> {
         let Some(file) = self.file.as_mut().filter(|_| self.rows > 0) else { return Ok(()) };
         self.rows = 0;
@@ -98,7 +98,7 @@ impl Column {
         }
     }
 
-    /// A row has the same columns as the first; what is not known is NaN.
+    /// Appends a value. All rows have the columns of the first row; unknown values are NaN.
     fn push(&mut self, value: Value) {
         match (self, value) {
             (Self::Numbers(all), Value::Number(x)) => all.push(x),
@@ -142,7 +142,7 @@ fn field(name: &str, value: &Value) -> Result<Type> {
         .build()
 }
 
-/// What went wrong with the file comes as what it is.
+/// Unwraps I/O errors, so that the exit code fits.
 fn plain(error: ParquetError) -> io::Error {
     match error {
         ParquetError::External(inner) => match inner.downcast::<io::Error>() {

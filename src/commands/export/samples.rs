@@ -1,4 +1,4 @@
-//! A sample as a row.
+//! A sample as a row of a table.
 
 use trifacet::publishing::columns::Value;
 use trifacet_core::centering::LoopState;

@@ -1,4 +1,4 @@
-//! What a replay says at its end.
+//! Reports at the end of a replay.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -9,10 +9,10 @@ use trifacet::recording::reader::Tally;
 use trifacet::replay::comparison::Difference;
 use trifacet::replay::{Comparison, Engine};
 
-/// A file with what was in it.
+/// A file and the summary of its contents.
 type Read = (PathBuf, Box<Tally>);
 
-/// Says what is odd about the files.
+/// Prints irregularities of the files.
 pub(super) fn told(files: &[Read]) {
     for (file, tally) in files {
         let file = file.display();
@@ -25,17 +25,17 @@ pub(super) fn told(files: &[Read]) {
     }
 }
 
-/// What is odd where one file follows the other.
+/// Irregularity between two consecutive files.
 fn seam((a, before): &Read, (b, after): &Read) -> Option<String> {
     let [a, b] = [a, b].map(|file: &PathBuf| Path::display(file));
     let (before_session, after_session) = (before.sessions.last(), after.sessions.first());
     if before_session.zip(after_session).is_some_and(|(before, after)| before != after) {
-        return Some(format!("{b} is of another run of the daemon than {a}"));
+        return Some(format!("{b} was recorded in another run of the daemon than {a}"));
     }
     let ([_, last], [first, _]) = before.samples.zip(after.samples)?;
     if first <= last {
         return Some(format!(
-            "{b} begins with sample {first}, and {a} before it ends with sample {last}: are they in their order, each once?"
+            "{b} begins with sample {first}, but {a} before it ends with sample {last}: give each file once, in order"
         ));
     }
     let missing = first - last - 1;
@@ -46,40 +46,37 @@ fn seam((a, before): &Read, (b, after): &Read) -> Option<String> {
 pub(super) fn nothing(files: &[Read]) -> Failure {
     let none = |of: fn(&Tally) -> bool| files.iter().all(|(_, tally)| of(tally));
     let why = if none(|tally| tally.time_ns.is_none()) {
-        "nothing of trifacet is in it: is this a recording of trifacet?"
+        "it contains no trifacet data: is this a recording of trifacet?"
     } else if none(|tally| tally.configs.is_empty()) && files.iter().any(|(_, tally)| tally.incomplete()) {
-        "the configuration is in none of what can be read"
+        "the readable parts do not contain the configuration"
     } else if none(|tally| tally.configs.is_empty()) {
-        "no configuration is in it"
+        "it contains no configuration"
     } else if none(|tally| tally.sessions.is_empty()) {
-        "no frames are in it to compare with"
+        "it contains no frames to compare with"
     } else {
-        "no frame is behind a keyframe and its sample"
+        "it contains no frame after a keyframe and its sample"
     };
     Failure::new(exit::DATA, format!("no frame can be computed again: {why}"))
 }
 
-/// The verdict, for a person.
+/// The result as text.
 pub(super) fn text(verdict: &Comparison, engine: &Engine) -> String {
     let Comparison { same, other, unrecorded, unrepeated, .. } = verdict;
     let mut text = format!("{same} of {} frames are identical, bit by bit\n", same + other);
     let mut say = |line: String| {
-        let _ = writeln!(text, "{line}"); // a String takes everything
+        let _ = writeln!(text, "{line}"); // writing to a String cannot fail
     };
     if *unrecorded > 0 {
-        say(format!("of {} the frame is not on record", count(*unrecorded, "report")));
+        say(format!("{} without a recorded frame", count(*unrecorded, "report")));
     }
     if *unrepeated > 0 {
-        say(format!("{} not computed: what they rest on is not on record", are(*unrepeated, "frame")));
+        say(format!("{} not computed: the required data were not recorded", are(*unrepeated, "frame")));
     }
-    say(format!(
-        "the state was taken from {}, and went on by itself from there",
-        count(engine.taken_up, "keyframe")
-    ));
+    say(format!("the state was initialised from {} and then computed", count(engine.taken_up, "keyframe")));
     text
 }
 
-/// Frames came out differently.
+/// The failure for a frame that differs.
 pub(super) fn different(difference: &Difference) -> Failure {
     let Difference { time_ns, index, column, then, now } = difference;
     let by = match (then, now) {
@@ -87,7 +84,7 @@ pub(super) fn different(difference: &Difference) -> Failure {
         _ => String::new(),
     };
     let what = format!(
-        "the first difference is at {}, sample {index}: {column} was {}, and is {}{by}",
+        "the first difference is at {}, sample {index}: {column} was {}, now it is {}{by}",
         rfc3339(*time_ns),
         then.csv(),
         now.csv()
@@ -95,15 +92,15 @@ pub(super) fn different(difference: &Difference) -> Failure {
     Failure::new(exit::DIFFERENT, what)
 }
 
-/// Fails if something is missing, or could not be compared.
+/// Fails if data are missing or frames could not be compared.
 pub(super) fn holes(files: &[Read], passed_over: u64) -> Result<(), Failure> {
     let sum = |of: fn(&Tally) -> usize| files.iter().map(|(_, tally)| of(tally) as u64).sum::<u64>();
     let (damages, gaps) = (sum(|tally| tally.damages.len()), sum(|tally| tally.gaps.len()));
     let why = match (damages, gaps, passed_over) {
         (0, 0, 0) => return Ok(()),
         (0, 0, frames) => format!("{} not compared", are(frames, "frame")),
-        (0, gaps, _) => format!("not all is on record: it has {}", count(gaps, "gap")),
-        (places, ..) => format!("not all is compared: {} cannot be read", count(places, "place")),
+        (0, gaps, _) => format!("the recording is not complete: it has {}", count(gaps, "gap")),
+        (places, ..) => format!("not everything was compared: {} cannot be read", count(places, "place")),
     };
     Err(Failure::new(exit::DATA, why))
 }

@@ -1,4 +1,4 @@
-//! What comes out of a replay, as a file.
+//! Writes the results of a replay to a file.
 
 use std::fs::{File, Metadata};
 use std::io::{BufWriter, Write};
@@ -16,10 +16,10 @@ use trifacet_core::time::Mono;
 
 use crate::commands::new_file::{NewFile, cannot_write};
 
-/// Entries that may wait for the frame that tells their time: a block of samples.
+/// Largest number of entries that wait for the frame that determines their time: a block of samples.
 const HELD: usize = 20_000;
 
-/// A file that is being written.
+/// A file while it is written.
 pub(super) struct Output {
     path: PathBuf,
     new: NewFile,
@@ -31,14 +31,14 @@ enum Form {
     Mcap(Box<Mcap>),
 }
 
-/// What comes out, as a recording.
+/// The results as a recording.
 struct Mcap {
     writer: Writer<BufWriter<File>>,
     encoder: Encoder,
     held: Vec<Held>,
 }
 
-/// What waits for the time.
+/// An entry that waits for its time.
 #[expect(clippy::large_enum_variant, reason = "entries are the rule")]
 enum Held {
     Entry(Entry),
@@ -46,7 +46,7 @@ enum Held {
 }
 
 impl Output {
-    /// A new file; its form is in its name.
+    /// Starts a new file. The extension determines its format.
     pub(super) fn create(path: &Path, source: Option<&Metadata>) -> anyhow::Result<Self> {
         let extension = path.extension().and_then(|e| e.to_str());
         if !matches!(extension, Some("csv" | "mcap")) {
@@ -64,7 +64,7 @@ impl Output {
         Ok(Self { path: path.to_owned(), new, form })
     }
 
-    /// Takes an entry of the recording with what came out of it.
+    /// Writes an entry of the recording together with its results.
     pub(super) fn take(
         &mut self,
         entry: &Entry,
@@ -87,14 +87,14 @@ impl Output {
         }
     }
 
-    /// Something is missing here.
+    /// Records a gap.
     pub(super) fn gap(&mut self, gap: Gap) {
         if let Form::Mcap(mcap) = &mut self.form {
             mcap.held.push(Held::Gap(gap));
         }
     }
 
-    /// Closes the file.
+    /// Completes the file.
     pub(super) fn finish(self) -> anyhow::Result<()> {
         let mut to = match self.form {
             Form::Csv { to, .. } => to,
@@ -139,7 +139,7 @@ impl Mcap {
     }
 }
 
-/// The entry as it would be recorded now.
+/// The entry as the daemon would record it now.
 fn now(entry: &Entry, pair: Option<&Pair<'_>>, engine: &Engine) -> Option<Entry> {
     Some(match entry {
         Entry::Keyframe(_) => Entry::Keyframe(Box::new(engine.now()?)),

@@ -1,4 +1,4 @@
-//! By how much poses differ with another configuration.
+//! Statistics of the differences between poses with two configurations.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -9,7 +9,7 @@ use trifacet_wire::Status;
 const AXES: [(&str, &str); 6] =
     [("tx", "um"), ("ty", "um"), ("tz", "um"), ("roll", "urad"), ("pitch", "urad"), ("yaw", "urad")];
 
-/// Sums over frames with a pose, then and now.
+/// Sums over frames that have a pose in the recording and in the replay.
 #[derive(Debug, Default)]
 pub(super) struct Statistics {
     both: u64,
@@ -19,7 +19,7 @@ pub(super) struct Statistics {
     sum: [f64; 6],
     squares: [f64; 6],
     most: [f64; 6],
-    /// Frames that have lost their pose, by the bits that say why.
+    /// Number of frames without a pose in the replay, by the status bits that give the reason.
     why: BTreeMap<u32, u64>,
 }
 
@@ -43,7 +43,7 @@ impl Statistics {
         }
     }
 
-    /// For a person.
+    /// The statistics as text.
     pub(super) fn text(&self, same: u64) -> String {
         let Self { both, only_then, only_now, neither, .. } = self;
         let mut text = format!(
@@ -52,7 +52,7 @@ impl Statistics {
         );
         if let Some((bits, n)) = self.why.iter().max_by_key(|(_, n)| **n) {
             let names: Vec<_> = Status(*bits).names().collect();
-            let _ = writeln!(text, "of those without a pose now, {n} say {}", names.join(" "));
+            let _ = writeln!(text, "of those without a pose now, {n} have {}", names.join(" "));
         }
         if *both > 0 {
             text.push_str("now minus then:\n");
@@ -60,7 +60,8 @@ impl Statistics {
             for (i, (axis, unit)) in AXES.into_iter().enumerate() {
                 let [mean, rms, most] =
                     [self.sum[i] / n, (self.squares[i] / n).sqrt(), self.most[i]].map(|x| x * 1e6);
-                let _ = writeln!(text, "{axis:<6} mean {mean:+.6} {unit}, rms {rms:.6}, at most {most:.6}"); // a String takes everything
+                // Writing to a String cannot fail.
+                let _ = writeln!(text, "{axis:<6} mean {mean:+.6} {unit}, rms {rms:.6}, at most {most:.6}");
             }
         }
         text

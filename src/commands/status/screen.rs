@@ -1,4 +1,4 @@
-//! What `trifacet status` says, as text.
+//! Formats the output of `trifacet status`.
 
 use serde_json::Value;
 use trifacet::client::PoseFrame;
@@ -6,7 +6,7 @@ use trifacet_wire::{LockState, Status};
 
 use super::Known;
 
-/// Counters of what got lost, or was refused.
+/// Counters of losses and refusals.
 const LOSSES: [&str; 14] = [
     "scans_lost",
     "replay_holes",
@@ -23,15 +23,15 @@ const LOSSES: [&str; 14] = [
     "tcp_overflows",
     "tcp_dropped",
 ];
-/// Bits that are told elsewhere on the page, or are no news.
+/// Status bits that are shown elsewhere on the page, or are normal.
 const TOLD: Status = Status(Status::POSE_VALID.0 | Status::NOT_LOCKED.0 | Status::STEERING_MEASURED.0);
 
-/// The page, line by line.
+/// The lines of the page.
 pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
     let mut lines = vec![head(source, known)];
     lines.extend(replay(known).map(|what| row("replay", &what)));
     let Some(frame) = &known.frame else {
-        lines.push(row("pose", "no frame came since the last look"));
+        lines.push(row("pose", "no frame since the last update"));
         lines.push(row("losses", &losses(known)));
         lines.extend(known.unanswered.as_ref().map(|why| row("control", why)));
         return lines;
@@ -71,13 +71,13 @@ fn head(source: &str, known: &Known) -> String {
     row("trifacet", &parts.join("  "))
 }
 
-/// What is replayed. Without a descriptor, as over UDP, the bits say that it is.
+/// What is replayed. Without a descriptor, as over UDP, only the status bits show that it is a replay.
 fn replay(known: &Known) -> Option<String> {
     let replay = known.descriptor.as_ref()?.replay.as_ref()?;
     let (file, recorded) = (&replay.file, replay.recorded.get(..19).unwrap_or_default().replace('T', " "));
     let ends = known.heartbeat.as_ref().and_then(|heartbeat| heartbeat.counters.get("replay_ends"));
     let over = !replay.repeat && ends.is_some_and(|n| *n > 0);
-    Some(format!("{file}, recorded {recorded} UTC{}", if over { ": at its end" } else { "" }))
+    Some(format!("{file}, recorded {recorded} UTC{}", if over { ": ended" } else { "" }))
 }
 
 fn duration(seconds: f64) -> String {
@@ -106,16 +106,16 @@ fn validity(frame: &PoseFrame, between: Status) -> String {
 
 fn lock(frame: &PoseFrame, control: Option<&Value>) -> String {
     if frame.status.has(Status::REPLAYED) {
-        return format!("{}   replayed: nothing steers", frame.lock.name());
+        return format!("{}   replayed: no steering", frame.lock.name());
     }
     let told = control.map(|control| &control["loop"]);
     let mode = told.and_then(|told| told["mode"].as_str()).map(|mode| format!("   loop {mode}"));
     let vain = told.and_then(|told| told["searches_in_vain"].as_u64()).filter(|n| *n > 0);
-    let vain = vain.map(|n| format!("   {n} searches in vain"));
+    let vain = vain.map(|n| format!("   {n} failed searches"));
     [frame.lock.name(), &mode.unwrap_or_default(), &vain.unwrap_or_default()].concat()
 }
 
-/// The share of each PSD, and all of the light.
+/// The share of each PSD, and the total power.
 fn balance(powers: [f32; 3]) -> String {
     let powers = powers.map(f64::from);
     let sum: f64 = powers.iter().sum();
@@ -129,7 +129,7 @@ fn balance(powers: [f32; 3]) -> String {
 }
 
 fn losses(known: &Known) -> String {
-    let Some(heartbeat) = &known.heartbeat else { return "not told on this way".into() };
+    let Some(heartbeat) = &known.heartbeat else { return "not available on this link".into() };
     let counted = |name: &str| heartbeat.counters.get(name).copied().filter(|n| *n > 0);
     let mut losses: Vec<_> =
         LOSSES.into_iter().filter_map(|name| Some(format!("{name} {}", counted(name)?))).collect();
@@ -143,7 +143,7 @@ fn names(status: Status) -> String {
     status.names().collect::<Vec<_>>().join(" ")
 }
 
-/// Twelve characters, or more if it must be.
+/// Formats a number in at least twelve characters.
 fn number(x: f64) -> String {
     if x.is_nan() { format!("{:>12}", "-") } else { format!("{x:>12.3}") }
 }
@@ -154,17 +154,17 @@ fn deviated(x: f64, deviation: f32) -> String {
     format!("{} +- {deviation:<8}", number(x * 1e6))
 }
 
-/// The header of [`line`].
+/// The header of the lines of [`line`].
 pub(super) fn header() -> String {
     let names = ["tx um", "ty um", "tz um", "roll urad", "pitch urad", "yaw urad", "off x um", "off y um"];
     let names: Vec<_> = names.iter().map(|name| format!("{name:>12}")).collect();
     format!("# {:<9} {:<9} {} {:>8}  trouble", "lock", "pose", names.join(" "), "frames")
 }
 
-/// All of it in a line.
+/// The state in one line.
 pub(super) fn line(known: &Known) -> String {
     let Some(frame) = &known.frame else {
-        return format!("  {:<9} {:<9} no frame came since the line before", "-", "-");
+        return format!("  {:<9} {:<9} no frame since the last line", "-", "-");
     };
     let valid = if frame.status.has(Status::POSE_VALID) { "valid" } else { "NOT VALID" };
     let offset = frame.beam_offset.map(f64::from);
@@ -175,7 +175,7 @@ pub(super) fn line(known: &Known) -> String {
     line.trim_end().to_owned()
 }
 
-/// The colour of a line, if it is good or bad news: an SGR number.
+/// The colour of a line, as an SGR number. `None`: neutral.
 pub(super) fn mood(line: &str) -> Option<&'static str> {
     let (name, text) = line.split_once(' ')?;
     let text = text.trim_start();

@@ -1,5 +1,4 @@
-//! The responses as a drawing: a panel for each axis, the mean over all steps with the fit. Plain SVG,
-//! which needs nothing but text.
+//! Plots the responses as SVG: one panel per axis, with the mean over all steps and the fit.
 
 use std::fmt::{Display, Write};
 
@@ -12,10 +11,10 @@ const HEIGHT: f64 = 300.0;
 /// Margins of a panel: left, right, top, bottom.
 const MARGIN: [f64; 4] = [72.0, 20.0, 44.0, 50.0];
 const TITLE: f64 = 40.0;
-/// Colours of the beam's x and y, which are told apart without colour too: y is drawn hollow.
+/// Colours of the beam's x and y. They can be distinguished without colour, too: y is drawn hollow.
 const COLOURS: [&str; 2] = ["#1f5fa8", "#c2571a"];
 
-/// The drawing.
+/// The plot as SVG text.
 pub(super) fn svg(findings: &Findings, plan: &Plan) -> String {
     let height = TITLE + 2.0 * HEIGHT;
     let mut out = format!(
@@ -33,17 +32,17 @@ pub(super) fn svg(findings: &Findings, plan: &Plan) -> String {
     out
 }
 
-/// A panel and its scales.
+/// A panel and its ranges.
 struct Panel {
     top: f64,
-    /// Milliseconds from and to.
+    /// Range of the time, milliseconds.
     time: [f64; 2],
-    /// Micrometres from and to.
+    /// Range of the movement, micrometres.
     way: [f64; 2],
 }
 
 impl Panel {
-    /// The part of a response in which something happens.
+    /// A panel for the part of a response that contains the movement.
     fn new(response: &Response, top: f64) -> Self {
         let ms = |i: usize| response.mean.get(i).map_or(0.0, |(t, _)| t * 1e3);
         let period = ms(1) - ms(0);
@@ -98,7 +97,7 @@ impl Panel {
         }
     }
 
-    /// The fitted curve of one direction of the beam.
+    /// Draws the fitted curve of one direction of the beam.
     fn fit(&self, out: &mut String, response: &Response, k: usize, colour: &str) {
         let full = response.movement[k] * 1e6;
         let mut points = String::new();
@@ -113,7 +112,7 @@ impl Panel {
         );
     }
 
-    /// Grid, ticks, labels and heading.
+    /// Draws grid, ticks, labels and heading.
     fn frame(&self, out: &mut String, name: &str, response: &Response) {
         let (left, right) = (self.x(self.time[0]), self.x(self.time[1]));
         let (bottom, top) = (self.y(self.way[0]), self.y(self.way[1]));
@@ -144,7 +143,7 @@ impl Panel {
             f64::midpoint(left, right),
             bottom + 36.0,
             "middle",
-            "time after the sample on which the step was made, ms",
+            "time after the sample on which the step was commanded, ms",
         );
         let (x, y) = (18.0, f64::midpoint(bottom, top));
         text(
@@ -161,12 +160,12 @@ fn line(out: &mut String, [x1, y1, x2, y2]: [f64; 4], style: &str) {
     let _ = writeln!(out, "<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" {style}/>");
 }
 
-/// Text of our own: it has no character that XML would want escaped.
+/// Draws a text. It must not contain characters that XML requires to be escaped.
 fn text(out: &mut String, x: f64, y: f64, anchor: &str, what: impl Display) {
     let _ = writeln!(out, "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\">{what}</text>");
 }
 
-/// Round numbers across a range, with their labels.
+/// Round numbers within a range, with their labels.
 fn ticks([from, to]: [f64; 2]) -> Vec<(f64, String)> {
     let rough = (to - from) / 7.0;
     let decade = 10_f64.powf(rough.log10().floor());

@@ -1,4 +1,4 @@
-//! What was found, as a table for people and as keys for the configuration.
+//! Results of the identification as a table and as keys of the configuration.
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use trifacet::config::{CenteringConfig, Config, Gains};
 use trifacet::identification::findings::{AXES, Findings, Measured};
 use trifacet::identification::plan::Plan;
 
-/// Findings beside the configuration that they were made with.
+/// Results together with the configuration of the measurement.
 pub(super) struct Report<'a> {
     pub(super) config: &'a Config,
     pub(super) plan: &'a Plan,
@@ -15,7 +15,7 @@ pub(super) struct Report<'a> {
 }
 
 impl Report<'_> {
-    /// The keys that follow.
+    /// The keys to write.
     pub(super) fn edits(&self) -> [Edit; 4] {
         let Findings { matrix, origin, .. } = self.findings;
         let row = |row: &[Measured; 2]| row.iter().map(|cell| rounded(cell.value, 1e5)).collect::<Value>();
@@ -32,14 +32,14 @@ impl Report<'_> {
         ]
     }
 
-    /// Delay and lag as they are written.
+    /// Delay and lag as written, milliseconds.
     fn times_ms(&self) -> [f64; 2] {
         let Findings { delay, lag, .. } = self.findings;
         [rounded(delay.value * 1e3, 1e4).max(1e-4), rounded(lag.value * 1e3, 1e4)]
     }
 
-    /// The gains that the daemon will have with these keys, and the deviation of the integral one in
-    /// parts of it.
+    /// The gains that the daemon derives from these keys, and the relative standard uncertainty of the
+    /// integral gain.
     fn gains(&self) -> (Gains, f64) {
         let [loop_delay_ms, lag_ms] = self.times_ms();
         let centering = CenteringConfig { loop_delay_ms, lag_ms, ..self.config.centering.clone() };
@@ -65,18 +65,18 @@ impl fmt::Display for Report<'_> {
         let [middle, longest] = self.findings.computed.map(|s| s * 1e3);
         writeln!(
             f,
-            "delay                 {}, from step to step +- {:.4} ms",
+            "delay                 {}, between steps +- {:.4} ms",
             ms(delay),
             self.findings.jitter * 1e3
         )?;
         writeln!(f, "  sample to command   {middle:9.4} ms, at most {longest:.4} ms")?;
         writeln!(f, "lag                   {}", ms(lag))?;
         let [x, y] = self.findings.noise.map(|n| n * 1e6);
-        writeln!(f, "noise of the offset   {x:9.4} um in x, {y:.4} um in y, each sample")?;
+        writeln!(f, "noise of the offset   {x:9.4} um in x, {y:.4} um in y, per sample")?;
         for (name, readback) in AXES.iter().zip(self.findings.readback.iter().flatten()) {
             writeln!(
                 f,
-                "readback {name}            {:9.4} +- {:.4} of the command, {:.3} um more than it, noise {:.3} um",
+                "readback {name}            {:9.4} +- {:.4} of the command, {:.3} um offset, noise {:.3} um",
                 readback.scale.value,
                 readback.scale.sigma,
                 readback.offset * 1e6,
@@ -101,7 +101,7 @@ impl Report<'_> {
         let behind = 1e3 / ki_per_s;
         writeln!(
             f,
-            "behind a ramp         {behind:9.3} +- {:.3} um for each mm/s, without feed-forward",
+            "following error       {behind:9.3} +- {:.3} um per mm/s, without feed-forward",
             behind * part
         )?;
         let shortest = 2e3 / self.config.acquisition.rate_hz;
@@ -109,19 +109,19 @@ impl Report<'_> {
         if self.times_ms()[0] < shortest && centering.ki_per_s.is_none() {
             writeln!(
                 f,
-                "note: the gains are those of a delay of {shortest} ms: a sampled loop has two periods at least"
+                "note: the gains are those for a delay of {shortest} ms: a sampled loop has at least two periods"
             )?;
         }
         let given = [("kp", centering.kp), ("ki_per_s", centering.ki_per_s)];
         for (key, value) in given.into_iter().filter_map(|(key, value)| Some((key, value?))) {
             writeln!(
                 f,
-                "note: the configuration sets centering.{key} = {value}, which overrides what follows from delay and lag"
+                "note: the configuration sets centering.{key} = {value}, which overrides the value from delay and lag"
             )?;
         }
         let mm = self.plan.step * 1e6;
         let used = self.findings.responses.each_ref().map(|r| r.used);
-        writeln!(f, "by {} and {} steps of {mm:.3} um", used[0], used[1])
+        writeln!(f, "measured with {} and {} steps of {mm:.3} um", used[0], used[1])
     }
 }
 

@@ -1,4 +1,4 @@
-//! What a person sees while the loop is measured.
+//! Progress messages of the identification.
 
 use indicatif::{ProgressBar, ProgressStyle};
 use trifacet::identification::plan::{Plan, um};
@@ -6,20 +6,20 @@ use trifacet::identification::task::Audience;
 use trifacet_core::signals::Identity;
 use trifacet_core::steering::Xy;
 
-/// Writes to standard error; the bar only to a terminal.
+/// Writes to standard error. The progress bar is shown only on a terminal.
 pub(super) struct Show {
     dry: bool,
     bar: Option<ProgressBar>,
 }
 
 impl Show {
-    /// With `dry` it is said what would be done, and no more.
+    /// `dry`: print only what would be done.
     pub(super) fn new(dry: bool) -> Self {
-        eprintln!("looking at the light and the stage, nothing moves");
+        eprintln!("checking the light and the stage; nothing moves yet");
         Self { dry, bar: None }
     }
 
-    /// The last word of the bar.
+    /// Removes the progress bar.
     pub(super) fn end(&self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();
@@ -32,16 +32,16 @@ impl Audience for Show {
         let um = |at: Xy| format!("{} {} um", um(at[0]), um(at[1]));
         let half = plan.step / 2.0 * 1e6;
         eprintln!("source: {}", source.name);
-        eprintln!("the stage stands at {}, the beam {} off the apex", um(plan.found), um(plan.offset));
+        eprintln!("the stage is at {}, the beam is {} off the apex", um(plan.found), um(plan.offset));
         eprintln!(
-            "each axis goes {half:.3} um to either side of that, {} steps of {:.3} um, within +-{:.1} um; \
+            "each axis moves {half:.3} um to either side of that, {} steps of {:.3} um, within +-{:.1} um; \
              this takes {:.0} s",
             plan.steps,
             plan.step * 1e6,
             plan.limit * 1e6,
             plan.duration
         );
-        eprintln!("then the stage is left at {}; Ctrl-C brings it there at any time", um(plan.end));
+        eprintln!("then the stage is left at {}; Ctrl-C moves it there at any time", um(plan.end));
         if !self.dry {
             let style = ProgressStyle::with_template("{bar:40} {pos}/{len} steps, {eta} left");
             let bar = ProgressBar::new(u64::from(2 * plan.steps));

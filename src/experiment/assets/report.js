@@ -1,9 +1,9 @@
-// Draws what the report has found; every number of it stands in the data.
+// Draws the figures of the report. All numbers are in the data element.
 
 const data = JSON.parse(document.getElementById("data").textContent);
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const MARKS = [["--line-1", "circle"], ["--line-2", "square"], ["--line-3", "diamond"]];
-const PAPER_PX = [325, 235]; // of a chart in print, two beside each other on A4
+const PAPER_PX = [325, 235]; // size of a printed chart: two side by side on A4
 
 function look(more) {
   const axis = { gridcolor: css("--grid"), linecolor: css("--edge"), zerolinecolor: css("--edge"), automargin: true, fixedrange: false };
@@ -54,7 +54,7 @@ function bound({ names, ratio, half, paper }) {
   ], look({
     showlegend: true, legend: { orientation: "h", x: 1, xanchor: "right", y: 1.02, yanchor: "bottom", bgcolor: "rgba(0,0,0,0)" }, margin: { l: 60, r: 14, t: 34, b: 30 },
     shapes: [{ type: "line", xref: "paper", x0: 0, x1: 1, y0: 1, y1: 1, line: { color: css("--quiet"), width: 1, dash: "dot" } }],
-    xaxis: { type: "category" }, yaxis: { title: "deviation over predicted" },
+    xaxis: { type: "category" }, yaxis: { title: "measured / predicted" },
   })];
 }
 
@@ -71,14 +71,14 @@ function allan(first) {
     },
   ]);
   const log = { type: "log", dtick: 1, exponentformat: "none", minor: { dtick: "D1" } };
-  return [own, look({ ...legend, xaxis: { ...log, title: "time of a mean, s" }, yaxis: { ...log, title: `Allan deviation, ${data.rest.axes[first].unit}` } })];
+  return [own, look({ ...legend, xaxis: { ...log, title: "averaging time, s" }, yaxis: { ...log, title: `Allan deviation, ${data.rest.axes[first].unit}` } })];
 }
 
 function course(first) {
   const own = three(first).map((axis, i) => ({
     ...lines(data.rest.times, axis.course, axis.name, { color: css(MARKS[i][0]), width: 1.3 }), mode: "lines+markers", marker: { symbol: MARKS[i][1], size: 5 },
   }));
-  return [own, look({ ...legend, xaxis: { title: "time, s" }, yaxis: { title: `less the mean, ${data.rest.axes[first].unit}` } })];
+  return [own, look({ ...legend, xaxis: { title: "time, s" }, yaxis: { title: `relative to the mean, ${data.rest.axes[first].unit}` } })];
 }
 
 function figure(element) {

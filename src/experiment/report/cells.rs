@@ -1,15 +1,15 @@
-//! Tables, and the numbers in them.
+//! HTML tables and the format of numbers in them.
 
 use std::fmt::Write;
 
 use crate::experiment::three;
 
-/// Text that is no HTML.
+/// Escapes text for HTML.
 pub(super) fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('{', "&#123;")
 }
 
-/// A table; the first cell of each row is its heading.
+/// A table. The first cell of each row is its heading.
 pub(super) fn table(head: &[&str], rows: impl Iterator<Item = Vec<String>>) -> String {
     let mut html = String::from("<div class=\"scroll\"><table><thead><tr>");
     for cell in head {
@@ -30,31 +30,31 @@ pub(super) fn table(head: &[&str], rows: impl Iterator<Item = Vec<String>>) -> S
     html + "</tbody></table></div>"
 }
 
-/// In um or urad.
+/// Formats metres or radians in um or urad.
 pub(super) fn micro(x: f64) -> String {
     three(x * 1e6)
 }
 
-/// A part of one.
+/// Formats a fraction as percentage.
 pub(super) fn percent(x: f64) -> String {
     format!("{} %", three(x * 1e2))
 }
 
-/// What the paper says.
+/// Marks a value from the paper.
 pub(super) fn paper(said: &str) -> String {
     format!("<span class=\"paper\">{said}</span>")
 }
 
-/// A time with no more digits than it needs.
+/// Formats a time without trailing zeros.
 pub(super) fn seconds(s: f64) -> String {
     format!("{} s", three(s).parse::<f64>().unwrap_or(s))
 }
 
-/// A value with its deviation: of that two digits count.
+/// A value with its standard uncertainty, which is shown with two significant digits.
 pub(super) fn with_sigma(value: f64, sigma: f64) -> String {
     let digits = if sigma > 0.0 { (1 - sigma.log10().floor() as i32).clamp(0, 9) as usize } else { 4 };
     let value = format!("{value:.digits$}");
-    // What is rounded to nothing has no sign.
+    // Zero has no sign after rounding.
     let value = value.strip_prefix('-').filter(|x| x.parse() == Ok(0.0)).unwrap_or(&value);
     format!("{value} <small>± {sigma:.digits$}</small>")
 }

@@ -1,4 +1,4 @@
-//! The words and tables of the report.
+//! Texts and tables of the report.
 
 use std::fmt::Write;
 
@@ -10,21 +10,21 @@ use crate::config::Axis;
 use crate::experiment::static_record::StaticRecord;
 use crate::experiment::statistics::Measured;
 
-/// 95 % of what is normally distributed lies within so many deviations.
+/// 95 % of a normal distribution lie within this number of standard deviations.
 pub(super) const WITHIN_95: f64 = 1.96;
-/// A slope that is farther from what is right than so many deviations is marked.
+/// A slope that differs from its ideal value by more than this number of standard uncertainties is marked.
 const MARKED: f64 = 3.0;
 
-/// Nanoseconds since 1970.
+/// Nanoseconds from 1970 to 2000.
 const YEAR_2000_NS: i64 = 946_684_800_000_000_000;
 
-/// The page with all but style, script and data.
+/// The page without style, script and data.
 pub(super) fn page(report: &Report, template: &str) -> String {
     let averaged = match report.averaged[0] {
         0 | 1 => String::new(),
         n => format!(", or here the mean over {n} samples"),
     };
-    let simulated = "<p class=\"note\">The light is computed by the digital twin: this shows what the model and the software do, not what a real head does.</p>";
+    let simulated = "<p class=\"note\">The light is simulated by the digital twin: the results describe the model and the software, not a real head.</p>";
     template
         .replace("{{source}}", &escaped(&report.source))
         .replace("{{what}}", &what(report))
@@ -46,7 +46,7 @@ fn named(axis: Axis) -> String {
     format!("{}, {}", axis.name(), unit(axis))
 }
 
-/// How much was measured, when, and what the sensor remarked meanwhile.
+/// Number of readings, their times, and the status bits that occurred.
 fn what(report: &Report) -> String {
     let all = &report.table2;
     let points: usize = all.iter().map(|m| m.points.len()).sum();
@@ -59,7 +59,7 @@ fn what(report: &Report) -> String {
     format!("{axes}, {points} points, {readings} readings{}.{remarks}", when(report.time_ns))
 }
 
-/// From when to when, of what has a time of day: the twin counts from its own start.
+/// Start and end of the measurement. Empty for the twin, which counts from its own start.
 fn when(time_ns: [i64; 2]) -> String {
     let moment =
         |ns: i64| jiff::Timestamp::from_nanosecond(ns.into()).ok().map(|t| t.strftime("%F %H:%M:%S"));
@@ -144,7 +144,7 @@ fn crosstalk(all: &[Measured]) -> String {
         let cell = |axis: Axis| {
             let slope = m.response[axis as usize];
             let right = if axis == m.axis { 1.0 } else { 0.0 };
-            // One below the other, or seven columns would be too wide.
+            // The uncertainty is on its own line, because seven columns would otherwise be too wide.
             let text = with_sigma(slope.value, slope.sigma).replace(" <small>", "<br><small>");
             let marked = (slope.value - right).abs() > MARKED * slope.sigma;
             if marked { format!("<b>{text}</b>") } else { text }
@@ -176,7 +176,7 @@ fn at_rest(rest: &StaticRecord) -> String {
     };
     let longest = rest.axes[0].allan.last().map_or(0.0, |a| a.n as f64 * rest.period_s);
     let [first, last] = [rest.period_s, longest].map(|s| format!("Allan, {}", seconds(s)));
-    let head = ["axis", &first, "stated", &last, "white noise", "least at", "drift per hour"];
+    let head = ["axis", &first, "predicted", &last, "white noise", "minimum at", "drift per hour"];
     let chart = |kind: &str, axis: u8, label: &str| {
         format!(
             "<div class=\"chart\" data-kind=\"{kind}\" data-axis=\"{axis}\" role=\"img\" aria-label=\"{label}\"></div>"
@@ -185,18 +185,18 @@ fn at_rest(rest: &StaticRecord) -> String {
     let allan = match &rest.uneven {
         Some(why) => format!("</p>\n<p class=\"note\">No Allan deviation: {why}.</p>"),
         None => format!(
-            " Dotted: white noise of the stated deviation, σ/√n; the bars are one deviation of what is drawn.</p>\n<div class=\"pair\">{}{}</div>",
+            " Dotted: white noise with the predicted standard uncertainty, σ/√n. Bars: standard uncertainty of the Allan deviation.</p>\n<div class=\"pair\">{}{}</div>",
             chart("allan", 0, "Allan deviation of the translations"),
-            chart("allan", 3, "Allan deviation of the turns"),
+            chart("allan", 3, "Allan deviation of the rotations"),
         ),
     };
     format!(
-        "<section>\n<h2>At rest: Allan deviation and drift</h2>\n<p>{} readings in {} with the mirror at rest.{allan}\n<div class=\"pair\"><h3>Course <small>means over {}</small></h3>{}{}</div>\n{}</section>\n",
+        "<section>\n<h2>At rest: Allan deviation and drift</h2>\n<p>{} readings in {} with the mirror at rest.{allan}\n<div class=\"pair\"><h3>Over time <small>means over {}</small></h3>{}{}</div>\n{}</section>\n",
         rest.readings,
         seconds(rest.span_s + rest.period_s),
         seconds((rest.span_s + rest.period_s) / rest.times_s.len() as f64),
         chart("course", 0, "translations over time"),
-        chart("course", 3, "turns over time"),
+        chart("course", 3, "rotations over time"),
         table(&head, Axis::ALL.into_iter().zip(&rest.axes).map(row)),
     )
 }
@@ -221,13 +221,13 @@ fn beyond(report: &Report) -> String {
         "σ measured",
         "σ predicted",
         "σ of the paper",
-        "quieter",
+        "less noise",
         "relative uncertainty",
         "of the paper",
     ];
     format!(
-        "<section>\n<h2>Beyond the paper</h2>\n<p>The same protocol with what can be bought today: an 18-bit converter, spots with 0.57 µm of noise \
-         (about half of the 1.08 µm that explain the paper's), and {} samples averaged into each reading.</p>\n{}</section>\n",
+        "<section>\n<h2>Beyond the paper</h2>\n<p>The same protocol with components that are available today: an 18-bit converter, spots with 0.57 µm of noise \
+         (about half of the 1.08 µm that explain the noise in the paper), and {} samples averaged into each reading.</p>\n{}</section>\n",
         report.averaged[1],
         table(&head, report.beyond.iter().map(row)),
     )
