@@ -102,7 +102,7 @@ fn check_says_which_stage_it_is() {
     let stage = "axes 1 and 2 in units of 1 um, zero at [50.0, 50.0] um, within +-45 um, at most 50 mm/s";
     let tcp = told("steering.gcs.address = 'stage:50000'");
     assert!(tcp.contains(&format!("PI stage (GCS 2.0) at stage:50000, {stage}")), "{tcp}");
-    assert!(tcp.contains("it knows no lease") && !tcp.contains("lease_ms"), "{tcp}");
+    assert!(tcp.contains("it has no lease") && !tcp.contains("lease_ms"), "{tcp}");
     let serial = told("steering.gcs.port = '/dev/ttyUSB3'");
     assert!(
         serial.contains(&format!("PI stage (GCS 2.0) at /dev/ttyUSB3, 115200 baud, {stage}")),
@@ -117,7 +117,7 @@ fn check_warns_of_what_is_allowed_and_may_surprise() {
     std::fs::write(&path, "acquisition.rate_hz = 10\nestimation.average = 4\n").unwrap();
     let told = text(&trifacet(&["check", "--config", path.to_str().unwrap()]).stdout);
     assert!(told.contains("steering.lease_ms = 200 is short"), "{told}");
-    assert!(told.contains("two periods count"), "{told}");
+    assert!(told.contains("two periods are used"), "{told}");
     assert!(told.contains("means of 4 samples") && told.contains("2.5 frames per second"), "{told}");
     // Four samples halve the deviations.
     assert!(told.contains("tx 0.493"), "{told}");

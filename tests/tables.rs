@@ -166,7 +166,7 @@ fn a_bad_row_is_named_and_the_rest_go_on() {
         "standard input:5: 3 fields where the header has 6",
         "standard input:6: tz_m is \"nan\", not a finite number",
         "standard input:7: the light from facet A falls off its PSD",
-        "standard input: 4 of 6 rows could not be worked on",
+        "standard input: 4 of 6 rows could not be processed",
     ] {
         assert!(told.contains(line), "{told}");
     }
@@ -215,8 +215,8 @@ fn tables_that_are_none_are_refused() {
     for (input, message) in [
         (String::new(), "standard input:1: empty: the first line must name the columns tx_m, ty_m"),
         ("\n\n".into(), "standard input:1: empty"),
-        ("0,0,0,0,0,0\n".into(), "the column tx_m is missing; needed are tx_m"),
-        (format!("\n{header},tx_m\n"), "standard input:2: the column tx_m is there twice"),
+        ("0,0,0,0,0,0\n".into(), "the column tx_m is missing; required are tx_m"),
+        (format!("\n{header},tx_m\n"), "standard input:2: the column tx_m occurs twice"),
     ] {
         let output = trifacet(&["trace"], input.as_bytes());
         assert_eq!(output.status.code(), Some(65), "{input}");

@@ -340,7 +340,7 @@ fn a_port_that_another_process_has_is_named_with_it() {
     let lab = on(&board, "");
     let mut first = Killed(lab.command(&["tune"]).stderr(Stdio::piped()).spawn().unwrap());
     let mut lines = std::io::BufRead::lines(std::io::BufReader::new(first.0.stderr.take().unwrap()));
-    lines.find(|line| line.as_ref().unwrap().starts_with("the stage stands at")).unwrap().unwrap();
+    lines.find(|line| line.as_ref().unwrap().starts_with("the stage is at")).unwrap().unwrap();
     let output = lab.tune(&[]);
     assert_eq!(output.status.code(), Some(75));
     assert!(said(&output).contains(&format!("in use by process {}", first.0.id())), "{}", said(&output));

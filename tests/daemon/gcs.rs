@@ -204,7 +204,7 @@ fn a_stage_that_cannot_be_used_is_not_moved_until_it_can() {
     set(|state| (state.referenced, state.unit) = (true, "MM"));
     down(&mut daemon, "axis 1 counts in MM: steering.gcs.um_per_unit = 1 should be 1000");
     set(|state| state.unit = "urad");
-    down(&mut daemon, "axis 1 turns (it counts in urad): the model is for a laser that is translated");
+    down(&mut daemon, "axis 1 turns (it counts in urad): the model assumes a laser that is translated");
     set(|state| state.unit = "um");
     down(&mut daemon, "axis 1 travels from -20 to 90 um");
     set(|state| state.travel = [-90.0, 90.0]);

@@ -126,7 +126,7 @@ fn a_port_in_use_and_a_wrong_configuration_have_their_exit_codes() {
     assert!(second.said(&taken.to_string()) && second.said("another process has the port"));
     let mut wrong = Daemon::start("acquisition.rate = 5");
     assert_eq!(wrong.end().code(), Some(78));
-    assert!(wrong.said("acquisition.rate is no key") && wrong.said("rate_hz"), "{:?}", wrong.log);
+    assert!(wrong.said("acquisition.rate is not a key") && wrong.said("rate_hz"), "{:?}", wrong.log);
     let mut missing = Daemon::start("channels.a.correction = \"nowhere.csv\"");
     assert_eq!(missing.end().code(), Some(78));
     assert!(missing.said("nowhere.csv"), "{:?}", missing.log);

@@ -112,7 +112,7 @@ fn a_person_moves_the_stage_and_types_what_the_interferometer_says() {
         person.types(&format!("{}", (level + 7e-6) * 1e6));
         person.hears("50 readings: ");
     }
-    person.hears("leave the mirror alone for 1 s");
+    person.hears("do not move the mirror for 1 s");
     person.types("");
     let (code, said) = person.end();
     assert_eq!(code, Some(0), "{said}");
@@ -133,7 +133,7 @@ fn a_person_moves_the_stage_and_types_what_the_interferometer_says() {
     assert!(all.iter().filter(|r| r["part"] == "rest").count() > 900);
     assert!(all.iter().all(|r| r["status"].contains("SIMULATED") && number(r, "time_ns") > 1e18));
     let report = std::fs::read_to_string(out.join("report.html")).unwrap();
-    assert!(report.contains("computed by the digital twin") && report.contains("Status: UNCALIBRATED"));
+    assert!(report.contains("simulated by the digital twin") && report.contains("Status: UNCALIBRATED"));
     assert!(report.contains("150 readings, 20") && report.contains(" UTC. Status"));
 }
 
@@ -165,7 +165,7 @@ fn references_come_from_a_file_and_bad_answers_are_asked_again() {
     let (code, told) = person.end();
     assert_eq!(code, Some(0), "{told}");
     assert!(told.contains("this is the first point"), "{told}");
-    assert!(told.contains("the reference of this point stands in the file"), "{told}");
+    assert!(told.contains("the reference of this point is in the file"), "{told}");
     assert!(told.contains("yaw point 3 of 3: move the stage to +10.50 urad, then Enter: "), "{told}");
     let all = rows(&out.join("readings.csv"));
     assert_eq!(all.len(), 60);
@@ -194,13 +194,13 @@ fn nothing_is_lost_with_the_daemon_and_a_point_can_be_taken_again() {
     assert!(person.all.contains("pitch point 2 of 3"), "{}", person.all);
     let lost = at;
     first.signal(rustix::process::Signal::KILL);
-    person.hears("go on with the same options and --resume");
+    person.hears("continue with the same options and --resume");
     let (code, told) = person.end();
     assert_eq!(code, Some(69), "{told}");
     for word in [
-        "\"1,5\" is no number in um",
-        "\"urad\" is no unit of tz",
-        "40 readings are kept in",
+        "\"1,5\" is not a number in um",
+        "\"urad\" is not a unit for tz",
+        "40 readings are stored in",
         "--resume",
         "from the target",
     ] {
@@ -251,9 +251,7 @@ fn poses_that_do_not_count_are_told_and_the_point_is_asked_again() {
         let output = typed(&folder.path().join("out"), &["--connect", &at], "0\n");
         let said = said(&output);
         assert_eq!(output.status.code(), Some(69), "{said}");
-        for word in
-            ["no pose to count on for 5 s", told, "once more, when that is mended", "no readings are kept"]
-        {
+        for word in ["no usable pose for 5 s", told, "solve this and try again", "no readings are stored"] {
             assert!(said.contains(word), "{word}: {said}");
         }
     }
@@ -274,7 +272,7 @@ fn a_tare_between_points_of_an_axis_is_noticed() {
     person.types("q");
     let (code, told) = person.end();
     assert_eq!(code, Some(130), "{told}");
-    assert!(told.contains("5 readings are kept in"), "{told}");
+    assert!(told.contains("5 readings are stored in"), "{told}");
 }
 
 #[test]
@@ -295,7 +293,7 @@ fn a_tare_within_the_record_at_rest_begins_it_anew() {
     person.hears("recording");
     std::thread::sleep(std::time::Duration::from_millis(1500)); // half of the record
     daemon.reload(&format!("{PATIENT}{REST}frames.tare.rotation_deg = [0.1, 0.0, 0.0]\n"));
-    person.hears("have changed (a tare?): the record begins anew");
+    person.hears("have changed (a tare?): the record starts again");
     let (code, told) = person.end();
     assert_eq!(code, Some(0), "{told}");
     let all = rows(&out.join("readings.csv"));
@@ -310,13 +308,15 @@ fn a_pipe_ends_at_the_point_that_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     let options = ["--connect", &at, "--axes", "tx", "--points", "3", "--readings", "5", "--rest", "1"];
-    for (bad, why) in
-        [("1 m", "from the target +0.00 um"), ("0", "what the point before has"), ("x", "no number")]
-    {
+    for (bad, why) in [
+        ("1 m", "from the target +0.00 um"),
+        ("0", "the reference of the previous point"),
+        ("x", "not a number"),
+    ] {
         let output = typed(&out, &options, &format!("0\n{bad}\n2\n"));
         let told = said(&output);
         assert_eq!(output.status.code(), Some(65), "{told}");
-        for word in [why, "the input is no terminal", "5 readings are kept in"] {
+        for word in [why, "the input is not a terminal", "5 readings are stored in"] {
             assert!(told.contains(word), "{word}: {told}");
         }
         assert_eq!(rows(&out.join("readings.csv")).len(), 5);
@@ -344,7 +344,7 @@ fn a_folder_is_for_one_session_and_is_empty_again_after_b() {
     person.hears("tx point 1 of 3");
     let second = typed(&out, &options, "0\n");
     assert_eq!(second.status.code(), Some(75), "{}", said(&second));
-    assert!(said(&second).contains("another session works in"), "{}", said(&second));
+    assert!(said(&second).contains("another session uses"), "{}", said(&second));
     for (line, heard) in [
         ("0", "point 2 of 3"),
         ("b", "point 1 of 3"),
@@ -362,7 +362,7 @@ fn a_folder_is_for_one_session_and_is_empty_again_after_b() {
     }
     person.types("q");
     let (code, told) = person.end();
-    assert!(code == Some(130) && told.contains("no readings are kept"), "{told}");
+    assert!(code == Some(130) && told.contains("no readings are stored"), "{told}");
     let again = typed(&out, &[&options[..], &["--resume"]].concat(), "0\n1\n2\n");
     assert!(again.status.success(), "{}", said(&again));
 }

@@ -24,18 +24,18 @@ fn wrong_options_are_named() {
         (&["--readings", "1"], "2..=100000"),
         (&["--interval", "tx"], "AXIS=X"),
         (&["--interval", "tx=0"], "above 0 and at most 1000 um"),
-        (&["--interval", "roll=5um"], "\"um\" is no unit of roll"),
-        (&["--axes", "tx", "--interval", "ty=2"], "ty is not moved"),
-        (&["--interval", "ty=2,ty=3"], "--interval gives ty twice"),
+        (&["--interval", "roll=5um"], "\"um\" is not a unit for roll"),
+        (&["--axes", "tx", "--interval", "ty=2"], "ty is not among the --axes"),
+        (&["--interval", "ty=2,ty=3"], "--interval contains ty twice"),
         (&["--rest=-1"], "from 0 to 86400"),
-        (&["--rest", "0.06"], "--rest 0.06 makes 60 poses: at least 64 are needed, or --rest 0"),
+        (&["--rest", "0.06"], "--rest 0.06 gives 60 poses: at least 64 are needed, or --rest 0"),
         (&["--connect", "udp://127.0.0.1:7362"], "HOST:PORT"),
         (&["--connect", "127.0.0.1:1", "--seed", "1"], "cannot be used with"),
         (&["--from", "a.csv", "--points", "5"], "cannot be used with"),
-        (&["--resume"], "needs --connect HOST:PORT"),
-        (&["--resume", "--seed", "1"], "needs --connect HOST:PORT"),
-        (&["--resume", "--paper-only"], "needs --connect HOST:PORT"),
-        (&["--resume", "--from", "a.csv"], "needs --connect HOST:PORT"),
+        (&["--resume"], "requires --connect HOST:PORT"),
+        (&["--resume", "--seed", "1"], "requires --connect HOST:PORT"),
+        (&["--resume", "--paper-only"], "requires --connect HOST:PORT"),
+        (&["--resume", "--from", "a.csv"], "requires --connect HOST:PORT"),
     ] {
         refuses(arguments, 64, &[told]);
     }
@@ -48,11 +48,7 @@ fn a_folder_with_something_in_it_is_left_alone() {
     fs::write(&precious, "mine").unwrap();
     let output = run(folder.path(), &["--axes", "tx"]);
     assert_eq!(output.status.code(), Some(74));
-    assert!(
-        said(&output).contains("has something in it") && said(&output).contains("--out"),
-        "{}",
-        said(&output)
-    );
+    assert!(said(&output).contains("is not empty") && said(&output).contains("--out"), "{}", said(&output));
     assert_eq!(fs::read_to_string(&precious).unwrap(), "mine");
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
 }
@@ -83,9 +79,9 @@ fn file(folder: &Path, text: &str) -> String {
 fn bad_references_are_named_with_their_line() {
     let folder = tempfile::tempdir().unwrap();
     for (text, told) in [
-        ("axis,unit,reference\n", "the column point is missing; needed are axis,unit,point,reference"),
-        ("axis,unit,point,reference,reference\n", "the column reference is there twice"),
-        ("axis,unit,point,reference\n", "no readings in it"),
+        ("axis,unit,reference\n", "the column point is missing; required are axis,unit,point,reference"),
+        ("axis,unit,point,reference,reference\n", "the column reference occurs twice"),
+        ("axis,unit,point,reference\n", "the file contains no readings"),
         (
             "axis,unit,point,reference\ntx,urad,1,0\n",
             ":2: unit is \"urad\": allowed is one of um, nm, mm, m for tx",
@@ -119,16 +115,16 @@ fn bad_readings_are_named_with_their_line() {
     let deviation = text.lines().nth(1).unwrap().split(',').nth(12).unwrap();
     let negative = wrong(deviation, &format!("-{deviation}"));
     for (text, told) in [
-        (lines(1), "there are no readings in it"),
+        (lines(1), "the file contains no readings"),
         (lines(1 + 2 * 3), "tx has readings at 2 points: at least 3 are needed"),
         (lines(1 + 3 * 3 + 1), "tx point 4: 1 readings, at least 2 are needed"),
         (wrong("table2", "table3"), ":2: part is \"table3\": allowed is table2, beyond or rest"),
         (wrong(",tx,", ",up,"), ":2: axis is \"up\""),
         (wrong("POSE_VALID", "POSE_FINE"), ":2: status is \"POSE_FINE"),
         (text.replacen("reference_si", "reference", 1), "the column reference_si is missing"),
-        (wrong("POSE_VALID", ""), ":2: its status has no POSE_VALID"),
-        (lines(2) + &lines(2)[lines(1).len()..], ":3: this reading is there twice"),
-        (negative, ":2: a stated deviation (sd_...) is not above 0"),
+        (wrong("POSE_VALID", ""), ":2: its status does not contain POSE_VALID"),
+        (lines(2) + &lines(2)[lines(1).len()..], ":3: this reading occurs twice"),
+        (negative, ":2: a standard uncertainty (sd_...) is not above 0"),
         (
             text.lines().filter(|line| !line.contains(",tx,2,")).flat_map(|line| [line, "\n"]).collect(),
             "tx point 2 is missing",
@@ -161,7 +157,7 @@ fn a_twin_without_a_pose_says_where_and_why() {
         69,
         &[
             "tx point 1 of 21, at -14.40 um, reading 1",
-            "no pose to count on for 5 s",
+            "no usable pose for 5 s",
             "the pose is valid, the loop is off",
         ],
     );

@@ -156,7 +156,7 @@ fn a_hole_in_the_record_at_rest_costs_the_allan_deviation_alone() {
     let again = folder.path().join("again");
     let output = run(&again, &["--from", file.to_str().unwrap()]);
     let told = crate::said(&output);
-    let why = "0.0110 s from one reading to the next, where 0.0010 s are due";
+    let why = "0.0110 s from one reading to the next instead of 0.0010 s";
     assert!(output.status.success() && told.contains(why), "{told}");
     let html = fs::read_to_string(again.join("report.html")).unwrap();
     assert!(html.contains(&format!("No Allan deviation: {why}")));

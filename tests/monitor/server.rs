@@ -141,7 +141,7 @@ fn switched_off_it_opens_nothing() {
 fn an_address_of_the_network_is_noted_by_check() {
     let note = |config: &str| String::from_utf8(trifacet("check", config).stdout).unwrap();
     let open = note("monitor.listen = \"0.0.0.0:7360\"");
-    assert!(open.contains("note") && open.contains("everybody who reaches it may read"), "{open}");
+    assert!(open.contains("note") && open.contains("every host that reaches it may read"), "{open}");
     assert!(open.contains("http://0.0.0.0:7360/"), "{open}");
     let closed = note("");
     assert!(closed.contains("http://127.0.0.1:7360/") && !closed.contains("may read"), "{closed}");

@@ -117,10 +117,10 @@ fn at_the_end_everything_says_that_it_is_one() {
     assert!(status["loop"]["commanded_um"].is_null() && status["pose"]["valid"] == false, "{status}");
     let tcp = daemon.tcp();
     let shown = run(trifacet(&["status", &tcp, "--socket"]).arg(lab.path("socket"))).out;
-    assert!(shown.contains("a.mcap, recorded 1970-01-01 00:00:00 UTC: at its end"), "{shown}");
-    assert!(shown.contains("held   replayed: nothing steers"), "{shown}");
+    assert!(shown.contains("a.mcap, recorded 1970-01-01 00:00:00 UTC: ended"), "{shown}");
+    assert!(shown.contains("held   replayed: no steering"), "{shown}");
     let told = on(&["doctor", &tcp, "--config"], &lab.path("daemon.toml"));
-    assert!(told.code == 69 && told.out.contains("WRONG  the recording is at its end"), "{}", told.out);
+    assert!(told.code == 69 && told.out.contains("WRONG  the recording has ended"), "{}", told.out);
     for nonsense in ["powered", "NTP", "stuck", "NOT_LOCKED"] {
         assert!(!told.out.contains(nonsense), "{}", told.out);
     }

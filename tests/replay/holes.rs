@@ -20,7 +20,7 @@ fn not_all(done: &Done) {
         done.err
     );
     assert!(
-        done.code == 65 && done.out.contains("not computed: what they rest on"),
+        done.code == 65 && done.out.contains("not computed: the required data"),
         "{} {}",
         done.code,
         done.out
@@ -40,14 +40,14 @@ fn a_saved_recording_says_where_it_was_damaged() {
     let new = lab.path("bad.recovered.mcap");
     let info = on(&["info"], &new);
     assert!(
-        info.code == 65 && info.out.contains("gap        damaged in the file before: at byte"),
+        info.code == 65 && info.out.contains("gap        damaged in the original file: at byte"),
         "{}",
         info.out
     );
-    assert!(info.out.contains("closed as it should be") && !info.out.contains("\ndamage"), "{}", info.out);
+    assert!(info.out.contains("closed properly") && !info.out.contains("\ndamage"), "{}", info.out);
     let replay = on(&["replay"], &new);
     not_all(&replay);
-    assert!(replay.err.contains("gap: damaged in the file before"), "{}", replay.err);
+    assert!(replay.err.contains("gap: damaged in the original file"), "{}", replay.err);
     let export = on(&["export", "--format", "csv"], &new);
     assert!(export.code == 65 && export.err.contains("missing in the table: damaged"), "{}", export.err);
 }
@@ -63,7 +63,7 @@ fn what_comes_out_of_a_damaged_recording_says_so_too() {
     let done = run(trifacet(&["replay", "--output"]).arg(&out).arg(&bad));
     not_all(&done);
     let info = on(&["info"], &out);
-    assert!(info.code == 65 && info.out.contains("damaged in the recording of then"), "{}", info.out);
+    assert!(info.code == 65 && info.out.contains("damaged in the original recording"), "{}", info.out);
     let again = on(&["replay"], &out);
     assert!(again.code == 65 && again.err.contains("it has 1 gap"), "{}", again.err);
     assert!(again.out.starts_with(done.out.lines().next().unwrap()), "{}", again.out);
@@ -92,7 +92,7 @@ fn a_hole_that_nobody_told_of_is_found() {
     assert!(on(&["info"], &cut).out.contains("a keyframe after sample"));
     let done = on(&["replay"], &cut);
     assert!(
-        done.code == 65 && done.err.contains("not all is compared: 1 place"),
+        done.code == 65 && done.err.contains("not everything was compared: 1 place"),
         "{} {}",
         done.code,
         done.err
@@ -175,8 +175,8 @@ fn files_that_do_not_follow_each_other_are_told() {
         right.err
     );
     for (files, told) in [
-        (vec![&*two, &*one], "1.mcap begins with sample 0, and "),
-        (vec![&*one, &*one], "are they in their order, each once?"),
+        (vec![&*two, &*one], "1.mcap begins with sample 0, but "),
+        (vec![&*one, &*one], "give each file once, in order"),
         (vec![&*one, &*three], "samples are missing"),
     ] {
         let done = replay(&files);
@@ -193,7 +193,7 @@ fn files_that_do_not_follow_each_other_are_told() {
     let stranger = lab.path("stranger.mcap");
     write(&other, &stranger);
     let done = replay(&[&two, &stranger]);
-    assert!(done.err.contains("stranger.mcap is of another run of the daemon"), "{}", done.err);
+    assert!(done.err.contains("stranger.mcap was recorded in another run of the daemon"), "{}", done.err);
 }
 
 #[test]
