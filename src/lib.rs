@@ -20,6 +20,7 @@
 
 pub mod acquisition;
 pub mod centering;
+pub mod charts;
 pub mod clock;
 pub mod config;
 pub mod control;

@@ -3,22 +3,18 @@
 mod cells;
 mod html;
 
-use std::io::Read;
-
-use flate2::read::GzDecoder;
 use serde_json::{Value, json};
 use trifacet_wire::Status;
 
 use super::reading::{Part, Reading};
 use super::rest::Rest;
 use super::statistics::{Measured, measured};
+use crate::charts;
 use crate::exit::{self, Failure};
 
 const PAGE: &str = include_str!("assets/report.html");
 const STYLE: &str = include_str!("assets/report.css");
 const SCRIPT: &str = include_str!("assets/report.js");
-/// The chart library, as the live page has it.
-const PLOTLY: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/plotly.js.gz"));
 
 /// All that the readings say.
 #[derive(Clone, Debug)]
@@ -67,18 +63,14 @@ impl Report {
     }
 
     /// The report as HTML.
-    ///
-    /// # Errors
-    /// The chart library cannot be unpacked: a defect.
-    pub fn html(&self) -> std::io::Result<String> {
-        let mut plotly = String::new();
-        GzDecoder::new(PLOTLY).read_to_string(&mut plotly)?;
+    pub fn html(&self) -> String {
         // The library comes last: nothing is looked for in it.
-        Ok(html::page(self, PAGE)
-            .replace("{{style}}", STYLE)
+        html::page(self, PAGE)
+            .replace("{{style}}", &[charts::STYLE, STYLE].concat())
             .replace("{{script}}", SCRIPT)
             .replace("{{data}}", &self.data().to_string())
-            .replacen("{{plotly}}", &plotly, 1))
+            .replacen("{{plot}}", charts::PLOT, 1)
+            .replacen("{{uplot}}", charts::UPLOT, 1)
     }
 
     /// What the figures show, in um, urad and seconds.

@@ -1,0 +1,11 @@
+//! The charts of the live page and of the experiment's report: uPlot, and what both add to it.
+
+/// uPlot, which defines `uPlot`. Its licence travels with every copy.
+pub const UPLOT: &str =
+    concat!("/*\n", include_str!("uplot/LICENSE"), "*/\n", include_str!("uplot/uPlot.iife.min.js"));
+
+/// The style of uPlot and of [`PLOT`].
+pub const STYLE: &str = concat!(include_str!("uplot/uPlot.min.css"), "\n", include_str!("plot.css"));
+
+/// A module over uPlot: axes, lines with holes, marks, bars, and the values at the pointer.
+pub const PLOT: &str = include_str!("plot.js");
