@@ -77,7 +77,7 @@ const marks = (symbol, size) => (u, si, from, to) => {
 };
 
 /** What uPlot is told of a line. One that is `part` of another is not drawn itself; one without a name is not read out. */
-function line({ name = "", color, dash = "solid", width = 1.4, path = through(1), symbol, size = 7, part = false, unlisted = false }) {
+function line({ name = "", color, dash = "solid", width = 1.4, path = through(1), symbol, size = 6, part = false, unlisted = false }) {
   if (part) return { name, class: "part", label: " ", paths: () => null, points: { show: false } };
   const sign = tag("span", `mark ${dash}`, SYMBOLS[symbol] ?? "");
   sign.style.color = `var(${color})`;
