@@ -9,3 +9,21 @@ pub const STYLE: &str = concat!(include_str!("uplot/uPlot.min.css"), "\n", inclu
 
 /// A module over uPlot: axes, lines with holes, marks, bars, and the values at the pointer.
 pub const PLOT: &str = include_str!("plot.js");
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_embedded_is_the_stated_version_with_its_licence_and_ends_no_element() {
+        let readme = include_str!("uplot/README.md");
+        assert!(readme.contains("1.6.32") && UPLOT.contains("uPlot (v1.6.32)"));
+        assert!(
+            UPLOT.contains("Copyright (c) 2022 Leon Sorokin")
+                && UPLOT.contains("Permission is hereby granted")
+        );
+        for text in [UPLOT, PLOT, STYLE] {
+            assert!(!text.contains("</"));
+        }
+    }
+}

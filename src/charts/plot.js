@@ -146,15 +146,11 @@ function readout(x, y) {
     tip.hidden = true;
   };
   const setCursor = (u) => {
-    const { idx, left } = u.cursor;
-    const rows = [];
-    u.series.forEach(({ name, show }, k) => {
-      const value = idx === null || idx === undefined ? null : u.data[k][idx];
-      if (name && show && value !== null && value !== undefined) rows.push(`${name} ${y.tell(value)}`);
-    });
-    tip.hidden = rows.length === 0;
+    const { idx, idxs, left } = u.cursor;
+    const shown = u.series.flatMap(({ show }, k) => (k > 0 && show && typeof idx === "number" && typeof idxs[k] === "number" ? [k] : []));
+    tip.hidden = shown.length === 0;
     if (tip.hidden) return;
-    tip.textContent = [x.tell(u.data[0][idx]), ...rows].join("\n");
+    tip.textContent = [x.tell(u.data[0][idx]), ...shown.map((k) => `${u.series[k].name} ${y.tell(u.data[k][idx])}`)].join("\n");
     const right = left > u.over.clientWidth / 2;
     tip.style.left = right ? "" : `${left + 10}px`;
     tip.style.right = right ? `${u.over.clientWidth - left + 10}px` : "";
@@ -164,7 +160,8 @@ function readout(x, y) {
 
 /**
  * Draws into an element, whose size it follows, and returns uPlot's object, which the element has as `chart`.
- * `x` and `y` say of each direction: `log`, `label`, `range`, `tell` (a value in words), `values` and `splits` at the axis.
+ * `x` and `y` say of each direction: `log`, `label`, `range`, `tell` (a value in words), `values`, `splits` and `steps` at the axis,
+ * and `reach`, how far from the pointer a value may be that is read out.
  */
 export function plot(element, { series, x, y, data, under, title, legend = false, zoom = false, font = 11 }) {
   const head = tag("div", "head", tag("span", "title", title ?? ""));
@@ -172,7 +169,8 @@ export function plot(element, { series, x, y, data, under, title, legend = false
   const size = () => ({ width: element.clientWidth, height: Math.max(60, element.clientHeight - head.offsetHeight) });
   element.chart?.destroy(); // an earlier one
   element.replaceChildren(head, empty);
-  const known = (u, si, i) => (si === 0 || (u.series[si].name && u.data[si][i] !== null) ? i : null);
+  const near = (u, i, at) => Math.abs(u.data[0][i] - at) <= (x.reach?.() ?? Infinity);
+  const known = (u, si, i, at) => (si === 0 || (u.series[si].name && u.data[si][i] !== null && near(u, i, at)) ? i : null);
   const options = {
     width: 0, height: 0, ms: 1, padding: [8, 14, 0, 0], series: [{}, ...series.map(line)], scales: { x: scale(x), y: scale(y) },
     axes: [axis("x", x, font), axis("y", y, font)], plugins: [readout(x, y)], hooks: { drawAxes: under ? [under] : [] },

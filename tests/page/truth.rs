@@ -85,6 +85,8 @@ fn a_blocked_beam_turns_the_page_to_its_reason_within_a_second_and_back() {
     page.until("document.querySelector('#faults').innerText.includes('PSD_B_LOW, since')");
     let locked = stream.until("locked again", |frame| frame.time_ns > dark.time_ns && frame.locked());
     page.until(FINE);
+    // All lines of all axes have the hole.
+    page.until("[...document.querySelectorAll('.strips .chart')].every((e) => e.chart?.data.slice(1).every((y) => y.includes(null)))");
     let notes = page.eval("notes");
     let first = |is: &dyn Fn(&str) -> bool, after: f64| {
         let notes = notes.as_array().unwrap();

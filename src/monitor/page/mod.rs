@@ -70,6 +70,14 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_policy_allows_nothing_within_the_page_and_nothing_from_elsewhere() {
+        let allowed =
+            ["default-src", "script-src", "connect-src", "img-src", "style-src", "'none'", "'self'"];
+        let rest = POLICY.split([';', ' ']).filter(|word| !word.is_empty() && !allowed.contains(word));
+        assert!(rest.eq(["base-uri", "form-action", "frame-ancestors"]), "{POLICY}");
+    }
+
+    #[test]
     fn another_port_of_this_machine_is_another_site() {
         let from = |origin: Option<&str>| {
             let mut headers = HeaderMap::new();

@@ -89,17 +89,21 @@ export class Strips extends Charts {
     return n > 0 ? { mean: sum / n, range: max - min } : { mean: null, range: null };
   }
 
+  /** Stretches that are farther apart have a hole between them. */
+  get hole_ms() {
+    return Math.max(this.width_ms, 1.5 * (this.period_ms ?? 0));
+  }
+
   /** Time, and smallest, largest and mean of each stretch; nothing where poses are missing. */
   lines(axis) {
     const { scale } = unit(axis);
     const at = 2 + 3 * axis;
     const lines = [[], [], [], []];
     const put = (...row) => row.forEach((value, i) => lines[i].push(value));
-    const hole = Math.max(1, (1.5 * (this.period_ms ?? 0)) / this.width_ms);
     let before = null;
     for (const bin of this.bins) {
       const middle = (bin[0] + 0.5) * this.width_ms;
-      if (before !== null && bin[0] - before > hole) put(middle - this.width_ms, null, null, null);
+      if (before !== null && (bin[0] - before) * this.width_ms > this.hole_ms) put(middle - this.width_ms, null, null, null);
       put(middle, ...bin.slice(at, at + 3).map((value) => value * scale));
       before = bin[0];
     }
@@ -108,7 +112,7 @@ export class Strips extends Charts {
   }
 
   draw(element) {
-    if (!this.now_ms) return;
+    if (this.now_ms === undefined) return;
     const axis = Number(element.dataset.axis);
     const data = this.lines(axis);
     element.chart ??= this.begin(element, axis, data);
@@ -126,7 +130,10 @@ export class Strips extends Charts {
         { part: true, name: "largest" },
         { color: "--mean", width: 1.5, name: "mean" },
       ],
-      x: { range: () => [this.now_ms - this.span_ms, this.now_ms], steps: STEPS_MS, values: (u, splits) => splits.map(clock), tell: (ms) => time(ms) },
+      x: {
+        range: () => [this.now_ms - this.span_ms, this.now_ms], steps: STEPS_MS, values: (u, splits) => splits.map(clock),
+        tell: (ms) => time(ms), reach: () => Math.max(this.hole_ms, this.span_ms / 200), // in a hole nothing is read out
+      },
       y: { tell: (value) => `${fixed(value, unit(axis).digits)} ${unit(axis).name}` },
     });
   }
