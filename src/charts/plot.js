@@ -109,13 +109,16 @@ function decades(u, i, min, max) {
   return splits.filter((value) => value >= min && value <= max);
 }
 
-/** Numbers at a logarithmic axis: of every decade 1, and 2 and 5 where there is room. */
+const starts = (value, digits) => digits.includes(value.toExponential()[0]);
+
+/** Numbers at a logarithmic axis: of every decade 1, and 2 and 5 where there is room; or of every few decades. */
 function powers(u, splits, i) {
   const { scale: key } = u.axes[i];
-  const room = Math.abs(u.valToPos(10, key) - u.valToPos(1, key)) > (key === "x" ? 140 : 70);
+  const decade_px = Math.abs(u.valToPos(10, key) - u.valToPos(1, key));
+  const label_px = key === "x" ? 40 : 20;
+  const every = Math.ceil(label_px / decade_px);
   return splits.map((value) => {
-    const [mantissa] = value.toExponential();
-    if (!(room ? "125" : "1").includes(mantissa)) return null;
+    if (!starts(value, decade_px > 3.5 * label_px ? "125" : "1") || Math.floor(Math.log10(value)) % every !== 0) return null;
     return value >= 1e-3 && value < 1e5 ? String(value) : value.toExponential(0).replace("-", "−").replace("+", "");
   });
 }
@@ -129,11 +132,12 @@ function numbers(u, splits, i, space, step) {
 function axis(key, { log = false, label, values, splits, steps }, font) {
   const family = getComputedStyle(document.body).fontFamily;
   const quiet = () => css("--quiet");
-  const grid = { stroke: () => css("--grid"), width: 1 };
+  const lines = { stroke: () => css("--grid"), width: 1 };
+  const grid = { ...lines, filter: (u, places) => (log ? places.map((value) => (starts(value, "125") ? value : null)) : places) };
   const wide = (u, texts) => Math.max(46, 14 + 0.6 * font * Math.max(0, ...(texts ?? []).map((text) => text?.length ?? 0)));
   return {
     scale: key, side: key === "x" ? 2 : 3, stroke: quiet, font: `${font}px ${family}`, labelFont: `${font}px ${family}`, labelSize: font + 8,
-    size: key === "x" ? font + 11 : wide, space: key === "x" ? 66 : 26, gap: 5, grid, ticks: { show: false }, border: { show: true, ...grid },
+    size: key === "x" ? font + 11 : wide, space: key === "x" ? 66 : 26, gap: 5, grid, ticks: { show: false }, border: { show: true, ...lines },
     label, values: values ?? (log ? powers : numbers), splits: splits ?? (log ? decades : undefined), filter: (u, places) => places, incrs: steps,
   };
 }

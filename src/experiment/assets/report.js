@@ -82,7 +82,7 @@ function allan(first) {
       a, a.map((value, k) => value * (1 - p[k])), a.map((value, k) => value * (1 + p[k])), tau.map((t) => stated / Math.sqrt(t / tau[0])),
     ])],
     series: three(first).flatMap(({ name }, i) => [
-      { name, color: MARKS[i][0], path: bars, symbol: MARKS[i][1], size: 7 }, part, part, { color: MARKS[i][0], width: 1, dash: "dot", unlisted: true },
+      { name, color: MARKS[i][0], path: bars, symbol: MARKS[i][1], size: 7 }, part, part, { name: `${name}, white noise`, color: MARKS[i][0], width: 1, dash: "dot", unlisted: true },
     ]),
     x: { log: true, label: "time of a mean, s", tell: said("s") }, y: { log: true, label: `Allan deviation, ${unit}`, tell: said(unit) },
   };
