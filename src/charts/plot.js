@@ -91,7 +91,7 @@ function line({ name = "", color, dash = "solid", width = 1.4, path = through(1)
 /** From the smallest to the largest value, with room; or from `range()`. */
 function scale({ log = false, range, include = [] }) {
   const fit = (low, high) => {
-    if (low === null) return log ? [1, 10] : [0, 1];
+    if (low === null) return [null, null]; // no values, no axis
     if (log) return [low / 1.2, high * 1.2];
     const [least, most] = [Math.min(low, ...include), Math.max(high, ...include)];
     const room = 0.06 * (most - least) || 1e-3 * Math.abs(most) || 1;
@@ -123,9 +123,10 @@ function powers(u, splits, i) {
   });
 }
 
-/** Numbers with as many digits as their distance needs. */
+/** Numbers with as many digits as their distance needs: 0.25 has two. */
 function numbers(u, splits, i, space, step) {
-  const digits = Math.min(12, Math.max(0, Math.ceil(-Math.log10(step) - 1e-9)));
+  let digits = 0;
+  while (digits < 15 && Math.abs(Number(step.toFixed(digits)) - step) > 1e-6 * step) digits++;
   return splits.map((value) => value.toFixed(digits).replace("-", "−"));
 }
 
