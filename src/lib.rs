@@ -25,6 +25,7 @@
 
 pub mod acquisition;
 pub mod centering;
+pub mod charts;
 pub mod clock;
 pub mod closed_loop_sim;
 pub mod config;

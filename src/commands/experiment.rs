@@ -226,7 +226,7 @@ fn told(record: &Record, out: &Path) -> anyhow::Result<()> {
         eprintln!("no Allan deviation: {why}");
     }
     put("table2.csv", &table::csv(&report.table2))?;
-    put("report.html", &report.html().context("cannot unpack the chart library")?)?;
+    put("report.html", &report.html())?;
     let mut stdout = io::stdout().lock();
     written(write!(stdout, "{}", Table(&report.table2)))?;
     if !report.beyond.is_empty() {

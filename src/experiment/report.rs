@@ -3,22 +3,18 @@
 mod cells;
 mod html;
 
-use std::io::Read;
-
-use flate2::read::GzDecoder;
 use serde_json::{Value, json};
 use trifacet_wire::Status;
 
 use super::reading::{Part, Reading};
 use super::static_record::StaticRecord;
 use super::statistics::{Measured, measured};
+use crate::charts;
 use crate::exit::{self, Failure};
 
 const PAGE: &str = include_str!("assets/report.html");
 const STYLE: &str = include_str!("assets/report.css");
 const SCRIPT: &str = include_str!("assets/report.js");
-/// The chart library, compressed, shared with the live page.
-const PLOTLY: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/plotly.js.gz"));
 
 /// All results of the readings.
 #[derive(Clone, Debug)]
@@ -67,18 +63,14 @@ impl Report {
     }
 
     /// The report as HTML.
-    ///
-    /// # Errors
-    /// Fails if the chart library cannot be unpacked, which is a defect of the program.
-    pub fn html(&self) -> std::io::Result<String> {
-        let mut plotly = String::new();
-        GzDecoder::new(PLOTLY).read_to_string(&mut plotly)?;
+    pub fn html(&self) -> String {
         // The library is inserted last, so that it is not searched for placeholders.
-        Ok(html::page(self, PAGE)
-            .replace("{{style}}", STYLE)
+        html::page(self, PAGE)
+            .replace("{{style}}", &[charts::STYLE, STYLE].concat())
             .replace("{{script}}", SCRIPT)
             .replace("{{data}}", &self.data().to_string())
-            .replacen("{{plotly}}", &plotly, 1))
+            .replacen("{{plot}}", charts::PLOT, 1)
+            .replacen("{{uplot}}", charts::UPLOT, 1)
     }
 
     /// The data of the figures, in um, urad and seconds.

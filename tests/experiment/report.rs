@@ -6,9 +6,21 @@ use std::time::Duration;
 use crate::browser::Browser;
 use crate::done;
 
-/// Every chart has something in it: lines, or marks alone.
-const CHARTS: &str =
-    "[...document.querySelectorAll('.chart')].every((c) => c.querySelector('.scatterlayer path'))";
+/// Every chart has something in it: pixels in the colour of its first line.
+const CHARTS: &str = "(() => {
+    const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim().match(/[0-9a-f]{2}/g).map((x) => parseInt(x, 16));
+    return [...document.querySelectorAll('.chart')].every((chart) => {
+        const drawn = chart.querySelector('canvas');
+        if (!drawn) return false;
+        const copy = new OffscreenCanvas(drawn.width, drawn.height).getContext('2d', { willReadFrequently: true });
+        copy.drawImage(drawn, 0, 0);
+        const wanted = color(['allan', 'course'].includes(chart.dataset.kind) ? '--line-1' : '--mean');
+        const { data } = copy.getImageData(0, 0, drawn.width, drawn.height);
+        for (let i = 0; i < data.length; i += 4)
+            if (data[i + 3] === 255 && wanted.every((c, k) => Math.abs(data[i + k] - c) < 2)) return true;
+        return false;
+    });
+})()";
 
 #[test]
 fn the_report_stands_alone_and_fits_desks_phones_and_paper() {
@@ -41,7 +53,7 @@ fn the_report_stands_alone_and_fits_desks_phones_and_paper() {
     page.eval("dispatchEvent(new Event('beforeprint'))");
     assert_eq!(page.eval("document.documentElement.dataset.theme"), "light");
     page.until(
-        "[...document.querySelectorAll('.pair .main-svg')].every((s) => s.getBoundingClientRect().width <= 340)",
+        "[...document.querySelectorAll('.pair canvas')].every((s) => s.getBoundingClientRect().width <= 340)",
     );
     assert_eq!(page.complaints(), Vec::<String>::new());
     let asked = page.requests();

@@ -55,7 +55,7 @@ fn a_replay_is_told_on_top_and_offers_nothing_that_would_be_refused() {
     let folder = tempfile::tempdir().unwrap();
     let (_daemon, _stream, mut page) = replayed(folder.path(), 20_000, "replay.repeat = true");
     says(&mut page, "pose valid, beam locked");
-    page.until("document.querySelectorAll('.strips .main-svg').length >= 6");
+    page.until("document.querySelectorAll('.strips canvas').length >= 6");
     let offered = page.eval("document.querySelectorAll('#control :is(button, input):not(:disabled)').length");
     assert_eq!(offered, 0);
     assert_eq!(

@@ -42,7 +42,7 @@ fn soak() {
     let mut page = page(at);
     page.call("Network.disable", &json!({})); // it would keep every message for the test
     page.call("Performance.enable", &json!({}));
-    page.until("document.querySelectorAll('.strips .main-svg').length >= 6");
+    page.until("document.querySelectorAll('.strips canvas').length >= 6");
     // The chart is full after a minute; then nothing may grow any more.
     std::thread::sleep(Duration::from_secs(75));
     let (mut heaps, mut residents) = (vec![], vec![]);

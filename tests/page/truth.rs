@@ -24,7 +24,7 @@ fn number(text: &Value) -> f64 {
 fn the_page_comes_from_the_daemon_alone_and_says_what_the_stream_says() {
     let (_daemon, mut stream, at) = daemon("");
     let mut page = page(at);
-    page.until("document.querySelectorAll('.strips .main-svg').length >= 6");
+    page.until("document.querySelectorAll('.strips canvas').length >= 6");
     let mut before = 0;
     for _ in 0..5 {
         page.until(&format!("Number(document.querySelector('#pose').dataset.sample) > {before}"));
@@ -60,7 +60,7 @@ fn the_page_comes_from_the_daemon_alone_and_says_what_the_stream_says() {
         .filter(|url| url != "about:blank")
         .collect();
     assert_eq!(elsewhere, Vec::<String>::new());
-    assert!(page.requests().iter().any(|url| url.ends_with("/plotly.js")));
+    assert!(page.requests().iter().any(|url| url.ends_with("/uplot.js")));
     assert_eq!(page.complaints(), Vec::<String>::new());
 }
 
@@ -85,6 +85,8 @@ fn a_blocked_beam_turns_the_page_to_its_reason_within_a_second_and_back() {
     page.until("document.querySelector('#faults').innerText.includes('PSD_B_LOW, since')");
     let locked = stream.until("locked again", |frame| frame.time_ns > dark.time_ns && frame.locked());
     page.until(FINE);
+    // All lines of all axes have the hole.
+    page.until("[...document.querySelectorAll('.strips .chart')].every((e) => e.chart?.data.slice(1).every((y) => y.includes(null)))");
     let notes = page.eval("notes");
     let first = |is: &dyn Fn(&str) -> bool, after: f64| {
         let notes = notes.as_array().unwrap();
@@ -136,7 +138,7 @@ fn a_task_that_stalls_is_named_before_the_daemon_ends() {
     let (_daemon, _stream, at) =
         daemon(&format!("realtime.stall_ms = 4000\ncontrol.socket = '{}'\n", socket.display()));
     let mut page = page(at);
-    page.until("document.querySelectorAll('.strips .main-svg').length >= 6");
+    page.until("document.querySelectorAll('.strips canvas').length >= 6");
     page.eval(NOTES);
     let ctl = ["ctl", "--socket", socket.to_str().unwrap(), "drill", "stall", "centering"];
     let output = std::process::Command::new(env!("CARGO_BIN_EXE_trifacet")).args(ctl).output().unwrap();
@@ -185,7 +187,7 @@ fn updates(stream: &mut Stream) -> u64 {
 fn a_hidden_page_gets_nothing_and_comes_back_with_its_whole_past() {
     let (_daemon, mut stream, at) = daemon("");
     let mut page = page(at);
-    page.until("document.querySelectorAll('.strips .main-svg').length >= 6");
+    page.until("document.querySelectorAll('.strips canvas').length >= 6");
     page.hide();
     page.until("document.hidden");
     stream.skip_to_now();
@@ -197,9 +199,9 @@ fn a_hidden_page_gets_nothing_and_comes_back_with_its_whole_past() {
     page.show();
     page.until(FINE);
     assert!(updates(&mut stream) > before);
-    page.until("document.querySelector('.strips .chart').data[1].x.length > 30");
+    page.until("document.querySelector('.strips .chart').chart.data[0].length > 30");
     // No hole where it was hidden.
     let holes =
-        page.eval("document.querySelector('.strips .chart').data[1].y.filter((y) => y === null).length");
+        page.eval("document.querySelector('.strips .chart').chart.data[3].filter((y) => y === null).length");
     assert_eq!(holes, 0);
 }

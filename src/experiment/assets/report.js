@@ -1,84 +1,100 @@
-// Draws the figures of the report. All numbers are in the data element.
+// Draws the figures of the report. All numbers are in the data element. Follows plot.js in one module.
 
 const data = JSON.parse(document.getElementById("data").textContent);
-const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const MARKS = [["--line-1", "circle"], ["--line-2", "square"], ["--line-3", "diamond"]];
 const PAPER_PX = [325, 235]; // size of a printed chart: two side by side on A4
 
-function look(more) {
-  const axis = { gridcolor: css("--grid"), linecolor: css("--edge"), zerolinecolor: css("--edge"), automargin: true, fixedrange: false };
-  const title = (a) => (a?.title ? { title: { text: a.title, standoff: 6 } } : {});
-  return {
-    paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", showlegend: false, hovermode: "closest",
-    margin: { l: 60, r: 14, t: 10, b: 44 }, autosize: true,
-    font: { family: getComputedStyle(document.body).fontFamily, size: 12, color: css("--quiet") },
-    ...more, xaxis: { ...axis, ...more.xaxis, ...title(more.xaxis) }, yaxis: { ...axis, ...more.yaxis, ...title(more.yaxis) },
-  };
+const figures = (value) => Number(value.toPrecision(4)).toString().replace("-", "−");
+const said = (unit) => (value) => `${figures(value)} ${unit}`;
+
+/** A line across the whole chart, or an area between two. */
+function across(u, low, high, { stroke, fill, dash = [] }) {
+  const { ctx, bbox } = u;
+  const [top, bottom] = [high, low].map((y) => u.valToPos(y, "y", true));
+  ctx.save();
+  ctx.beginPath();
+  ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+  ctx.clip();
+  ctx.lineWidth = uPlot.pxRatio;
+  ctx.setLineDash(dash.map((length) => length * uPlot.pxRatio));
+  Object.assign(ctx, { strokeStyle: css(stroke), fillStyle: fill ? css(fill) : "transparent" });
+  ctx.fillRect(bbox.left, top, bbox.width, bottom - top);
+  for (const y of high === low ? [low] : [low, high]) {
+    ctx.beginPath();
+    ctx.moveTo(bbox.left, y === high ? top : bottom);
+    ctx.lineTo(bbox.left + bbox.width, y === high ? top : bottom);
+    ctx.stroke();
+  }
+  ctx.restore();
 }
 
-const lines = (x, y, name, line) => ({ type: "scatter", mode: "lines", x, y, name, line, hovertemplate: `%{x:.4~g}: %{y:.4~g}<extra>${name}</extra>` });
+/** The points in the order of their references. */
+function sorted(a) {
+  const order = a.reference.map((_, i) => i).sort((i, k) => a.reference[i] - a.reference[k]);
+  return (key) => order.map((i) => a[key][i]);
+}
 
 /** (a): measured against reference. */
 function displacement(a) {
-  const ends = [Math.min(...a.reference), Math.max(...a.reference)];
-  return [[
-    lines(ends, ends, "reference", { color: css("--quiet"), width: 1, dash: "dot" }),
-    { ...lines(a.reference, a.measured, "mean", { color: css("--mean"), width: 1.5 }), mode: "lines+markers", marker: { size: 6 } },
-  ], look({ xaxis: { title: `reference, ${a.unit}` }, yaxis: { title: `measured, ${a.unit}` } })];
+  const of = sorted(a);
+  return {
+    data: [of("reference"), of("reference"), of("measured")],
+    series: [{ name: "reference", color: "--quiet", width: 1, dash: "dot" }, { name: "mean", color: "--mean", width: 1.5, symbol: "circle" }],
+    x: { label: `reference, ${a.unit}`, tell: said(a.unit) }, y: { label: `measured, ${a.unit}`, tell: said(a.unit) },
+  };
 }
 
 /** (b): errors with their scatter. */
 function errors(a) {
-  const sum = (x, y, sign) => x.map((value, i) => value + sign * y[i]);
-  const sigma = { color: css("--sigma"), width: 1.2, dash: "dash" };
-  const range = { color: css("--range"), width: 1, dash: "dot" };
-  const mark = { mode: "lines+markers", marker: { size: 4, symbol: "line-ew-open" } };
-  const shapes = [{ type: "rect", xref: "paper", x0: 0, x1: 1, y0: -a.paper_std, y1: a.paper_std, fillcolor: css("--band"), layer: "below", line: { color: css("--paper"), width: 1 } }];
-  return [[
-    { ...lines(a.reference, a.high, "largest", range), ...mark },
-    { ...lines(a.reference, a.low, "smallest", range), ...mark },
-    lines(a.reference, sum(a.error, a.std, 1), "+σ", sigma),
-    lines(a.reference, sum(a.error, a.std, -1), "-σ", sigma),
-    { ...lines(a.reference, a.error, "mean", { color: css("--mean"), width: 2 }), mode: "lines+markers", marker: { size: 6 } },
-  ], look({ shapes, xaxis: { title: `reference, ${a.unit}` }, yaxis: { title: `error, ${a.unit}` } })];
+  const of = sorted(a);
+  const [error, std] = [of("error"), of("std")];
+  const range = { color: "--range", width: 1, dash: "dot", symbol: "tick" };
+  const sigma = { color: "--sigma", width: 1.2, dash: "dash" };
+  return {
+    data: [of("reference"), of("high"), of("low"), error.map((e, i) => e + std[i]), error.map((e, i) => e - std[i]), error],
+    series: [{ ...range, name: "largest" }, { ...range, name: "smallest" }, { ...sigma, name: "+σ" }, { ...sigma, name: "−σ" }, { name: "mean", color: "--mean", width: 2, symbol: "circle" }],
+    under: (u) => across(u, -a.paper_std, a.paper_std, { stroke: "--paper", fill: "--band" }),
+    x: { label: `reference, ${a.unit}`, tell: said(a.unit) }, y: { label: `error, ${a.unit}`, tell: said(a.unit), include: [-a.paper_std, a.paper_std] },
+  };
 }
 
 function bound({ names, ratio, half, paper }) {
-  const dots = (y, name, colour, symbol, more) => ({
-    type: "scatter", mode: "markers", x: names, y, name, marker: { color: css(colour), symbol, size: 10 },
-    hovertemplate: `%{x}: %{y:.3f}<extra>${name}</extra>`, ...more,
-  });
-  return [[
-    dots(ratio, "measured", "--mean", "circle", { error_y: { type: "data", array: half, color: css("--mean"), thickness: 1.5, width: 5 } }),
-    dots(paper, "paper", "--paper", "diamond-open"),
-  ], look({
-    showlegend: true, legend: { orientation: "h", x: 1, xanchor: "right", y: 1.02, yanchor: "bottom", bgcolor: "rgba(0,0,0,0)" }, margin: { l: 60, r: 14, t: 34, b: 30 },
-    shapes: [{ type: "line", xref: "paper", x0: 0, x1: 1, y0: 1, y1: 1, line: { color: css("--quiet"), width: 1, dash: "dot" } }],
-    xaxis: { type: "category" }, yaxis: { title: "measured / predicted" },
-  })];
+  const places = names.map((_, i) => i);
+  return {
+    legend: true, data: [places, ratio, ratio.map((r, i) => r - half[i]), ratio.map((r, i) => r + half[i]), paper],
+    series: [{ name: "measured", color: "--mean", path: bars, symbol: "circle", size: 9 }, { part: true }, { part: true }, { name: "paper", color: "--paper", path: null, symbol: "open", size: 9 }],
+    under: (u) => across(u, 1, 1, { stroke: "--quiet", dash: [2, 3] }),
+    x: { range: () => [-0.5, names.length - 0.5], splits: () => places, values: () => names, tell: (i) => names[i] },
+    y: { label: "measured / predicted", tell: (value) => value.toFixed(3), include: [1] },
+  };
 }
 
 const three = (first) => data.rest.axes.slice(first, first + 3);
-const legend = { showlegend: true, legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom", bgcolor: "rgba(0,0,0,0)" }, margin: { l: 60, r: 14, t: 34, b: 44 } };
 
+/** Measured with its bars, and the white noise of what is stated. */
 function allan(first) {
-  const theory = (axis) => data.rest.tau.map((tau) => axis.stated / Math.sqrt(tau / data.rest.tau[0]));
-  const own = three(first).flatMap((axis, i) => [
-    { ...lines(data.rest.tau, theory(axis), `${axis.name}, white noise`, { color: css(MARKS[i][0]), width: 1, dash: "dot" }), showlegend: false },
-    {
-      ...lines(data.rest.tau, axis.allan, axis.name, { color: css(MARKS[i][0]), width: 1.5 }), mode: "markers", marker: { color: css(MARKS[i][0]), symbol: MARKS[i][1], size: 8 },
-      error_y: { type: "data", array: axis.allan.map((a, k) => a * axis.part[k]), color: css(MARKS[i][0]), thickness: 1.2, width: 3 },
-    },
-  ]);
-  const log = { type: "log", dtick: 1, exponentformat: "none", minor: { dtick: "D1" } };
-  return [own, look({ ...legend, xaxis: { ...log, title: "averaging time, s" }, yaxis: { ...log, title: `Allan deviation, ${data.rest.axes[first].unit}` } })];
+  const { tau } = data.rest;
+  const { unit } = data.rest.axes[first];
+  const part = { part: true };
+  return {
+    legend: true,
+    data: [tau, ...three(first).flatMap(({ allan: a, part: p, stated }) => [
+      a, a.map((value, k) => value * (1 - p[k])), a.map((value, k) => value * (1 + p[k])), tau.map((t) => stated / Math.sqrt(t / tau[0])),
+    ])],
+    series: three(first).flatMap(({ name }, i) => [
+      { name, color: MARKS[i][0], path: bars, symbol: MARKS[i][1], size: 7 }, part, part, { name: `${name}, white noise`, color: MARKS[i][0], width: 1, dash: "dot", unlisted: true },
+    ]),
+    x: { log: true, label: "time of a mean, s", tell: said("s") }, y: { log: true, label: `Allan deviation, ${unit}`, tell: said(unit) },
+  };
 }
 
 function course(first) {
-  const own = three(first).map((axis, i) => ({
-    ...lines(data.rest.times, axis.course, axis.name, { color: css(MARKS[i][0]), width: 1.3 }), mode: "lines+markers", marker: { symbol: MARKS[i][1], size: 5 },
-  }));
-  return [own, look({ ...legend, xaxis: { title: "time, s" }, yaxis: { title: `relative to the mean, ${data.rest.axes[first].unit}` } })];
+  const { unit } = data.rest.axes[first];
+  return {
+    legend: true, data: [data.rest.times, ...three(first).map((axis) => axis.course)],
+    series: three(first).map(({ name }, i) => ({ name, color: MARKS[i][0], width: 1.3, symbol: MARKS[i][1], size: 5 })),
+    x: { label: "time, s", tell: said("s") }, y: { label: `less the mean, ${unit}`, tell: said(unit) },
+  };
 }
 
 function figure(element) {
@@ -89,12 +105,12 @@ function figure(element) {
   return kind === "errors" ? errors(data.axes[which]) : displacement(data.axes[which]);
 }
 
-function draw(size) {
+/** Draws at once: a browser prints when this returns. */
+function draw(paper) {
   for (const element of document.querySelectorAll(".chart")) {
-    const [traces, layout] = figure(element);
-    const fixed = size ? { autosize: false, width: element.id === "bound" ? 2 * size[0] : size[0], height: size[1], font: { ...layout.font, size: 10 } } : {};
-    element.style.height = size ? `${size[1]}px` : "";
-    Plotly.react(element, traces, { ...layout, ...fixed }, { displayModeBar: false, responsive: true });
+    element.style.width = paper ? `${element.id === "bound" ? 2 * paper[0] : paper[0]}px` : "";
+    element.style.height = paper ? `${paper[1]}px` : "";
+    plot(element, { ...figure(element), zoom: true, font: paper ? 10 : 12 }).batch(() => {});
   }
 }
 

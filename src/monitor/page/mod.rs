@@ -4,8 +4,7 @@
 //! - [`state`]: makes one update for all viewers, ten times a second.
 //! - [`viewer`]: a WebSocket for each viewer. [`control`]: the commands that the page can give.
 //!
-//! The files of the page are in `assets`. They are compiled into the binary together with the chart library
-//! (`build.rs`).
+//! The page itself stands in `assets`, and goes into the binary with the chart library (`charts`).
 
 pub mod bins;
 pub mod control;
@@ -17,18 +16,15 @@ pub mod viewer;
 use std::sync::Arc;
 
 use axum::Router;
-use axum::http::{HeaderMap, HeaderName, HeaderValue, header};
-use axum::response::IntoResponse;
+use axum::http::{HeaderMap, HeaderName, header};
 use axum::routing::{MethodRouter, get, post};
 
 use super::view::View;
+use crate::charts;
 
-/// Scripts, sockets and images from this server only. The charts need `style` elements and attributes.
-const POLICY: &str = "default-src 'none'; script-src 'self'; connect-src 'self'; img-src 'self' data:; \
-    style-src 'self' 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
-
-/// Changes with every build that may have other assets. Browsers revalidate their copies with it.
-const TAG: &str = concat!("\"", env!("CARGO_PKG_VERSION"), "-", env!("TRIFACET_PLOTLY"), "\"");
+/// Scripts, sockets, styles and pictures from here only, none of them within the page.
+const POLICY: &str = "default-src 'none'; script-src 'self'; connect-src 'self'; img-src 'self'; \
+    style-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// All paths of the page.
 pub fn routes() -> Router<Arc<View>> {
@@ -37,11 +33,13 @@ pub fn routes() -> Router<Arc<View>> {
         .route("/page.css", asset("text/css", include_str!("assets/page.css")))
         .route("/page.js", asset("text/javascript", include_str!("assets/page.js")))
         .route("/link.js", asset("text/javascript", include_str!("assets/link.js")))
+        .route("/uplot.js", asset("text/javascript", charts::UPLOT))
+        .route("/plot.js", asset("text/javascript", charts::PLOT))
+        .route("/plot.css", asset("text/css", charts::STYLE))
         .route("/charts.js", asset("text/javascript", include_str!("assets/charts.js")))
         .route("/optics.js", asset("text/javascript", include_str!("assets/optics.js")))
         .route("/words.js", asset("text/javascript", include_str!("assets/words.js")))
         .route("/icon.svg", asset("image/svg+xml", include_str!("assets/icon.svg")))
-        .route("/plotly.js", get(plotly))
         .route("/live", get(viewer::open))
         .route("/control", post(control::obey))
 }
@@ -58,23 +56,8 @@ fn asset<S: Clone + Send + Sync + 'static>(kind: &'static str, text: &'static st
     get(async move || (headers, text))
 }
 
-/// The chart library, always compressed: every browser accepts gzip.
-async fn plotly(headers: HeaderMap) -> impl IntoResponse {
-    use axum::http::StatusCode;
-    let told: [(HeaderName, &str); 4] = [
-        (header::CONTENT_TYPE, "text/javascript; charset=utf-8"),
-        (header::CONTENT_ENCODING, "gzip"),
-        (header::CACHE_CONTROL, "no-cache"),
-        (header::ETAG, TAG),
-    ];
-    if headers.get(header::IF_NONE_MATCH) == Some(&HeaderValue::from_static(TAG)) {
-        return (StatusCode::NOT_MODIFIED, told, &[][..]);
-    }
-    (StatusCode::OK, told, &include_bytes!(concat!(env!("OUT_DIR"), "/plotly.js.gz"))[..])
-}
-
-/// Whether a request comes from this page, or not from a page. Pages of other servers on this machine have
-/// another origin, and so have pages over https, since this server has none.
+/// Whether a request comes from this page, or from no page at all. Another server on this machine has
+/// pages, too; and this one has none by https.
 fn own_page(headers: &HeaderMap) -> bool {
     let text = |name: HeaderName| headers.get(name)?.to_str().ok();
     let Some(origin) = text(header::ORIGIN) else { return !headers.contains_key(header::ORIGIN) };
@@ -85,6 +68,14 @@ fn own_page(headers: &HeaderMap) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_policy_allows_nothing_within_the_page_and_nothing_from_elsewhere() {
+        let allowed =
+            ["default-src", "script-src", "connect-src", "img-src", "style-src", "'none'", "'self'"];
+        let rest = POLICY.split([';', ' ']).filter(|word| !word.is_empty() && !allowed.contains(word));
+        assert!(rest.eq(["base-uri", "form-action", "frame-ancestors"]), "{POLICY}");
+    }
 
     #[test]
     fn another_port_of_this_machine_is_another_site() {

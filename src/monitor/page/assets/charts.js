@@ -1,25 +1,16 @@
 // Strip charts and spectra. Only what can be seen is drawn, and never so often that the page has no time
 // for anything else.
 
-import { AXES, duration, node, say, time, unit } from "./words.js";
+import { plot, through } from "./plot.js";
+import { AXES, duration, fixed, node, say, time, unit } from "./words.js";
 
 const LINES = [["--line-1", "solid"], ["--line-2", "dash"], ["--line-3", "dot"]];
-const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 /** A spectrum that has got nothing new for longer than a window and this is old. */
 const OLD_MS = 2500;
 /** Time that goes back by more fine stretches is set back; less is told twice. */
 const BACK = 50;
-const OPTIONS = { displayModeBar: false, responsive: true, scrollZoom: false };
-
-function look(more) {
-  // Labels at the edges have room: to hide them, every label would be measured, and remembered, for each drawing.
-  const axis = { ticklabeloverflow: "allow", gridcolor: css("--grid"), linecolor: css("--grid"), zerolinecolor: css("--grid"), automargin: false };
-  return {
-    paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", showlegend: false, dragmode: false,
-    font: { family: getComputedStyle(document.body).fontFamily, size: 11, color: css("--quiet") },
-    ...more, xaxis: { ...axis, ...more.xaxis }, yaxis: { ...axis, ...more.yaxis },
-  };
-}
+/** Between the times at the axis, seconds. */
+const STEPS_MS = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200].map((s) => s * 1000);
 
 /** Charts that are drawn when they have something new, can be seen, and it is their turn. */
 class Charts {
@@ -41,7 +32,7 @@ class Charts {
   /** Drawing takes a fifth of the time at most. */
   tick(period_ms) {
     const start = performance.now();
-    if (!this.dirty || !window.Plotly || document.hidden || start < this.next_ms) return;
+    if (!this.dirty || document.hidden || start < this.next_ms) return;
     this.dirty = false;
     for (const element of this.visible) this.draw(element);
     const took = performance.now() - start;
@@ -98,39 +89,53 @@ export class Strips extends Charts {
     return n > 0 ? { mean: sum / n, range: max - min } : { mean: null, range: null };
   }
 
-  draw(element) {
-    const axis = Number(element.dataset.axis);
-    const { scale, name } = unit(axis);
+  /** Stretches that are farther apart have a hole between them. */
+  get hole_ms() {
+    return Math.max(this.width_ms, 1.5 * (this.period_ms ?? 0));
+  }
+
+  /** Time, and smallest, largest and mean of each stretch; nothing where poses are missing. */
+  lines(axis) {
+    const { scale } = unit(axis);
     const at = 2 + 3 * axis;
-    const [x, raw, xm, mean] = [[], [], [], []];
-    const hole = Math.max(1, (1.5 * (this.period_ms ?? 0)) / this.width_ms);
+    const lines = [[], [], [], []];
+    const put = (...row) => row.forEach((value, i) => lines[i].push(value));
     let before = null;
     for (const bin of this.bins) {
-      // Not a whole number: the library takes one of four digits for a year, and the twin's time begins in 1970.
-      const t = (bin[0] + 0.5) * this.width_ms + 1e-3;
-      if (before !== null && bin[0] - before > hole) {
-        for (const list of [raw, mean]) list.push(null);
-        for (const list of [x, xm]) list.push(t);
-      }
-      x.push(t, t);
-      raw.push(bin[at] * scale, bin[at + 1] * scale);
-      xm.push(t);
-      mean.push(bin[at + 2] * scale);
+      const middle = (bin[0] + 0.5) * this.width_ms;
+      if (before !== null && (bin[0] - before) * this.width_ms > this.hole_ms) put(middle - this.width_ms, null, null, null);
+      put(middle, ...bin.slice(at, at + 3).map((value) => value * scale));
       before = bin[0];
     }
-    const line = { type: "scatter", mode: "lines", connectgaps: false };
-    const data = [
-      { ...line, x, y: raw, hoverinfo: "skip", line: { color: css("--raw"), width: 1, simplify: false } },
-      { ...line, x: xm, y: mean, name: "mean", hovertemplate: `%{y:.4~f} ${name}<extra></extra>`, line: { color: css("--mean"), width: 1.5 } },
-    ];
-    const layout = look({
-      height: 176, margin: { l: 56, r: 26, t: 22, b: 22 }, hovermode: "x",
-      title: { text: `${AXES[axis].name}, ${name}`, x: 0, xref: "paper", xanchor: "left", y: 0.97, font: { size: 12, color: css("--text") } },
-      xaxis: { type: "date", range: [this.now_ms - this.span_ms, this.now_ms], nticks: 6, fixedrange: true, tickformat: this.span_ms > 600e3 ? "%H:%M" : "%H:%M:%S" },
-      yaxis: { fixedrange: true, nticks: 5, tickformat: "~g", hoverformat: ".4f", separatethousands: true, showticklabels: xm.length > 0 },
-      annotations: xm.length > 0 ? [] : [{ text: "no poses", xref: "paper", yref: "paper", x: 0.5, y: 0.5, showarrow: false }],
+    if (before === null) put(this.now_ms, null, null, null); // the axes need a place
+    return lines;
+  }
+
+  draw(element) {
+    if (this.now_ms === undefined) return;
+    const axis = Number(element.dataset.axis);
+    const data = this.lines(axis);
+    element.chart ??= this.begin(element, axis, data);
+    say(element.querySelector(".title"), `${AXES[axis].name}, ${unit(axis).name}`);
+    say(element.querySelector(".empty"), this.bins.length > 0 ? "" : "no poses");
+    element.chart.batch(() => element.chart.setData(data));
+  }
+
+  begin(element, axis, data) {
+    const clock = (ms) => new Date(ms).toISOString().slice(11, this.span_ms > 600e3 ? 16 : 19);
+    return plot(element, {
+      data,
+      series: [
+        { color: "--raw", width: 1, path: through(2), name: "smallest" },
+        { part: true, name: "largest" },
+        { color: "--mean", width: 1.5, name: "mean" },
+      ],
+      x: {
+        range: () => [this.now_ms - this.span_ms, this.now_ms], steps: STEPS_MS, values: (u, splits) => splits.map(clock),
+        tell: (ms) => time(ms), reach: () => Math.max(this.hole_ms, this.span_ms / 200), // in a hole nothing is read out
+      },
+      y: { tell: (value) => `${fixed(value, unit(axis).digits)} ${unit(axis).name}` },
     });
-    window.Plotly.react(element, data, layout, OPTIONS);
   }
 }
 
@@ -170,19 +175,19 @@ export class Spectra extends Charts {
   draw(element) {
     if (!this.spectrum) return;
     const first = Number(element.dataset.axis);
+    const { hz, asd } = this.spectrum;
+    const data = [hz, ...asd.slice(first, first + 3).map((line) => line.map((x) => (x > 0 ? x * 1e9 : null)))];
+    element.chart ??= this.begin(element, first, data);
+    element.chart.batch(() => element.chart.setData(data));
+  }
+
+  begin(element, first, data) {
     const name = first === 0 ? "nm/√Hz" : "nrad/√Hz";
-    const data = LINES.map(([color, dash], i) => ({
-      type: "scatter", mode: "lines", name: AXES[first + i].name, x: this.spectrum.hz,
-      y: this.spectrum.asd[first + i].map((x) => x * 1e9),
-      hovertemplate: `%{x:.4~g} Hz: %{y:.4~g} ${name}`, line: { color: css(color), dash, width: 1.4 },
-    }));
-    const layout = look({
-      height: 240, margin: { l: 56, r: 20, t: 26, b: 36 }, hovermode: "closest", showlegend: true,
-      legend: { orientation: "h", x: 1, xanchor: "right", y: 1.15, bgcolor: "rgba(0,0,0,0)" },
-      title: { text: first === 0 ? `translations, ${name}` : `rotations, ${name}`, x: 0, xref: "paper", xanchor: "left", y: 0.97, font: { size: 12, color: css("--text") } },
-      xaxis: { type: "log", title: { text: "Hz", standoff: 4 }, fixedrange: true, dtick: 1, exponentformat: "none", minor: { dtick: "D1" } },
-      yaxis: { type: "log", fixedrange: true, dtick: 1, exponentformat: "power" },
+    return plot(element, {
+      data, legend: true, title: first === 0 ? `translations, ${name}` : `rotations, ${name}`,
+      series: LINES.map(([color, dash], i) => ({ color, dash, name: AXES[first + i].name })),
+      x: { log: true, label: "Hz", range: (u, low, high) => [low, high], tell: (f) => `${f.toPrecision(4)} Hz` },
+      y: { log: true, tell: (value) => `${value.toPrecision(4)} ${name}` },
     });
-    window.Plotly.react(element, data, layout, OPTIONS);
   }
 }
