@@ -1,0 +1,11 @@
+//! The stream from end to end: server, client, `trifacet watch`, and the document that describes it.
+
+mod crowd;
+mod daemon;
+mod doctor;
+mod document;
+mod fixture;
+mod lines;
+mod tcp;
+mod udp;
+mod watch;
