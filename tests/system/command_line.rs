@@ -1,10 +1,12 @@
 //! The command line: exit codes that a supervisor can use, and messages that a person can.
 
 use std::fs::File;
-use std::process::{Command, Output, Stdio};
+use std::process::Output;
+
+use crate::testkit;
 
 fn trifacet(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_trifacet")).args(arguments).stdin(Stdio::null()).output().unwrap()
+    testkit::trifacet(arguments).output().unwrap()
 }
 
 fn text(bytes: &[u8]) -> String {
@@ -125,7 +127,7 @@ fn check_warns_of_what_is_allowed_and_may_surprise() {
 #[test]
 fn a_full_disk_exits_74() {
     let full = File::create("/dev/full").unwrap();
-    let output = Command::new(env!("CARGO_BIN_EXE_trifacet")).arg("check").stdout(full).output().unwrap();
+    let output = testkit::trifacet(&["check"]).stdout(full).output().unwrap();
     assert_eq!(output.status.code(), Some(74));
     assert!(text(&output.stderr).contains("cannot write to standard output: No space left"));
 }

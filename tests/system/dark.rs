@@ -1,13 +1,15 @@
 //! `trifacet dark` through the binary.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 
 use trifacet::config;
 
+use crate::testkit;
+
 fn dark(file: &Path, more: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_trifacet"));
-    command.arg("dark").arg("--config").arg(file).args(more).output().unwrap()
+    let mut command = testkit::trifacet(&["dark"]);
+    command.arg("--config").arg(file).args(more).output().unwrap()
 }
 
 fn file(folder: &tempfile::TempDir, text: &str) -> PathBuf {

@@ -3,13 +3,14 @@
 use std::fs;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 
 use rustix::process::{Pid, Signal, kill_process};
 
+use crate::testkit;
+
 fn emulate(link: &Path) -> Child {
-    Command::new(env!("CARGO_BIN_EXE_trifacet"))
-        .args(["emulate", "--link"])
+    testkit::trifacet(&["emulate", "--link"])
         .arg(link)
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())

@@ -186,7 +186,7 @@ async fn a_port_that_is_not_there_is_waited_for() {
         Event::Down(Down::Open { port, .. }) => assert_eq!(Path::new(&port), socket.link()),
         other => panic!("{other:?}"),
     }
-    let _board = Board::plug_into(socket.into(), "");
+    let _board = Board::plug_into(socket, "");
     host.up().await;
     host.scans(10).await;
 }

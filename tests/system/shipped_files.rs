@@ -7,6 +7,8 @@ use std::process::{Command, Output};
 
 use trifacet::config::{Config, SourceKind, load, parse};
 
+use crate::testkit;
+
 fn root(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
 }
@@ -16,7 +18,7 @@ fn read(path: &str) -> String {
 }
 
 fn trifacet(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_trifacet")).args(arguments).output().unwrap()
+    testkit::trifacet(arguments).output().unwrap()
 }
 
 #[test]

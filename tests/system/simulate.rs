@@ -3,10 +3,10 @@
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Output, Stdio};
 
+use crate::testkit;
+
 fn simulate() -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_trifacet"));
-    command.arg("simulate");
-    command
+    testkit::trifacet(&["simulate"])
 }
 
 fn with_config(text: &str) -> Output {
@@ -53,8 +53,7 @@ fn solving_the_samples_gives_the_true_poses() {
     let table = tempfile::NamedTempFile::new().unwrap();
     let simulated = simulate().args(["--samples", "500"]).output().unwrap().stdout;
     std::fs::write(table.path(), &simulated).unwrap();
-    let solved =
-        Command::new(env!("CARGO_BIN_EXE_trifacet")).arg("solve").arg(table.path()).output().unwrap();
+    let solved = testkit::trifacet(&["solve"]).arg(table.path()).output().unwrap();
     assert!(solved.status.success(), "{solved:?}");
     let (truth, poses) = (column(&simulated, "true_tz_m"), column(&solved.stdout, "tz_m"));
     assert_eq!((truth.len(), poses.len()), (500, 500));

@@ -2,12 +2,13 @@
 
 use std::collections::HashMap;
 use std::io::Write;
-use std::process::{Command, Output, Stdio};
+use std::process::{Output, Stdio};
+
+use crate::testkit;
 
 /// Runs the binary with this standard input.
 fn trifacet(arguments: &[&str], input: &[u8]) -> Output {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_trifacet"))
-        .args(arguments)
+    let mut child = testkit::trifacet(arguments)
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
@@ -233,8 +234,7 @@ fn tables_that_are_none_are_refused() {
 fn a_reader_that_has_seen_enough_is_no_error() {
     let mut rows = String::from("tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad\n");
     rows.push_str(&"0,0,0,0,0,0\n".repeat(20_000)); // more than a pipe holds
-    let mut child = Command::new(env!("CARGO_BIN_EXE_trifacet"))
-        .arg("trace")
+    let mut child = testkit::trifacet(&["trace"])
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())

@@ -1,36 +1,35 @@
 //! `trifacet tune` through the binary: on the twin, and on an emulated board.
 
 use std::path::PathBuf;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process};
 use trifacet::config::{self, Config};
 
-use crate::testkit::{Board, PATIENCE};
+use crate::testkit::{Board, Daemon, Folder, Killed, trifacet};
 
 /// A folder with a configuration.
 struct Lab {
-    folder: tempfile::TempDir,
+    folder: Folder,
     file: PathBuf,
     text: String,
 }
 
 impl Lab {
     fn new(text: &str) -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("lab.toml");
-        std::fs::write(&file, text).unwrap();
+        let folder = Folder::new();
+        let file = folder.write("lab.toml", text);
         Self { folder, file, text: text.into() }
     }
 
     fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
+        self.folder.path(name)
     }
 
     fn command(&self, arguments: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_trifacet"));
-        command.args(&arguments[..1]).arg("--config").arg(&self.file).args(&arguments[1..]);
+        let mut command = trifacet(&arguments[..1]);
+        command.arg("--config").arg(&self.file).args(&arguments[1..]);
         command
     }
 
@@ -96,32 +95,9 @@ fn a_turned_stage_is_measured_and_the_daemon_locks_with_what_was_written() {
 
 /// Runs the daemon with the file until its loop is locked.
 fn locks(lab: &Lab) {
-    let socket = lab.path("control.sock");
-    let text = std::fs::read_to_string(&lab.file).unwrap();
-    std::fs::write(&lab.file, format!("control.socket = \"{}\"\n{text}", socket.display())).unwrap();
-    let mut daemon = Killed(lab.command(&["run"]).stderr(Stdio::null()).spawn().unwrap());
-    let mut status = String::new();
-    for _ in 0..PATIENCE.as_millis() / 100 {
-        std::thread::sleep(Duration::from_millis(100));
-        let mut ctl = Command::new(env!("CARGO_BIN_EXE_trifacet"));
-        let answer = ctl.args(["ctl", "--socket"]).arg(&socket).arg("status").output().unwrap();
-        status = String::from_utf8_lossy(&answer.stdout).into();
-        if status.contains("\"locked\"") {
-            return;
-        }
-        assert_eq!(daemon.0.try_wait().unwrap(), None, "the daemon has ended");
-    }
-    panic!("never locked: {status}");
-}
-
-/// A child that does not outlive its test.
-struct Killed(Child);
-
-impl Drop for Killed {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
+    let mut daemon = Daemon::start(&std::fs::read_to_string(&lab.file).unwrap());
+    daemon.message("control socket is open");
+    daemon.status_until(|status| status["loop"]["lock"] == "locked");
 }
 
 #[test]

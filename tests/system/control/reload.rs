@@ -1,21 +1,24 @@
 //! SIGHUP and `ctl reload`.
 
+use std::net::SocketAddr;
+
 use rustix::process::Signal;
 use serde_json::json;
 use trifacet::client::{Client, Endpoint, Message};
 use trifacet::exit;
 
-use super::fixture::{AT_REST, Daemon, PATIENCE};
+use super::fixture::{AT_REST, Lab};
+use crate::testkit::PATIENCE;
 
 #[test]
 fn what_can_change_changes_without_dropping_a_client() {
-    let mut daemon = Daemon::start(&format!("[centering]\nkp = 0.1\n{AT_REST}"));
-    daemon.until(|status| status["loop"]["lock"] == "locked");
+    let mut daemon = Lab::start(&format!("[centering]\nkp = 0.1\n{AT_REST}"));
+    daemon.status_until(|status| status["loop"]["lock"] == "locked");
     let before = daemon.frame();
     daemon.rewrite("kp = 0.1", "kp = 0.2\nlock_limit_um = 5.0");
     daemon.rewrite("[publishing]", "[frames.tool]\ntranslation_mm = [0.0, 0.0, -40.0]\n[publishing]");
     daemon.signal(Signal::HUP);
-    let line = daemon.says("control");
+    let line = daemon.message("control");
     assert_eq!(line["command"], "reload", "{line}");
     let status = daemon.told(&["status"]);
     assert_eq!((&status["loop"]["kp"], &status["loop"]["lock"]), (&json!(0.2), &json!("locked")));
@@ -28,7 +31,7 @@ fn what_can_change_changes_without_dropping_a_client() {
 
 #[test]
 fn eleven_signals_are_a_change_of_meaning_without_a_restart() {
-    let daemon = Daemon::start("[twin]\nmotion = []\n");
+    let daemon = Lab::start("[twin]\nmotion = []\n");
     let nine = daemon.frame_with(|frame| !frame.pose[0].is_nan());
     assert!(nine.deviations[0] > 0.9e-6, "{nine:?}");
     daemon.rewrite("# our lab", "# our lab\nestimation.fuse_steering = true\nsteering.deviation_um = 0.1");
@@ -44,7 +47,7 @@ fn eleven_signals_are_a_change_of_meaning_without_a_restart() {
 
 #[test]
 fn what_needs_a_restart_is_refused_by_name_and_the_rest_is_taken() {
-    let daemon = Daemon::start(AT_REST);
+    let daemon = Lab::start(AT_REST);
     daemon.rewrite("# our lab", "# our lab\nhead.psd_distance_mm = 300.0\nestimation.balance_limit = 0.2");
     daemon.rewrite("[control]", "tcp_clients = 3\n[control]");
     for changed in [json!(["estimation.balance_limit"]), json!([])] {
@@ -58,13 +61,13 @@ fn what_needs_a_restart_is_refused_by_name_and_the_rest_is_taken() {
 
 #[test]
 fn a_wrong_file_changes_nothing() {
-    let mut daemon = Daemon::start(&format!("[centering]\nkp = 0.1\n{AT_REST}"));
+    let mut daemon = Lab::start(&format!("[centering]\nkp = 0.1\n{AT_REST}"));
     daemon.rewrite("kp = 0.1", "kp = 0.3\nki_per_s = -5");
     let (code, _, errors) = daemon.ctl(&["reload"]);
     assert_eq!(code, i32::from(exit::CONFIG));
-    assert!(errors.contains("lab.toml:") && errors.contains("centering.ki_per_s = -5"), "{errors}");
+    assert!(errors.contains("daemon.toml:") && errors.contains("centering.ki_per_s = -5"), "{errors}");
     daemon.signal(Signal::HUP);
-    let line = daemon.says("nothing is changed");
+    let line = daemon.message("nothing is changed");
     assert_eq!(line["level"], "WARN", "{line}");
     assert_eq!(daemon.told(&["status"])["loop"]["kp"], 0.1);
     std::fs::remove_file(daemon.file()).unwrap();
@@ -75,15 +78,14 @@ fn a_wrong_file_changes_nothing() {
 
 #[test]
 fn a_correction_table_and_dark_offsets_are_read_again() {
-    let daemon = Daemon::start(AT_REST);
+    let daemon = Lab::start(AT_REST);
     let before = daemon.frame();
     let table = |d: f64| {
         format!(
             "u_m,v_m,du_m,dv_m\n-0.007,-0.007,{d},0\n0.007,-0.007,{d},0\n-0.007,0.007,{d},0\n0.007,0.007,{d},0\n"
         )
     };
-    let file = daemon.folder.path().join("a.csv");
-    std::fs::write(&file, table(0.0)).unwrap();
+    let file = daemon.home.write("a.csv", table(0.0));
     daemon.rewrite(
         "# our lab",
         "# our lab\nchannels.a.correction = \"a.csv\"\nchannels.b.dark_v = [0.0, 0.0, 0.001]",
@@ -106,8 +108,8 @@ fn a_correction_table_and_dark_offsets_are_read_again() {
 }
 
 /// What a TCP client sees of a daemon, on a thread of its own, until the daemon ends.
-fn follow(address: &str) -> std::thread::JoinHandle<(Vec<u32>, u64)> {
-    let endpoint = Endpoint::Tcp(address.to_owned());
+fn follow(address: SocketAddr) -> std::thread::JoinHandle<(Vec<u32>, u64)> {
+    let endpoint = Endpoint::Tcp(address.to_string());
     let (connected, ready) = std::sync::mpsc::channel();
     let thread = std::thread::spawn(move || {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
@@ -131,8 +133,8 @@ fn follow(address: &str) -> std::thread::JoinHandle<(Vec<u32>, u64)> {
 
 #[test]
 fn clients_stay_and_lose_nothing_and_new_ones_are_told_the_new_meaning() {
-    let mut daemon = Daemon::start(AT_REST);
-    let client = follow(&daemon.tcp);
+    let mut daemon = Lab::start(AT_REST);
+    let client = follow(daemon.tcp);
     let mut ids = vec![daemon.frame().config];
     for z in 1..=10 {
         let from = if z == 1 {
@@ -150,7 +152,7 @@ fn clients_stay_and_lose_nothing_and_new_ones_are_told_the_new_meaning() {
     }
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     let descriptor = runtime.block_on(async {
-        let mut late = Client::connect(&Endpoint::Tcp(daemon.tcp.clone())).await.unwrap();
+        let mut late = Client::connect(&Endpoint::Tcp(daemon.tcp.to_string())).await.unwrap();
         loop {
             if let Message::Descriptor(descriptor) = late.next().await.unwrap() {
                 return descriptor;
@@ -165,11 +167,11 @@ fn clients_stay_and_lose_nothing_and_new_ones_are_told_the_new_meaning() {
 
 #[test]
 fn the_log_level_changes() {
-    let mut daemon = Daemon::start(AT_REST);
+    let mut daemon = Lab::start(AT_REST);
     daemon.rewrite("format = \"json\"", "format = \"json\"\nlevel = \"warn\"");
     daemon.told(&["reload"]);
     daemon.told(&["gains", "0.1", "100"]); // an info
     daemon.ctl(&["gains", "99", "100"]); // a warning
-    let line = daemon.says("control");
+    let line = daemon.message("control");
     assert_eq!(line["level"], "WARN", "{line}");
 }

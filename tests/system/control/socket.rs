@@ -2,16 +2,16 @@
 
 use std::io::{Read, Write};
 use std::os::unix::fs::PermissionsExt;
-use std::time::Duration;
 
 use trifacet::exit;
 
-use super::fixture::{AT_REST, Daemon, PATIENCE, say, trifacet};
+use super::fixture::{AT_REST, Lab, say};
+use crate::testkit::{Folder, on, run, trifacet, wait_for};
 
 #[test]
 fn status_is_one_line_that_says_what_is_going_on() {
-    let daemon = Daemon::start(AT_REST);
-    let status = daemon.until(|status| status["loop"]["lock"] == "locked");
+    let daemon = Lab::start(AT_REST);
+    let status = daemon.status_until(|status| status["loop"]["lock"] == "locked");
     assert_eq!(status["loop"]["mode"], "on");
     assert_eq!(status["pose"]["valid"], true, "{status}");
     let tx = status["pose"]["tx_ty_tz_m"][0].as_f64().unwrap();
@@ -28,7 +28,7 @@ fn status_is_one_line_that_says_what_is_going_on() {
 
 #[test]
 fn nonsense_is_refused_and_half_a_command_is_none() {
-    let daemon = Daemon::start(AT_REST);
+    let daemon = Lab::start(AT_REST);
     let mut client = daemon.connect();
     for line in ["steer 1 2\n", "\n", "\u{fc}\0\u{7f}\n", "setpoint 1\n", "gains nan 1\n", "loop sideways\n"]
     {
@@ -60,7 +60,7 @@ fn nonsense_is_refused_and_half_a_command_is_none() {
 
 #[test]
 fn clients_beyond_the_cap_are_closed_and_places_become_free() {
-    let daemon = Daemon::start(AT_REST);
+    let daemon = Lab::start(AT_REST);
     let mut clients: Vec<_> = (0..16).map(|_| daemon.connect()).collect();
     for client in &mut clients {
         assert_eq!(say(client, "status\n")["ok"], true);
@@ -69,29 +69,26 @@ fn clients_beyond_the_cap_are_closed_and_places_become_free() {
     assert_eq!(code, i32::from(exit::UNAVAILABLE), "{errors}");
     clients.clear();
     // The daemon need not have seen them go yet.
-    for _ in 0..PATIENCE.as_millis() / 20 {
-        if daemon.ctl(&["status"]).0 == 0 {
-            return;
-        }
-        std::thread::sleep(Duration::from_millis(20));
-    }
-    panic!("no place becomes free");
+    wait_for("a free place", || match daemon.ctl(&["status"]) {
+        (0, ..) => Ok(()),
+        (_, _, errors) => Err(errors),
+    });
 }
 
 #[test]
 fn its_permissions_are_those_of_the_configuration() {
-    let daemon = Daemon::start("");
+    let daemon = Lab::start("");
     let mode = std::fs::metadata(daemon.socket()).unwrap().permissions().mode();
     assert_eq!(mode & 0o7777, 0o640);
 }
 
 #[test]
 fn a_socket_in_use_is_left_alone_and_a_dead_one_is_replaced() {
-    let mut daemon = Daemon::start("");
+    let mut daemon = Lab::start("");
     let file = daemon.file();
-    let second = trifacet(&["run", "--config", file.to_str().unwrap()]);
-    assert_eq!(second.status.code(), Some(i32::from(exit::IN_USE)), "{second:?}");
-    assert!(String::from_utf8_lossy(&second.stderr).contains("in use by another daemon"), "{second:?}");
+    let second = on(&["run", "--config"], &file);
+    assert_eq!(second.code, i32::from(exit::IN_USE), "{}", second.err);
+    assert!(second.err.contains("in use by another daemon"), "{}", second.err);
     daemon.told(&["status"]);
     daemon.kill();
     assert!(daemon.socket().exists());
@@ -105,25 +102,22 @@ fn a_socket_in_use_is_left_alone_and_a_dead_one_is_replaced() {
 
 #[test]
 fn what_is_no_socket_is_not_replaced() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("lab.toml");
-    let notes = folder.path().join("notes");
-    std::fs::write(&notes, "precious").unwrap();
+    let folder = Folder::new();
+    let notes = folder.write("notes", "precious");
     let text = format!(
         "publishing.tcp = \"off\"\nmonitor.listen = \"off\"\ncontrol.socket = \"{}\"\n",
         notes.display()
     );
-    std::fs::write(&file, text).unwrap();
-    let run = trifacet(&["run", "--config", file.to_str().unwrap()]);
-    assert_eq!(run.status.code(), Some(i32::from(exit::IO)), "{run:?}");
+    let run = on(&["run", "--config"], &folder.write("lab.toml", text));
+    assert_eq!(run.code, i32::from(exit::IO), "{}", run.err);
     assert_eq!(std::fs::read_to_string(&notes).unwrap(), "precious");
 }
 
 #[test]
 fn ctl_tells_mistakes_from_absence() {
-    let nobody = trifacet(&["ctl", "--socket", "/no/such/socket", "status"]);
-    assert_eq!(nobody.status.code(), Some(i32::from(exit::UNAVAILABLE)));
-    assert!(String::from_utf8_lossy(&nobody.stderr).contains("/no/such/socket"));
+    let nobody = run(&mut trifacet(&["ctl", "--socket", "/no/such/socket", "status"]));
+    assert_eq!(nobody.code, i32::from(exit::UNAVAILABLE));
+    assert!(nobody.err.contains("/no/such/socket"));
     for args in [
         &["ctl"][..],
         &["ctl", "dance"],
@@ -133,6 +127,6 @@ fn ctl_tells_mistakes_from_absence() {
         &["ctl", "tare", "--poses", "0"],
         &["ctl", "tare", "clear", "--poses", "5"],
     ] {
-        assert_eq!(trifacet(args).status.code(), Some(i32::from(exit::USAGE)), "{args:?}");
+        assert_eq!(run(&mut trifacet(args)).code, i32::from(exit::USAGE), "{args:?}");
     }
 }

@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 use trifacet::exit;
 use trifacet_wire::LockState;
 
-use super::fixture::{AT_REST, Daemon};
+use super::fixture::{AT_REST, Lab};
 
 fn commands(status: &Value) -> u64 {
     status["counters"]["commands_sent"].as_u64().unwrap()
@@ -12,8 +12,8 @@ fn commands(status: &Value) -> u64 {
 
 #[test]
 fn in_the_shadow_nothing_moves_and_all_is_said() {
-    let daemon = Daemon::start(&format!("[centering]\nmode = \"shadow\"\n{AT_REST}"));
-    let status = daemon.until(|status| status["loop"]["shadow"].is_object());
+    let daemon = Lab::start(&format!("[centering]\nmode = \"shadow\"\n{AT_REST}"));
+    let status = daemon.status_until(|status| status["loop"]["shadow"].is_object());
     let x = |v: &Value| v[0].as_f64().unwrap();
     let offset = x(&status["loop"]["offset_um"]);
     assert!((offset + 100.0).abs() < 25.0, "the beam is 100 um short of the apex: {status}");
@@ -47,8 +47,8 @@ fn in_the_shadow_nothing_moves_and_all_is_said() {
 
 #[test]
 fn the_beam_goes_to_a_setpoint() {
-    let daemon = Daemon::start(AT_REST);
-    daemon.until(|status| status["loop"]["lock"] == "locked");
+    let daemon = Lab::start(AT_REST);
+    daemon.status_until(|status| status["loop"]["lock"] == "locked");
     let answer = daemon.told(&["setpoint", "-20", "10.5"]);
     assert_eq!(answer["loop"]["setpoint_um"], json!([-20.0, 10.5]));
     let there = |x: f32| (f64::from(x) + 20e-6).abs() < 3e-6;
@@ -65,8 +65,8 @@ fn the_beam_goes_to_a_setpoint() {
 
 #[test]
 fn gains_change_while_locked() {
-    let daemon = Daemon::start(AT_REST);
-    daemon.until(|status| status["loop"]["lock"] == "locked");
+    let daemon = Lab::start(AT_REST);
+    daemon.status_until(|status| status["loop"]["lock"] == "locked");
     daemon.frame_with(|frame| frame.lock == LockState::Locked);
     let answer = daemon.told(&["gains", "0.05", "50"]);
     assert_eq!((&answer["loop"]["kp"], &answer["loop"]["ki_per_s"]), (&json!(0.05), &json!(50.0)));
@@ -86,8 +86,8 @@ fn gains_change_while_locked() {
 
 #[test]
 fn by_hand_the_stage_goes_where_it_is_sent_and_parks() {
-    let daemon = Daemon::start(&format!("[steering]\npark_um = [30, -40]\n{AT_REST}"));
-    daemon.until(|status| status["loop"]["lock"] == "locked");
+    let daemon = Lab::start(&format!("[steering]\npark_um = [30, -40]\n{AT_REST}"));
+    daemon.status_until(|status| status["loop"]["lock"] == "locked");
     let (code, _, errors) = daemon.ctl(&["move", "10", "0"]);
     assert_eq!(code, i32::from(exit::USAGE));
     assert!(errors.contains("only while the loop is \"manual\""), "{errors}");

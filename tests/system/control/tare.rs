@@ -3,20 +3,20 @@
 use trifacet::exit;
 use trifacet_wire::Status;
 
-use super::fixture::{AT_REST, Daemon};
+use super::fixture::{AT_REST, Lab};
 
 /// Larger than the noise of every single pose, smaller than what was tared away.
 const NOISE: f64 = 12e-6;
 
-fn mean(daemon: &Daemon, component: usize) -> f64 {
+fn mean(daemon: &Lab, component: usize) -> f64 {
     (0..100).map(|_| daemon.frame_with(|f| f.status.has(Status::POSE_VALID)).pose[component]).sum::<f64>()
         / 100.0
 }
 
 #[test]
 fn after_a_tare_the_pose_is_zero_and_every_frame_says_by_its_config_id_which_it_is() {
-    let daemon = Daemon::start(AT_REST);
-    daemon.until(|status| status["loop"]["lock"] == "locked");
+    let daemon = Lab::start(AT_REST);
+    daemon.status_until(|status| status["loop"]["lock"] == "locked");
     let before = daemon.frame();
     let answer = daemon.told(&["tare"]);
     assert_eq!((&answer["poses"], &answer["saved"]), (&100.into(), &false.into()), "{answer}");
@@ -47,8 +47,8 @@ fn after_a_tare_the_pose_is_zero_and_every_frame_says_by_its_config_id_which_it_
 #[test]
 fn a_saved_tare_survives_with_the_file_around_it() {
     let mut daemon =
-        Daemon::start(&format!("[frames.tool]\ntranslation_mm = [0.0, 0.0, -50.0] # below\n{AT_REST}"));
-    daemon.until(|status| status["loop"]["lock"] == "locked");
+        Lab::start(&format!("[frames.tool]\ntranslation_mm = [0.0, 0.0, -50.0] # below\n{AT_REST}"));
+    daemon.status_until(|status| status["loop"]["lock"] == "locked");
     let text = daemon.text();
     let answer = daemon.told(&["tare", "--save"]);
     assert_eq!(answer["saved"], true);
@@ -57,10 +57,10 @@ fn a_saved_tare_survives_with_the_file_around_it() {
     assert!(after.contains("[frames.tare]\ntranslation_mm = ["), "{after}");
     let status = daemon.told(&["status"]);
     daemon.restart();
-    let restarted = daemon.until(|status| status["pose"]["valid"] == true);
+    let restarted = daemon.status_until(|status| status["pose"]["valid"] == true);
     assert_eq!(restarted["config"], status["config"], "the same meaning of poses");
     assert_eq!(restarted["frames"], status["frames"]);
-    daemon.until(|status| status["loop"]["lock"] == "locked");
+    daemon.status_until(|status| status["loop"]["lock"] == "locked");
     let z = mean(&daemon, 2);
     assert!(z.abs() < 2e-6, "{z}");
     let cleared = daemon.told(&["tare", "clear", "--save"]);
@@ -72,7 +72,7 @@ fn a_saved_tare_survives_with_the_file_around_it() {
 
 #[test]
 fn without_a_valid_pose_there_is_no_tare() {
-    let daemon = Daemon::start(&format!("{AT_REST}[[twin.fault]]\nat_s = 0\nkind = \"beam-blocked\"\n"));
+    let daemon = Lab::start(&format!("{AT_REST}[[twin.fault]]\nat_s = 0\nkind = \"beam-blocked\"\n"));
     let before = daemon.frame_with(|frame| !frame.status.has(Status::SOURCE_DOWN));
     let (code, answer, errors) = daemon.ctl(&["tare", "--save"]);
     assert_eq!(code, i32::from(exit::DATA), "{answer}");
@@ -86,8 +86,8 @@ fn without_a_valid_pose_there_is_no_tare() {
 
 #[test]
 fn a_pitch_of_90_degrees_is_out_of_range_and_centering_does_not_mind() {
-    let daemon = Daemon::start(&format!("[frames.base]\nrotation_deg = [0.0, 90.0, 0.0]\n{AT_REST}"));
-    daemon.until(|status| status["loop"]["lock"] == "locked");
+    let daemon = Lab::start(&format!("[frames.base]\nrotation_deg = [0.0, 90.0, 0.0]\n{AT_REST}"));
+    daemon.status_until(|status| status["loop"]["lock"] == "locked");
     let frame = daemon.frame_with(|frame| !frame.status.has(Status::NOT_LOCKED));
     assert!(frame.status.has(Status::OUT_OF_RANGE) && !frame.status.has(Status::POSE_VALID), "{frame:?}");
     assert!(frame.pose.iter().all(|x| x.is_nan()) && frame.deviations.iter().all(|x| x.is_nan()));

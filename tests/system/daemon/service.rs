@@ -1,13 +1,13 @@
 //! Under a supervisor: what systemd hears, what happens when a task stalls, and what a person sees.
 
 use std::os::unix::net::UnixDatagram;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output};
 use std::time::Duration;
 
 use rustix::process::Signal;
 
-use crate::testkit::{Board, Daemon, PATIENCE, Stream, now_ns};
+use crate::testkit::{self, Board, Daemon, PATIENCE, Stream, now_ns};
 
 /// The socket that systemd would listen on.
 struct Systemd {
@@ -23,17 +23,12 @@ impl Systemd {
         Self { socket, folder }
     }
 
-    fn control(&self) -> PathBuf {
-        self.folder.path().join("control")
-    }
-
-    /// A daemon that talks to it, with a control socket.
+    /// A daemon that talks to it.
     fn start(&self, config: &str, watchdog_us: Option<&str>) -> Daemon {
         let notify = self.folder.path().join("notify");
         let mut environment = vec![("NOTIFY_SOCKET", notify.to_str().unwrap())];
         environment.extend(watchdog_us.map(|us| ("WATCHDOG_USEC", us)));
-        let control = self.control();
-        Daemon::start_with(&format!("control.socket = '{}'\n{config}", control.display()), &environment)
+        Daemon::start_with(config, &environment)
     }
 
     fn next(&self) -> String {
@@ -61,16 +56,10 @@ impl Systemd {
         self.socket.set_nonblocking(false).unwrap();
         rest
     }
-
-    fn drill(&self, what: &str, task: &str) {
-        let socket = self.control();
-        let output = trifacet(&["ctl", "--socket", socket.to_str().unwrap(), "drill", what, task]);
-        assert!(output.status.success(), "{output:?}");
-    }
 }
 
 fn trifacet(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_trifacet")).args(arguments).output().unwrap()
+    testkit::trifacet(arguments).output().unwrap()
 }
 
 fn text(bytes: &[u8]) -> &str {
@@ -131,7 +120,7 @@ fn the_watchdog_is_fed_by_turns_of_every_task_and_the_log_says_which_makes_none(
         let systemd = Systemd::new();
         let mut daemon = systemd.start("realtime.stall_ms = 0", Some("1000000"));
         (0..4).for_each(|_| drop(systemd.until("WATCHDOG=1")));
-        systemd.drill("stall", task);
+        daemon.told(&["drill", "stall", task]);
         daemon.says("which task", |line| {
             line["message"] == "a task of the fast side stalls" && line["task"] == task
         });
@@ -151,7 +140,7 @@ fn a_task_that_stalls_blocks_or_ends_ends_the_daemon_with_its_name() {
             let systemd = Systemd::new();
             let mut daemon = systemd.start("realtime.stall_ms = 500", None);
             systemd.until("READY=1");
-            systemd.drill(what, task);
+            daemon.told(&["drill", what, task]);
             assert_eq!(daemon.end().code(), Some(70), "{what} {task}");
             let told = match what {
                 "end" => format!("task {task} ended by itself"),
@@ -173,10 +162,9 @@ fn a_drill_is_not_for_real_hardware() {
         format!("acquisition.source = 'serial'\nacquisition.serial.port = '{}'", board.link().display());
     let mut daemon = systemd.start(&port, None);
     systemd.until("READY=1");
-    let socket = systemd.control();
-    let output = trifacet(&["ctl", "--socket", socket.to_str().unwrap(), "drill", "stall", "centering"]);
-    assert_eq!(output.status.code(), Some(64), "{output:?}");
-    assert!(text(&output.stderr).contains("for the twin"), "{output:?}");
+    let (code, _, errors) = daemon.ctl(&["drill", "stall", "centering"]);
+    assert_eq!(code, 64, "{errors}");
+    assert!(errors.contains("for the twin"), "{errors}");
     board.status();
     daemon.ends_in_order(Signal::TERM);
 }
@@ -233,7 +221,7 @@ fn status_says_it_once_or_goes_on() {
     let mut daemon = systemd.start("", None);
     let address = format!("tcp://{}", daemon.address());
     systemd.until("STATUS=locked");
-    let socket = systemd.control();
+    let socket = daemon.socket();
     let once = trifacet(&["status", &address, "--socket", socket.to_str().unwrap()]);
     let page = text(&once.stdout);
     assert!(once.status.success(), "{once:?}");

@@ -7,14 +7,16 @@ mod twin;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Output};
+
+use crate::testkit;
 
 const AXES: [&str; 6] = ["tx", "ty", "tz", "roll", "pitch", "yaw"];
 
 /// The command with this output folder.
 fn command(out: &Path, arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_trifacet"));
-    command.arg("experiment").arg("--out").arg(out).args(arguments).stdin(Stdio::null());
+    let mut command = testkit::trifacet(&["experiment"]);
+    command.arg("--out").arg(out).args(arguments);
     command
 }
 

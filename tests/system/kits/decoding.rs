@@ -6,7 +6,7 @@ use std::process::Command;
 use serde_json::{Value, json};
 use trifacet::client::{FrameError, PoseFrame};
 
-use super::fixture::{Daemon, datagrams, frames_over_tcp};
+use super::fixture::{daemon, datagrams, frames_over_tcp};
 use super::tools::{compile, python, succeeded};
 
 /// Undefined behaviour ends the program.
@@ -94,8 +94,8 @@ fn datagrams_of_a_daemon_are_read_bit_by_bit() {
 
 #[test]
 fn frames_over_tcp_are_read_bit_by_bit() {
-    let port = &mut Daemon::start(&[]);
-    compare(&frames_over_tcp(port.tcp_port(), 50));
+    let mut daemon = daemon(&[]);
+    compare(&frames_over_tcp(daemon.address(), 50));
 }
 
 fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {

@@ -11,12 +11,13 @@ use trifacet::client::PoseFrame;
 use trifacet_wire::message::Kind;
 use trifacet_wire::stream::{Decoder, json};
 
-use super::fixture::{Daemon, PATIENCE, Running, datagrams, receive, udp_socket};
+use super::fixture::{daemon, datagrams, receive};
 use super::tools::{compile, python, succeeded};
+use crate::testkit::{Killed, PATIENCE, Udp};
 
 /// A program of a kit that has opened its port.
 struct Receiver {
-    process: Running,
+    process: Killed,
     output: BufReader<std::process::ChildStdout>,
     port: u16,
 }
@@ -24,7 +25,7 @@ struct Receiver {
 impl Receiver {
     /// The number at the end of its first line is the port.
     fn start(command: &mut Command) -> Self {
-        let mut process = Running(command.stdout(Stdio::piped()).spawn().unwrap());
+        let mut process = Killed(command.stdout(Stdio::piped()).spawn().unwrap());
         let mut output = BufReader::new(process.0.stdout.take().unwrap());
         let mut line = String::new();
         output.read_line(&mut line).unwrap();
@@ -63,13 +64,13 @@ fn valid(datagrams: &[Vec<u8>]) -> u64 {
 
 #[test]
 fn every_frame_of_a_daemon_arrives_over_udp() {
-    let (socket, port) = udp_socket();
+    let udp = Udp::open();
     let (_place, receiver) = compile("clients/c/udp_receiver.c", &[]);
     let (_place_2, trusting) = compile("clients/c/udp_receiver.c", &["-DTRIFACET_NOT_REAL=0"]);
     let c = [receiver, trusting].map(|path| Receiver::start(Command::new(path).args(["0", "600"])));
     let py = Receiver::python("udp", 0, 600, 1);
-    let _daemon = Daemon::start(&[port, py.port, c[0].port, c[1].port]);
-    let beside = receive(&socket, 600);
+    let _daemon = daemon(&[udp.address().port(), py.port, c[0].port, c[1].port]);
+    let beside = receive(&udp, 600);
     let valid = valid(&beside);
     let first = PoseFrame::decode(&beside[0]).unwrap().sequence;
 
@@ -150,8 +151,8 @@ fn a_divider_is_no_loss() {
 
 #[test]
 fn every_frame_that_was_asked_for_arrives_over_tcp() {
-    let mut daemon = Daemon::start(&[]);
-    let told = Receiver::python("tcp", daemon.tcp_port(), 200, 4).told();
+    let mut daemon = daemon(&[]);
+    let told = Receiver::python("tcp", daemon.address().port(), 200, 4).told();
     let sequences: Vec<_> =
         told["sequences"].as_array().unwrap().iter().map(|n| n.as_u64().unwrap()).collect();
     assert_eq!(sequences.len(), 200);
@@ -239,11 +240,11 @@ fn a_refusal_is_told_in_the_daemons_words() {
 
 #[test]
 fn the_python_example_shows_poses() {
-    let mut daemon = Daemon::start(&[]);
-    let port = daemon.tcp_port().to_string();
+    let mut daemon = daemon(&[]);
+    let port = daemon.address().port().to_string();
     let mut command = python("clients/python/example.py");
     let mut example =
-        Running(command.args(["tcp", "127.0.0.1", &port]).stdout(Stdio::piped()).spawn().unwrap());
+        Killed(command.args(["tcp", "127.0.0.1", &port]).stdout(Stdio::piped()).spawn().unwrap());
     let lines = BufReader::new(example.0.stdout.take().unwrap()).lines().map(Result::unwrap);
     let mut seen = (false, false);
     for line in lines.take_while(|_| true) {

@@ -1,15 +1,13 @@
 //! Healthy, ready, and the way there and back.
 
-use std::io::{BufRead, BufReader, Write};
+use std::io::Write;
 use std::net::SocketAddr;
-use std::path::Path;
-use std::process::{Child, ChildStdin, Command, Stdio};
 
 use serde_json::Value;
-use tempfile::NamedTempFile;
 
-use super::page::{get, monitor, nothing_stays_green, opened, until};
-use crate::testkit::{Board, Daemon, now_ns};
+use super::page::{nothing_stays_green, until};
+use crate::testkit::http::get;
+use crate::testkit::{Board, Daemon, Folder, now_ns};
 
 const ON: &str = "monitor.listen = \"127.0.0.1:0\"\n";
 
@@ -44,7 +42,7 @@ fn comes_and_goes(at: SocketAddr, board: &mut Board, fault: &str, name: &str, re
 fn readiness_turns_within_a_second_and_names_the_reason() {
     let mut board = Board::start("");
     let mut daemon = Daemon::on_port(&board.link(), ON);
-    let at = monitor(&mut daemon);
+    let at = daemon.monitor();
     until(at, "ready", |ready| ready["ready"] == true);
     comes_and_goes(at, &mut board, "psd-dark 1", "optics", "PSD_B_LOW");
     comes_and_goes(at, &mut board, "stalled", "samples", "SOURCE_DOWN");
@@ -61,7 +59,7 @@ fn readiness_turns_within_a_second_and_names_the_reason() {
 #[test]
 fn without_a_board_the_daemon_lives_and_is_not_ready() {
     let mut daemon = Daemon::on_port("/dev/no-such-board".as_ref(), ON);
-    let at = monitor(&mut daemon);
+    let at = daemon.monitor();
     let ready = until(at, "seen", |ready| check(ready, "samples")["reason"] == "SOURCE_DOWN");
     assert_eq!(ready["ready"], false);
     assert_eq!(get(at, "/healthz").code, 200);
@@ -70,62 +68,51 @@ fn without_a_board_the_daemon_lives_and_is_not_ready() {
 #[test]
 fn a_loop_that_is_off_is_not_ready() {
     let mut daemon = Daemon::start(&format!("{ON}centering.mode = \"off\"\n"));
-    let at = monitor(&mut daemon);
+    let at = daemon.monitor();
     let ready = until(at, "optics are fine", |ready| check(ready, "optics")["ok"] == true);
     assert_eq!(check(&ready, "lock")["reason"], "off");
     assert_eq!(get(at, "/healthz").code, 200);
 }
 
 /// A daemon whose fast thread can be held, as a debugger or a defect would.
-struct Holder {
-    child: Child,
-    orders: ChildStdin,
-    at: SocketAddr,
-    _config: NamedTempFile,
-}
+struct Holder(Daemon);
 
 impl Holder {
     fn start() -> Self {
-        let config = NamedTempFile::new().unwrap();
+        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/system/monitor/hold.py");
         // Held for as long as the test takes.
-        let text = format!(
-            "{ON}publishing.tcp = \"off\"\npublishing.udp = []\nlog.format = \"json\"\nrealtime.stall_ms = 0\n"
+        let config = format!(
+            "{ON}publishing.tcp = \"off\"
+realtime.stall_ms = 0
+"
         );
-        std::fs::write(config.path(), text).unwrap();
-        let mut child = Command::new("python3")
-            .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/system/monitor/hold.py"))
-            .args(["fast", env!("CARGO_BIN_EXE_trifacet"), "run", "--config"])
-            .arg(config.path())
-            .stdin(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let orders = child.stdin.take().unwrap();
-        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
-        let at =
-            lines.by_ref().find_map(|line| opened(&serde_json::from_str(&line.unwrap()).unwrap())).unwrap();
-        std::thread::spawn(move || lines.for_each(drop));
-        Self { child, orders, at, _config: config }
+        Self(Daemon::start_through(&Folder::new(), &config, &["python3", script, "fast"]))
     }
 
     fn next(&mut self) {
-        self.orders.write_all(b"\n").unwrap();
+        self.0
+            .orders
+            .as_mut()
+            .unwrap()
+            .write_all(
+                b"
+",
+            )
+            .unwrap();
     }
 }
 
 impl Drop for Holder {
     fn drop(&mut self) {
-        for _ in 0..3 {
-            let _ = self.orders.write_all(b"\n"); // its last line ends it, and with it the daemon
-        }
-        let _ = self.child.wait();
+        drop(self.0.orders.take()); // the end of its orders ends the script, and with it the daemon
+        self.0.end();
     }
 }
 
 #[test]
 fn a_fast_side_that_stands_still_is_not_alive() {
     let mut daemon = Holder::start();
-    let at = daemon.at;
+    let at = daemon.0.monitor();
     until(at, "ready", |ready| ready["ready"] == true);
     let held_ns = now_ns();
     daemon.next();

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::page::{Metrics, monitor, until};
-use crate::testkit::{Daemon, Stream};
+use super::page::{Metrics, until};
+use crate::testkit::{Daemon, Stream, wait_for};
 
 fn read(path: &str) -> String {
     std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).unwrap()
@@ -15,15 +15,12 @@ fn read(path: &str) -> String {
 /// The page of a daemon that knows everything that it ever will.
 fn complete() -> Metrics {
     let mut daemon = Daemon::start("monitor.listen = \"127.0.0.1:0\"");
-    let at = monitor(&mut daemon);
-    for _ in 0..60 {
+    let at = daemon.monitor();
+    wait_for("the trend", || {
         let metrics = Metrics::of(at);
-        if metrics.0.contains_key("trifacet_power_trend_watts_per_second") {
-            return metrics;
-        }
-        std::thread::sleep(std::time::Duration::from_millis(500));
-    }
-    panic!("the trend never comes");
+        let complete = metrics.0.contains_key("trifacet_power_trend_watts_per_second");
+        if complete { Ok(metrics) } else { Err("no trend".into()) }
+    })
 }
 
 /// Type, labels and meaning by name.
@@ -91,7 +88,7 @@ fn counters_and_sums_are_those_of_the_stream() {
         twin.fault = [{ kind = 'dropped', fraction = 0.2, at_s = 1, for_s = 1 }, { kind = 'stalled', at_s = 4 }]";
     let mut daemon = Daemon::start(config);
     let mut stream = Stream::tcp(daemon.address());
-    let at = monitor(&mut daemon);
+    let at = daemon.monitor();
     let mut frames = stream.through("silence", |frame| !frame.of_samples() && frame.sample_index > 500);
     until(at, "stalled", |ready| ready["checks"][0]["ok"] == false);
     // No sample comes any more, so what was counted of samples stands still.

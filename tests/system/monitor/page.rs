@@ -1,8 +1,8 @@
-//! A client as small as can be: one request, one answer.
+//! What health and metrics say, as programs read them.
 
 use std::collections::BTreeMap;
-use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpStream};
+use std::io::Write;
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::OnceLock;
@@ -10,33 +10,8 @@ use std::sync::OnceLock;
 use serde::Deserialize;
 use serde_json::Value;
 
-use crate::testkit::venv;
-use crate::testkit::{Daemon, PATIENCE};
-
-/// An answer.
-#[derive(Debug)]
-pub(crate) struct Page {
-    pub(crate) code: u16,
-    pub(crate) headers: String,
-    pub(crate) body: String,
-}
-
-/// Asks for a page as somebody who is at the same machine.
-pub(crate) fn get(at: SocketAddr, path: &str) -> Page {
-    ask(at, path, &format!("Host: {at}\r\n"))
-}
-
-/// Asks for a page with these headers.
-pub(crate) fn ask(at: SocketAddr, path: &str, headers: &str) -> Page {
-    let mut stream = TcpStream::connect(at).unwrap();
-    stream.set_read_timeout(Some(PATIENCE)).unwrap();
-    write!(stream, "GET {path} HTTP/1.1\r\n{headers}Connection: close\r\n\r\n").unwrap();
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).unwrap();
-    let (head, body) = answer.split_once("\r\n\r\n").unwrap_or_else(|| panic!("{answer:?}"));
-    let code = head.split(' ').nth(1).unwrap().parse().unwrap();
-    Page { code, headers: head.to_ascii_lowercase(), body: body.into() }
-}
+use crate::testkit::http::get;
+use crate::testkit::{venv, wait_for};
 
 /// `/readyz`, whose code agrees with what it says.
 pub(crate) fn readyz(at: SocketAddr) -> Value {
@@ -51,15 +26,10 @@ pub(crate) fn readyz(at: SocketAddr) -> Value {
 
 /// Asks `/readyz` until this is true of it.
 pub(crate) fn until(at: SocketAddr, what: &str, is: impl Fn(&Value) -> bool) -> Value {
-    let mut ready = Value::Null;
-    for _ in 0..PATIENCE.as_millis() / 10 {
-        ready = readyz(at);
-        if is(&ready) {
-            return ready;
-        }
-        std::thread::sleep(std::time::Duration::from_millis(10));
-    }
-    panic!("never {what}: {ready}");
+    wait_for(what, || {
+        let ready = readyz(at);
+        if is(&ready) { Ok(ready) } else { Err(ready.to_string()) }
+    })
 }
 
 /// What the metrics say while a part of the daemon stands still.
@@ -70,17 +40,6 @@ pub(crate) fn nothing_stays_green(at: SocketAddr) {
     let states: Vec<_> = metrics.lines().filter(|line| line.starts_with("trifacet_lock_state{")).collect();
     let one = states.iter().filter(|line| line.ends_with(" 1")).count() == 1;
     assert!(states.is_empty() || one, "the loop is in one state, or in none that is known: {states:?}");
-}
-
-/// Where the monitor of a daemon is. To be asked once, after its TCP address.
-pub(crate) fn monitor(daemon: &mut Daemon) -> SocketAddr {
-    opened(&daemon.message("monitor is open")).unwrap()
-}
-
-/// The same by a line of the log, if it says so.
-pub(crate) fn opened(line: &Value) -> Option<SocketAddr> {
-    let url = line["url"].as_str().filter(|_| line["message"] == "monitor is open")?;
-    url.strip_prefix("http://")?.strip_suffix('/')?.parse().ok()
 }
 
 /// A family of metrics, as Prometheus' own library reads it.

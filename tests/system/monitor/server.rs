@@ -2,27 +2,22 @@
 
 use std::io::Read;
 use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::process::Command;
 
-use super::page::{Metrics, ask, get, monitor, until};
-use crate::testkit::{Daemon, PATIENCE, Stream};
+use super::page::{Metrics, until};
+use crate::testkit::http::{ask, get};
+use crate::testkit::{Daemon, Done, Folder, PATIENCE, Stream, on, wait_for};
 
 const ON: &str = "monitor.listen = \"127.0.0.1:0\"";
 
-fn trifacet(command: &str, config: &str) -> std::process::Output {
-    let file = tempfile::NamedTempFile::new().unwrap();
-    std::fs::write(file.path(), config).unwrap();
-    Command::new(env!("CARGO_BIN_EXE_trifacet"))
-        .args([command, "--config"])
-        .arg(file.path())
-        .output()
-        .unwrap()
+/// A command with this configuration.
+fn with(command: &str, config: &str) -> Done {
+    on(&[command, "--config"], &Folder::new().write("lab.toml", config))
 }
 
 #[test]
 fn requests_for_other_hosts_and_from_other_sites_are_refused_and_counted() {
     let mut daemon = Daemon::start(&format!("{ON}\nmonitor.allowed_hosts = [\"lab-pc\"]"));
-    let at = monitor(&mut daemon);
+    let at = daemon.monitor();
     let port = at.port();
     for good in
         [format!("localhost:{port}"), format!("127.0.0.1:{port}"), "lab-pc".into(), "LAB-PC:80".into()]
@@ -55,7 +50,7 @@ fn scrapes_and_hung_viewers_cost_no_sample() {
     let mut daemon =
         Daemon::start(&format!("{ON}\nacquisition.rate_hz = 10000\npublishing.tcp_queue = 65536"));
     let mut stream = Stream::tcp(daemon.address());
-    let at = monitor(&mut daemon);
+    let at = daemon.monitor();
     stream.locked();
     until(at, "ready", |ready| ready["ready"] == true);
     // They hold connections and never say what they want.
@@ -83,7 +78,7 @@ fn scrape(at: SocketAddr) {
 #[test]
 fn too_many_connections_are_cut_off_and_the_first_ones_stay() {
     let mut daemon = Daemon::start(ON);
-    let at = monitor(&mut daemon);
+    let at = daemon.monitor();
     let open: Vec<_> = (0..128).map(|_| TcpStream::connect(at).unwrap()).collect();
     let mut one_more = TcpStream::connect(at).unwrap();
     one_more.set_read_timeout(Some(PATIENCE)).unwrap();
@@ -91,12 +86,10 @@ fn too_many_connections_are_cut_off_and_the_first_ones_stay() {
     assert_eq!(one_more.read(&mut [0; 1]).unwrap_or(0), 0);
     daemon.message("refused a connection");
     drop(open);
-    for _ in 0..100 {
-        if TcpStream::connect(at).is_ok_and(|mut stream| still_open(&mut stream)) {
-            return;
-        }
-    }
-    panic!("nobody is let in again");
+    wait_for("let in again", || {
+        let open = TcpStream::connect(at).is_ok_and(|mut stream| still_open(&mut stream));
+        open.then_some(()).ok_or_else(|| "cut off".into())
+    });
 }
 
 /// Whether a connection is kept for a while.
@@ -110,9 +103,9 @@ fn a_port_in_use_is_a_clear_error() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let _holder = TcpListener::bind(taken).unwrap();
     let config = format!("publishing.tcp = \"off\"\npublishing.udp = []\nmonitor.listen = \"{taken}\"\n");
-    let output = trifacet("run", &config);
-    let errors = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(75), "{errors}");
+    let done = with("run", &config);
+    let errors = done.err;
+    assert_eq!(done.code, 75, "{errors}");
     for word in [&taken.to_string(), "monitor.listen", "another process has the port"] {
         assert!(errors.contains(word), "{errors}");
     }
@@ -139,7 +132,7 @@ fn switched_off_it_opens_nothing() {
 
 #[test]
 fn an_address_of_the_network_is_noted_by_check() {
-    let note = |config: &str| String::from_utf8(trifacet("check", config).stdout).unwrap();
+    let note = |config: &str| with("check", config).out;
     let open = note("monitor.listen = \"0.0.0.0:7360\"");
     assert!(open.contains("note") && open.contains("everybody who reaches it may read"), "{open}");
     assert!(open.contains("http://0.0.0.0:7360/"), "{open}");

@@ -2,37 +2,20 @@
 
 use std::net::SocketAddr;
 use std::path::Path;
-use std::process::Command;
 
 use serde_json::Value;
 use trifacet_wire::{LockState, Status};
 
-use super::page::{get, monitor, nothing_stays_green, until};
-use crate::testkit::{Daemon, Stream, now_ns};
+use super::page::{nothing_stays_green, until};
+use crate::testkit::http::get;
+use crate::testkit::{Daemon, now_ns, on};
 
-/// A daemon that leaves time to look before it ends, where its stream is, and its pages.
-fn daemon(folder: &Path) -> (Daemon, SocketAddr, SocketAddr) {
-    let socket = folder.join("control");
-    let mut daemon = Daemon::start(&format!(
-        "monitor.listen = \"127.0.0.1:0\"\nrealtime.stall_ms = 4000\ncontrol.socket = '{}'\n",
-        socket.display()
-    ));
-    let stream = daemon.address();
-    let at = monitor(&mut daemon);
+/// A daemon that leaves time to look before it ends, and its pages.
+fn daemon() -> (Daemon, SocketAddr) {
+    let mut daemon = Daemon::start("monitor.listen = \"127.0.0.1:0\"\nrealtime.stall_ms = 4000\n");
+    let at = daemon.monitor();
     until(at, "ready", |ready| ready["ready"] == true);
-    (daemon, stream, at)
-}
-
-fn drill(folder: &Path, what: &str, task: &str) {
-    let arguments = ["drill", what, task];
-    let socket = folder.join("control");
-    let ctl = Command::new(env!("CARGO_BIN_EXE_trifacet"))
-        .args(["ctl", "--socket"])
-        .arg(socket)
-        .args(arguments)
-        .output();
-    let output = ctl.unwrap();
-    assert!(output.status.success(), "{output:?}");
+    (daemon, at)
 }
 
 fn reasons(ready: &Value) -> Vec<&str> {
@@ -42,9 +25,8 @@ fn reasons(ready: &Value) -> Vec<&str> {
 /// Every check, health and metrics name the task before the daemon ends, and the log says why it did.
 fn is_named_before_the_end(what: &str) {
     for task in ["acquisition", "centering", "estimation"] {
-        let folder = tempfile::tempdir().unwrap();
-        let (mut daemon, _, at) = daemon(folder.path());
-        drill(folder.path(), what, task);
+        let (mut daemon, at) = daemon();
+        daemon.told(&["drill", what, task]);
         let name = format!("task {task} stands still");
         let named = |ready: &Value| reasons(ready).iter().filter(|why| why.starts_with(&name)).count();
         until(at, &name, |ready| named(ready) == 3);
@@ -69,27 +51,21 @@ fn a_task_that_never_comes_back_is_named_before_the_end() {
 /// `trifacet status` misses what only the control socket knows, and says why.
 fn status_tells_of_it(address: SocketAddr, socket: &Path) {
     let address = format!("tcp://{address}");
-    let status = Command::new(env!("CARGO_BIN_EXE_trifacet"))
-        .args(["status", &address, "--socket"])
-        .arg(socket)
-        .output()
-        .unwrap();
-    let page = String::from_utf8(status.stdout).unwrap();
+    let page = on(&["status", &address, "--socket"], socket).out;
     assert!(page.contains("lock      held\n"), "{page}");
     assert!(page.contains(&format!("control   {} does not answer\n", socket.display())), "{page}");
 }
 
 #[test]
 fn frames_claim_no_lock_of_a_loop_that_stands_still() {
-    let folder = tempfile::tempdir().unwrap();
-    let (_daemon, address, at) = daemon(folder.path());
-    let mut stream = Stream::tcp(address);
-    drill(folder.path(), "stall", "centering");
+    let (mut daemon, at) = daemon();
+    let mut stream = daemon.client();
+    daemon.told(&["drill", "stall", "centering"]);
     let before_ns = now_ns();
     let first = stream.until("not locked", |frame| frame.time_ns > before_ns && !frame.locked());
     assert!(first.time_ns - before_ns < 1_000_000_000, "by the daemon's time stamps: {first:?}");
     until(at, "not ready", |ready| ready["ready"] == false);
-    status_tells_of_it(address, &folder.path().join("control"));
+    status_tells_of_it(daemon.address(), &daemon.socket());
     let line = "trifacet_lock_state{state=\"held\"} 1";
     assert!(get(at, "/metrics").body.contains(line), "what the frames say is known");
     for frame in std::iter::once(first).chain(stream.take(500)) {

@@ -9,8 +9,7 @@ mod truth;
 
 use std::net::SocketAddr;
 
-use crate::testkit::Browser;
-use crate::testkit::{Daemon, Stream};
+use crate::testkit::{Browser, Daemon, Stream};
 
 /// A free port for the page.
 const ON: &str = "monitor.listen = \"127.0.0.1:0\"\n";
@@ -23,9 +22,8 @@ const FINE: &str = "document.querySelector('#verdict')?.dataset.grade === 'good'
 fn daemon(config: &str) -> (Daemon, Stream, SocketAddr) {
     let mut daemon = Daemon::start(&format!("{ON}{config}"));
     let stream = daemon.client();
-    let line = daemon.message("monitor is open");
-    let at = line["url"].as_str().unwrap().trim_start_matches("http://").trim_end_matches('/').to_owned();
-    (daemon, stream, at.parse().unwrap())
+    let at = daemon.monitor();
+    (daemon, stream, at)
 }
 
 /// The page of a daemon, open and fine.

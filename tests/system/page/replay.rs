@@ -1,23 +1,19 @@
 //! The page of a daemon that replays: nothing on it is of now, and it says so first.
 
 use std::path::Path;
-use std::process::Command;
 use std::time::Duration;
 
 use serde_json::json;
 
 use super::looks::{CONTRAST, MISFITS};
-use super::{Browser, DESK, Daemon, Stream, daemon};
+use super::{DESK, daemon};
+use crate::testkit::{Browser, Daemon, Stream, on};
 
 /// A daemon that replays so many milliseconds of the twin, and its page.
 fn replayed(folder: &Path, ms: u32, how: &str) -> (Daemon, Stream, Browser) {
     let file = folder.join("a.mcap");
-    let recorded = Command::new(env!("CARGO_BIN_EXE_trifacet"))
-        .args(["simulate", "--closed-loop", "--samples", &ms.to_string(), "--record"])
-        .arg(&file)
-        .output()
-        .unwrap();
-    assert!(recorded.status.success(), "{recorded:?}");
+    let recorded = on(&["simulate", "--closed-loop", "--samples", &ms.to_string(), "--record"], &file);
+    assert_eq!(recorded.code, 0, "{}", recorded.err);
     let (daemon, stream, at) = daemon(&format!(
         "acquisition.source = \"replay\"\nreplay.file = \"{}\"\n{how}\n\
          monitor.control = true\nmonitor.token = \"0123456789abcdef\"\n",

@@ -10,7 +10,7 @@ use tungstenite::error::Error;
 use tungstenite::{Message, WebSocket};
 
 use super::daemon;
-use crate::testkit::PATIENCE;
+use crate::testkit::{PATIENCE, wait_for};
 
 type Socket = WebSocket<TcpStream>;
 
@@ -138,11 +138,5 @@ fn seats_are_bounded_and_free_again() {
     stream.skip_to_now();
     assert_eq!(stream.heartbeat().counters["monitor_refused"], 1);
     viewers.clear();
-    for _ in 0..PATIENCE.as_millis() / 50 {
-        if connect(at, None).is_ok() {
-            return;
-        }
-        std::thread::sleep(Duration::from_millis(50));
-    }
-    panic!("no seat is free again");
+    wait_for("a free seat", || connect(at, None).map(drop).map_err(|code| format!("{code:?}")));
 }

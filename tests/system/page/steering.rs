@@ -1,31 +1,19 @@
 //! The page steers only where it may, and only for whoever knows the token.
 
-use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpStream};
+use std::net::SocketAddr;
 
 use serde_json::Value;
 use trifacet_wire::LockState;
 
 use super::{daemon, page};
-use crate::testkit::PATIENCE;
+use crate::testkit::{Daemon, Stream, http};
 
 const TOKEN: &str = "an-honest-secret-of-the-lab";
 
 /// Whatever comes back is JSON, as the page reads it.
 fn post(at: SocketAddr, headers: &str, body: &str) -> (u16, Value) {
-    let mut stream = TcpStream::connect(at).unwrap();
-    stream.set_read_timeout(Some(PATIENCE)).unwrap();
-    let length = body.len();
-    write!(
-        stream,
-        "POST /control HTTP/1.1\r\nHost: {at}\r\n{headers}Content-Length: {length}\r\nConnection: close\r\n\r\n{body}"
-    )
-    .unwrap();
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).unwrap();
-    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
-    let code = head.split(' ').nth(1).unwrap().parse().unwrap();
-    (code, serde_json::from_str(body).unwrap_or_else(|e| panic!("{e}: {answer}")))
+    let page = http::post(at, "/control", headers, body);
+    (page.code, serde_json::from_str(&page.body).unwrap_or_else(|e| panic!("{e}: {page:?}")))
 }
 
 fn headers(token: &str) -> String {
@@ -81,7 +69,7 @@ fn nobody_steers_without_leave_and_the_token() {
     assert!(daemon.said("loop off") && !daemon.said(TOKEN), "the log: {:#?}", daemon.log);
 }
 
-fn daemon_with_control() -> (super::Daemon, super::Stream, SocketAddr) {
+fn daemon_with_control() -> (Daemon, Stream, SocketAddr) {
     daemon(&format!("monitor.control = true\nmonitor.token = \"{TOKEN}\"\n"))
 }
 

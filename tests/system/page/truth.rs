@@ -133,16 +133,11 @@ fn a_spectrum_that_gets_nothing_new_is_old() {
 
 #[test]
 fn a_task_that_stalls_is_named_before_the_daemon_ends() {
-    let folder = tempfile::tempdir().unwrap();
-    let socket = folder.path().join("control");
-    let (_daemon, _stream, at) =
-        daemon(&format!("realtime.stall_ms = 4000\ncontrol.socket = '{}'\n", socket.display()));
+    let (daemon, _stream, at) = daemon("realtime.stall_ms = 4000\n");
     let mut page = page(at);
     page.until("document.querySelectorAll('.strips .main-svg').length >= 6");
     page.eval(NOTES);
-    let ctl = ["ctl", "--socket", socket.to_str().unwrap(), "drill", "stall", "centering"];
-    let output = std::process::Command::new(env!("CARGO_BIN_EXE_trifacet")).args(ctl).output().unwrap();
-    assert!(output.status.success(), "{output:?}");
+    daemon.told(&["drill", "stall", "centering"]);
     let verdict = |text: &str| format!("notes.some(([, text]) => text.startsWith('{text}'))");
     page.until(&verdict("Pose valid, beam not locked (held): task centering stands still since "));
     page.until(

@@ -1,14 +1,11 @@
 //! `trifacet ctl record`, rotation, budget, and what is refused.
 
-use std::io::{Read as _, Write as _};
-use std::net::TcpStream;
-use std::process::Command;
-
-use super::fixture::{Content, Daemon, recordings, same};
+use super::fixture::{Content, Recorder, recordings, same};
+use crate::testkit::{Folder, http, on};
 
 #[test]
 fn it_records_from_start_to_stop_and_says_so() {
-    let mut daemon = Daemon::start("acquisition.rate_hz = 500");
+    let mut daemon = Recorder::start("acquisition.rate_hz = 500");
     daemon.runs_for(0.2);
     let (code, answer, _) = daemon.ctl(&["record", "status"]);
     assert_eq!((code, &answer["recording"], &answer["mode"]), (0, &false.into(), &"off".into()));
@@ -40,13 +37,13 @@ fn it_records_from_start_to_stop_and_says_so() {
 
 #[test]
 fn files_follow_each_other_without_a_gap_and_the_oldest_go() {
-    let mut daemon = Daemon::start(
+    let mut daemon = Recorder::start(
         "acquisition.rate_hz = 4000\nrecording.mode = \"always\"\nrecording.compression = \"none\"\n\
          recording.rotate_mb = 1\nrecording.budget_gb = 0.003",
     );
     let mut foreign = None;
     for _ in 0..8 {
-        let file = daemon.says("recorded");
+        let file = daemon.message("recorded");
         let exists = std::path::Path::new(file["file"].as_str().unwrap()).exists();
         assert!(exists, "by the name that it has now: {file}");
         foreign.get_or_insert_with(|| {
@@ -82,7 +79,7 @@ fn files_follow_each_other_without_a_gap_and_the_oldest_go() {
 
 #[test]
 fn a_file_has_the_name_of_the_time_at_which_it_begins() {
-    let mut daemon = Daemon::start("acquisition.rate_hz = 500");
+    let mut daemon = Recorder::start("acquisition.rate_hz = 500");
     for _ in 0..2 {
         // Nothing is told to the recorder meanwhile.
         daemon.runs_for(1.5);
@@ -105,7 +102,7 @@ fn a_file_has_the_name_of_the_time_at_which_it_begins() {
 
 #[test]
 fn a_file_with_nothing_in_it_is_not_kept() {
-    let mut daemon = Daemon::start("acquisition.rate_hz = 1");
+    let mut daemon = Recorder::start("acquisition.rate_hz = 1");
     daemon.waits("at all", |_| true);
     for _ in 0..3 {
         for order in ["start", "stop"] {
@@ -127,19 +124,19 @@ fn a_file_with_nothing_in_it_is_not_kept() {
 
 #[test]
 fn two_daemons_in_one_folder_leave_the_files_of_each_other_alone() {
-    let mut first = Daemon::start(
+    let mut first = Recorder::start(
         "acquisition.rate_hz = 2000\nrecording.mode = \"always\"\nrecording.compression = \"none\"",
     );
-    first.says("recording");
+    first.message("recording");
     // More than the budget of the second, and older than what it writes itself.
     first.runs_for(2.5);
-    let mut second = Daemon::start(&format!(
+    let mut second = Recorder::start(&format!(
         "acquisition.rate_hz = 2000\nrecording.mode = \"always\"\nrecording.compression = \"none\"\n\
          recording.rotate_mb = 1\nrecording.budget_gb = 0.003\nrecording.folder = {:?}",
         first.folder()
     ));
-    second.says("recorded");
-    second.says("recording");
+    second.message("recorded");
+    second.message("recording");
     second.stop();
     assert!(!second.log.iter().any(|line| line.to_string().contains("not finished")), "{:#?}", second.log);
     let stream = first.stop();
@@ -150,8 +147,7 @@ fn two_daemons_in_one_folder_leave_the_files_of_each_other_alone() {
 
 #[test]
 fn bad_values_are_refused_by_name() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("bad.toml");
+    let folder = Folder::new();
     for (text, key) in [
         ("folder = \"\"", "recording.folder"),
         ("mode = \"sometimes\"", "recording.mode"),
@@ -164,14 +160,9 @@ fn bad_values_are_refused_by_name() {
         ("before_s = 1e9", "recording.before_s"),
         ("after_s = 0", "recording.after_s"),
     ] {
-        std::fs::write(&file, format!("[recording]\n{text}\n")).unwrap();
-        let output = Command::new(env!("CARGO_BIN_EXE_trifacet"))
-            .args(["check", "--config"])
-            .arg(&file)
-            .output()
-            .unwrap();
-        let error = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(78), "{text}: {error}");
+        let done = on(&["check", "--config"], &folder.write("bad.toml", format!("[recording]\n{text}\n")));
+        let error = done.err;
+        assert_eq!(done.code, 78, "{text}: {error}");
         assert!(
             error.contains(key) && (error.contains("allowed") || error.contains("expected one of")),
             "{text}: {error}"
@@ -182,14 +173,11 @@ fn bad_values_are_refused_by_name() {
 
 #[test]
 fn check_says_what_is_recorded_and_where_it_cannot_be() {
-    let home = tempfile::tempdir().unwrap();
-    let file = home.path().join("lab.toml");
+    let home = Folder::new();
     let check = |text: &str| {
-        std::fs::write(&file, format!("[recording]\n{text}\n")).unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_trifacet"));
-        let output = command.args(["check", "--config"]).arg(&file).output().unwrap();
-        assert!(output.status.success());
-        String::from_utf8(output.stdout).unwrap()
+        let done = on(&["check", "--config"], &home.write("lab.toml", format!("[recording]\n{text}\n")));
+        assert_eq!(done.code, 0, "{}", done.err);
+        done.out
     };
     let told =
         check("mode = \"on-fault\"\nfolder = \"here\"\nbefore_s = 12\nrotate_mb = 77\nbudget_gb = 3.5");
@@ -197,13 +185,13 @@ fn check_says_what_is_recorded_and_where_it_cannot_be() {
         assert!(told.contains(part), "{part}: {told}");
     }
     assert!(!told.contains("recording.folder"), "the folder will be made: {told}");
-    assert!(!home.path().join("here").exists(), "but not now");
+    assert!(!home.path("here").exists(), "but not now");
     let told = check("mode = \"always\"\nfolder = \"missing/here\"");
     assert!(
         told.contains("note") && told.contains("recording.folder") && told.contains("/missing,"),
         "{told}"
     );
-    std::fs::write(home.path().join("taken"), "").unwrap();
+    home.write("taken", "");
     let told = check("mode = \"always\"\nfolder = \"taken\"");
     assert!(told.contains("it is no folder"), "{told}");
     assert!(check("").contains("off until"));
@@ -211,36 +199,25 @@ fn check_says_what_is_recorded_and_where_it_cannot_be() {
 
 const TOKEN: &str = "correct-horse-battery";
 
-/// What the monitor answers.
-fn http(at: &str, method: &str, path: &str, headers: &str, body: &str) -> String {
-    let mut stream = TcpStream::connect(at).unwrap();
-    let length = body.len();
-    let head = format!("{method} {path} HTTP/1.1\r\nHost: {at}\r\n{headers}Content-Length: {length}");
-    write!(stream, "{head}\r\nConnection: close\r\n\r\n{body}").unwrap();
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).unwrap();
-    answer
-}
-
 #[test]
 fn the_page_may_record_with_the_token_and_no_file_holds_it() {
-    let mut daemon = Daemon::start(&format!(
+    let mut daemon = Recorder::start(&format!(
         "acquisition.rate_hz = 500\nmonitor.listen = \"127.0.0.1:0\"\nmonitor.control = true\n\
          monitor.token = \"{TOKEN}\"\nrecording.compression = \"none\""
     ));
-    let at = daemon.says("monitor is open")["url"].as_str().unwrap().replace("http://", "").replace('/', "");
+    let at = daemon.monitor();
     let order = |token: &str, what: &str| {
         let headers = format!("Content-Type: application/json\r\nAuthorization: Bearer {token}\r\n");
-        http(&at, "POST", "/control", &headers, &format!("{{\"command\": \"record {what}\"}}"))
+        http::post(at, "/control", &headers, &format!("{{\"command\": \"record {what}\"}}")).code
     };
-    let gauge = || http(&at, "GET", "/metrics", "", "").contains("\ntrifacet_recording 1");
-    assert!(order("another-secret-token", "start").contains(" 401 "));
-    assert!(order(TOKEN, "trigger").contains(" 400 "), "not what the page has a button for");
+    let gauge = || http::get(at, "/metrics").body.contains("\ntrifacet_recording 1");
+    assert_eq!(order("another-secret-token", "start"), 401);
+    assert_eq!(order(TOKEN, "trigger"), 400, "not what the page has a button for");
     assert!(!gauge());
-    assert!(order(TOKEN, "start").contains(" 200 "));
+    assert_eq!(order(TOKEN, "start"), 200);
     assert!(gauge());
     daemon.runs_for(0.7);
-    assert!(order(TOKEN, "stop").contains(" 200 "));
+    assert_eq!(order(TOKEN, "stop"), 200);
     assert!(!gauge());
     daemon.stop();
     let file = std::fs::read(&recordings(&daemon.folder())[0]).unwrap();

@@ -1,6 +1,6 @@
 //! What survives a daemon that is killed.
 
-use super::fixture::{Content, Daemon, recordings, same};
+use super::fixture::{Content, Recorder, recordings, same};
 
 /// By the stream's own time: a flush each half second, and as much again for a machine that is busy.
 const MOST_LOST_S: f64 = 1.0;
@@ -10,7 +10,7 @@ fn killed_at_any_moment_it_has_lost_at_most_the_last_second() {
     // Moments that have nothing to do with the flushes: 20 of them, the same in each run.
     for n in 0..20_u32 {
         let after_s = 0.7 + f64::from(n * 7919 % 1000) / 1000.0;
-        let mut daemon = Daemon::start("acquisition.rate_hz = 1000\nrecording.mode = \"always\"");
+        let mut daemon = Recorder::start("acquisition.rate_hz = 1000\nrecording.mode = \"always\"");
         daemon.runs_for(after_s);
         daemon.kill();
         let stream = daemon.frames();
@@ -31,12 +31,11 @@ fn killed_at_any_moment_it_has_lost_at_most_the_last_second() {
 #[test]
 fn what_was_left_unfinished_is_found_by_the_next_daemon() {
     let config = "acquisition.rate_hz = 200\nrecording.mode = \"always\"";
-    let mut daemon = Daemon::start(config);
+    let mut daemon = Recorder::start(config);
     daemon.runs_for(1.0);
     daemon.kill();
-    let home = std::mem::replace(&mut daemon.home, tempfile::tempdir().unwrap());
-    let mut next = Daemon::start_in(home, config, &[]);
-    let line = next.says("trifacet recover");
+    let mut next = Recorder::start_in(&daemon.home, config, &[]);
+    let line = next.message("trifacet recover");
     assert!(line["file"].as_str().unwrap().ends_with(".mcap.part"), "{line}");
     next.runs_for(0.7);
     next.stop();

@@ -4,19 +4,20 @@ use std::process::Command;
 
 use trifacet_wire::Status;
 
-use super::fixture::{Content, Daemon, recordings};
+use super::fixture::{Content, Recorder, recordings};
+use crate::testkit::Folder;
 
 /// A full disk: a small file system in memory, in a namespace of its own.
 #[test]
 fn a_full_disk_harms_no_stream_and_recording_resumes_when_there_is_room() {
-    let home = tempfile::tempdir().unwrap();
-    let disk = home.path().join("recordings");
+    let home = Folder::new();
+    let disk = home.path("recordings");
     std::fs::create_dir(&disk).unwrap();
     let script = "mount -t tmpfs -o size=12m,mode=0777 none \"$0\" && head -c 6000000 /dev/zero > \"$0/ballast\" && exec \"$@\"";
     let through =
         ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", script, disk.to_str().unwrap()];
-    let mut daemon = Daemon::start_in(
-        home,
+    let mut daemon = Recorder::start_in(
+        &home,
         "acquisition.rate_hz = 2000\nrecording.mode = \"always\"\nrecording.compression = \"none\"",
         &through,
     );
@@ -25,7 +26,7 @@ fn a_full_disk_harms_no_stream_and_recording_resumes_when_there_is_room() {
     let pid = daemon.status()["pid"].as_u64().unwrap_or_else(|| panic!("a user namespace is needed here"));
     let inside = std::path::PathBuf::from(format!("/proc/{pid}/root{}", disk.display()));
     daemon.waits("with the fault", |frame| frame.status.has(Status::RECORDING_FAULT));
-    let error = daemon.says("nothing is recorded");
+    let error = daemon.message("nothing is recorded");
     assert!(error["message"].as_str().unwrap().contains("recording.folder"), "{error}");
     let status = daemon.status();
     assert_eq!(status["counters"]["recording_faults"], 1, "{status}");
@@ -35,7 +36,7 @@ fn a_full_disk_harms_no_stream_and_recording_resumes_when_there_is_room() {
     assert!(lost > 0);
     std::fs::remove_file(inside.join("ballast")).unwrap();
     daemon.waits("without the fault", |frame| !frame.status.has(Status::RECORDING_FAULT));
-    daemon.says("recording goes on");
+    daemon.message("recording goes on");
     daemon.runs_for(0.7);
     let files = recordings(&inside);
     assert_eq!(files.len(), 2, "{files:?}");
@@ -51,7 +52,7 @@ fn a_full_disk_harms_no_stream_and_recording_resumes_when_there_is_room() {
 
 #[test]
 fn a_folder_that_cannot_be_made_is_told_and_used_once_it_can() {
-    let mut daemon = Daemon::start(
+    let mut daemon = Recorder::start(
         "acquisition.rate_hz = 200\nrecording.mode = \"always\"\nrecording.folder = \"missing/recordings\"",
     );
     daemon.waits("with the fault", |frame| frame.status.has(Status::RECORDING_FAULT));
@@ -60,18 +61,18 @@ fn a_folder_that_cannot_be_made_is_told_and_used_once_it_can() {
         code == 74 && error.contains("missing/recordings"),
         "it is wanted already, and cannot be: {error}"
     );
-    std::fs::create_dir(daemon.home.path().join("missing")).unwrap();
+    std::fs::create_dir(daemon.home.path("missing")).unwrap();
     daemon.waits("without the fault", |frame| !frame.status.has(Status::RECORDING_FAULT));
     daemon.runs_for(0.7);
     daemon.stop();
-    let files = recordings(&daemon.home.path().join("missing/recordings"));
+    let files = recordings(&daemon.home.path("missing/recordings"));
     assert_eq!(files.len(), 1);
     assert_eq!(Content::read(&files[0]).gaps, 1);
 }
 
 #[test]
 fn a_start_that_cannot_be_is_refused_with_the_reason() {
-    let daemon = Daemon::start("acquisition.rate_hz = 200\nrecording.folder = \"/proc/recordings\"");
+    let daemon = Recorder::start("acquisition.rate_hz = 200\nrecording.folder = \"/proc/recordings\"");
     daemon.runs_for(0.2);
     let (code, answer, error) = daemon.ctl(&["record", "start"]);
     assert!(code == 74 && error.contains("/proc/recordings"), "{answer} {error}");
@@ -85,12 +86,12 @@ fn a_start_that_cannot_be_is_refused_with_the_reason() {
 
 #[test]
 fn a_folder_that_is_moved_away_is_noticed_and_made_anew() {
-    let mut daemon = Daemon::start("acquisition.rate_hz = 500\nrecording.mode = \"always\"");
+    let mut daemon = Recorder::start("acquisition.rate_hz = 500\nrecording.mode = \"always\"");
     daemon.runs_for(0.8);
-    let moved = daemon.home.path().join("moved");
+    let moved = daemon.home.path("moved");
     std::fs::rename(daemon.folder(), &moved).unwrap();
     daemon.waits("with the fault", |frame| frame.status.has(Status::RECORDING_FAULT));
-    let error = daemon.says("nothing is recorded");
+    let error = daemon.message("nothing is recorded");
     assert!(error["message"].as_str().unwrap().contains("moved"), "{error}");
     daemon.waits("without the fault", |frame| !frame.status.has(Status::RECORDING_FAULT));
     daemon.runs_for(0.7);
@@ -104,7 +105,7 @@ fn a_folder_that_is_moved_away_is_noticed_and_made_anew() {
 
 #[test]
 fn a_file_that_was_deleted_is_not_said_to_be_recorded() {
-    let mut daemon = Daemon::start("acquisition.rate_hz = 500");
+    let mut daemon = Recorder::start("acquisition.rate_hz = 500");
     daemon.runs_for(0.2);
     assert_eq!(daemon.ctl(&["record", "start"]).0, 0);
     daemon.runs_for(0.2);
@@ -121,14 +122,14 @@ fn a_file_that_was_deleted_is_not_said_to_be_recorded() {
 #[test]
 fn a_write_that_fails_is_told_with_its_reason_and_the_next_file_says_what_is_missing() {
     let script = "trap '' XFSZ; ulimit -f 3000; exec \"$@\"";
-    let mut daemon = Daemon::start_in(
-        tempfile::tempdir().unwrap(),
+    let mut daemon = Recorder::start_in(
+        &Folder::new(),
         "acquisition.rate_hz = 1000\nrecording.mode = \"always\"\nrecording.compression = \"none\"",
         &["sh", "-c", script, "sh"],
     );
-    let error = daemon.says("nothing is recorded");
+    let error = daemon.message("nothing is recorded");
     assert!(error["message"].as_str().unwrap().contains("File too large"), "{error}");
-    daemon.says("recording goes on");
+    daemon.message("recording goes on");
     let lost: u64 = daemon.stop().iter().map(|frame| u64::from(frame.lost)).sum();
     assert_eq!(lost, 0, "the stream goes on");
     let files = recordings(&daemon.folder());

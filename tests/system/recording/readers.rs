@@ -7,7 +7,7 @@ use std::process::Command;
 use trifacet::client::PoseFrame;
 use trifacet_wire::Status;
 
-use super::fixture::{Content, Daemon, recordings, same};
+use super::fixture::{Content, Recorder, recordings, same};
 use crate::testkit::venv;
 
 const PACKAGES: [&str; 3] = ["mcap==1.6.0", "mcap-ros2-support==0.6.0", "rosbags==0.11.9"];
@@ -19,7 +19,7 @@ fn python() -> std::path::PathBuf {
 #[test]
 fn mcap_and_rosbags_find_the_frames_and_poses_of_the_stream() {
     for compression in ["lz4", "zstd", "none"] {
-        let mut daemon = Daemon::start(&format!(
+        let mut daemon = Recorder::start(&format!(
             "acquisition.rate_hz = 500\nrecording.mode = \"always\"\nrecording.compression = \"{compression}\"\n\
              twin.fault = [{{ at_s = 1.0, for_s = 0.2, kind = \"beam-blocked\" }}]"
         ));
@@ -98,7 +98,7 @@ fn pose(frame: &PoseFrame, numbers: &[f64]) {
 fn the_example_in_the_documentation_runs() {
     let text = std::fs::read_to_string("docs/recording.md").unwrap();
     let example = text.split("```python\n").nth(1).unwrap().split("```").next().unwrap();
-    let mut daemon = Daemon::start("acquisition.rate_hz = 200\nrecording.mode = \"always\"");
+    let mut daemon = Recorder::start("acquisition.rate_hz = 200\nrecording.mode = \"always\"");
     daemon.runs_for(1.0);
     daemon.stop();
     let file = recordings(&daemon.folder()).remove(0);

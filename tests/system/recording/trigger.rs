@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 
 use trifacet_wire::Status;
 
-use super::fixture::{Content, Daemon, recordings, same};
+use super::fixture::{Content, Recorder, recordings, same};
 
 #[test]
 fn a_fault_is_recorded_once_with_what_was_before() {
@@ -14,16 +14,16 @@ fn a_fault_is_recorded_once_with_what_was_before() {
     for at_s in [6.0, 6.4] {
         write!(faults, "{{ at_s = {at_s:.1}, for_s = 0.2, kind = \"beam-blocked\" }},").unwrap();
     }
-    let mut daemon = Daemon::start(&format!(
+    let mut daemon = Recorder::start(&format!(
         "acquisition.rate_hz = 1000\nrecording.mode = \"on-fault\"\nrecording.before_s = 2.0\n\
          recording.after_s = 1.0\n{faults}]"
     ));
     daemon.waits("without light", |frame| frame.status.has(Status::PSD_A_LOW));
-    daemon.says("recorded");
+    daemon.message("recorded");
     daemon.runs_for(1.5);
     let (code, answer, _) = daemon.ctl(&["record", "trigger"]);
     assert_eq!(code, 0, "{answer}");
-    daemon.says("recorded");
+    daemon.message("recorded");
     let stream = daemon.stop();
     let files = recordings(&daemon.folder());
     assert_eq!(files.len(), 2, "one for the episode, one that was asked for: {files:?}");
@@ -39,7 +39,7 @@ fn a_fault_is_recorded_once_with_what_was_before() {
 }
 
 /// The sequence numbers of all frames in all files.
-fn recorded(daemon: &Daemon) -> BTreeSet<u64> {
+fn recorded(daemon: &Recorder) -> BTreeSet<u64> {
     let files = recordings(&daemon.folder());
     files.iter().flat_map(|file| Content::read(file).frames()).map(|frame| frame.sequence).collect()
 }
@@ -51,7 +51,7 @@ fn faults_that_follow_each_other_closely_are_all_in_a_file() {
     for at_s in [4.0, 5.05, 6.5] {
         write!(faults, "{{ at_s = {at_s:.2}, for_s = 0.1, kind = \"beam-blocked\" }},").unwrap();
     }
-    let mut daemon = Daemon::start(&format!(
+    let mut daemon = Recorder::start(&format!(
         "acquisition.rate_hz = 1000\nrecording.mode = \"on-fault\"\nrecording.before_s = 1.0\n\
          recording.after_s = 1.0\n{faults}]"
     ));
@@ -73,7 +73,7 @@ fn faults_that_follow_each_other_closely_are_all_in_a_file() {
 
 #[test]
 fn nothing_is_missing_between_a_stop_and_a_trigger() {
-    let mut daemon = Daemon::start(
+    let mut daemon = Recorder::start(
         "acquisition.rate_hz = 1000\nrecording.mode = \"on-fault\"\nrecording.before_s = 1.0\n\
          recording.after_s = 0.5",
     );
@@ -84,8 +84,8 @@ fn nothing_is_missing_between_a_stop_and_a_trigger() {
         let (code, answer, error) = daemon.ctl(&["record", order]);
         assert_eq!(code, 0, "{answer} {error}");
     }
-    daemon.says("recorded");
-    daemon.says("recorded");
+    daemon.message("recorded");
+    daemon.message("recorded");
     daemon.stop();
     assert_eq!(recordings(&daemon.folder()).len(), 2);
     let recorded = recorded(&daemon);

@@ -1,88 +1,58 @@
 //! A daemon whose source is a recording, and a recording of a daemon.
 
-use std::net::UdpSocket;
-use std::path::{Path, PathBuf};
-use std::process::Child;
-use std::time::Duration;
+use std::ops::{Deref, DerefMut};
+use std::path::Path;
 
-use rustix::process::{Pid, Signal, kill_process};
-use serde_json::Value;
+use rustix::process::Signal;
 use trifacet::client::PoseFrame;
 use trifacet::clock::{Clock, SystemClock};
 use trifacet::recording::reader::{Read, Reader};
 use trifacet::recording::{Entry, Topic};
 use trifacet_wire::Status;
 
-use super::fixture::{Done, Lab, on, run, trifacet};
+use super::fixture::Lab;
+use crate::testkit::{Daemon, Udp, on};
 
-const PATIENCE: Duration = Duration::from_mins(1);
-
-/// Killed when dropped.
-pub(crate) struct Daemon {
-    child: Child,
-    udp: UdpSocket,
-    /// What it logs.
-    log: PathBuf,
-    socket: PathBuf,
+/// A daemon in a folder with recordings, and its datagrams.
+pub(crate) struct Player {
+    daemon: Daemon,
+    udp: Udp,
 }
 
-impl Daemon {
+impl Deref for Player {
+    type Target = Daemon;
+
+    fn deref(&self) -> &Daemon {
+        &self.daemon
+    }
+}
+
+impl DerefMut for Player {
+    fn deref_mut(&mut self) -> &mut Daemon {
+        &mut self.daemon
+    }
+}
+
+impl Player {
     pub(crate) fn start(lab: &Lab, config: &str) -> Self {
-        let udp = UdpSocket::bind("127.0.0.1:0").unwrap();
-        udp.set_read_timeout(Some(PATIENCE)).unwrap();
-        rustix::net::sockopt::set_socket_recv_buffer_size(&udp, 1 << 22).unwrap();
-        let to = udp.local_addr().unwrap();
-        let (socket, log) = (lab.path("socket"), lab.path("log"));
+        let udp = Udp::open();
         let text = format!(
-            "publishing = {{ tcp = \"127.0.0.1:0\", udp = [\"{to}\"] }}\nmonitor.listen = \"127.0.0.1:0\"\n\
-             log.format = \"json\"\ncontrol.socket = \"{}\"\n{config}\n",
-            socket.display()
+            "publishing.udp = [\"{}\"]
+monitor.listen = \"127.0.0.1:0\"
+{config}
+",
+            udp.address()
         );
-        let file = lab.write("daemon.toml", text);
-        let to_log = std::fs::File::create(&log).unwrap();
-        let child = trifacet(&["run", "--config"]).arg(file).stderr(to_log).spawn().unwrap();
-        Self { child, udp, log, socket }
+        Self { daemon: Daemon::start_in(&lab.0, &text), udp }
     }
 
     pub(crate) fn frame(&self) -> PoseFrame {
-        let mut bytes = [0; 300];
-        let n = self.udp.recv(&mut bytes).unwrap();
-        PoseFrame::decode(&bytes[..n]).unwrap()
-    }
-
-    /// The lines of the log with this message; at least one, by now.
-    pub(crate) fn said(&self, message: &str) -> Vec<Value> {
-        let log = std::fs::read_to_string(&self.log).unwrap();
-        let lines: Vec<Value> = log.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
-        let said: Vec<_> = lines.into_iter().filter(|line| line["message"] == message).collect();
-        assert!(!said.is_empty(), "never {message}: {log}");
-        said
+        self.udp.frame()
     }
 
     /// Where TCP clients connect.
-    pub(crate) fn tcp(&self) -> String {
-        format!("tcp://{}", self.said("listening")[0]["address"].as_str().unwrap())
-    }
-
-    pub(crate) fn ctl(&self, order: &[&str]) -> Done {
-        run(trifacet(&["ctl", "--socket"]).arg(&self.socket).args(order))
-    }
-
-    /// What `ctl status` answers.
-    pub(crate) fn status(&self) -> Value {
-        serde_json::from_str(&self.ctl(&["status"]).out).unwrap()
-    }
-
-    pub(crate) fn end(mut self) {
-        kill_process(Pid::from_child(&self.child), Signal::TERM).unwrap();
-        assert!(self.child.wait().unwrap().success());
-    }
-}
-
-impl Drop for Daemon {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+    pub(crate) fn tcp(&mut self) -> String {
+        format!("tcp://{}", self.address())
     }
 }
 
@@ -110,7 +80,7 @@ fn a_daemon_that_replays_sends_what_was_sent_then() {
     let file = lab.record("a.mcap", stalled, 2000);
     let then = frames(&file);
     let start = SystemClock.now();
-    let daemon = Daemon::start(&lab, "acquisition.source = 'replay'\nreplay.file = 'a.mcap'");
+    let mut daemon = Player::start(&lab, "acquisition.source = 'replay'\nreplay.file = 'a.mcap'");
     for (n, then) in then.iter().enumerate() {
         let now = daemon.frame();
         assert!(now.status.has(Status::REPLAYED), "{now:?}");
@@ -119,14 +89,13 @@ fn a_daemon_that_replays_sends_what_was_sent_then() {
     assert!(SystemClock.now().seconds_since(start) > 1.99, "at the recorded pace");
     // Nothing steers, and that is said.
     for order in [&["loop", "on"] as &[_], &["park"], &["record", "start"], &["reload"]] {
-        let done = daemon.ctl(order);
-        let refused = done.err.contains("a recording is replayed");
-        assert!(done.code == 65 && refused, "{order:?}: {} {}", done.code, done.err);
+        let (code, _, errors) = daemon.ctl(order);
+        assert!(code == 65 && errors.contains("a recording is replayed"), "{order:?}: {code} {errors}");
     }
     let end = daemon.frame();
     assert!(end.status.has(Status::SOURCE_DOWN | Status::REPLAYED) && end.pose[0].is_nan(), "{end:?}");
     assert!(end.time_ns > then.last().unwrap().time_ns);
-    daemon.end();
+    daemon.ends_in_order(Signal::TERM);
 }
 
 #[test]
@@ -135,15 +104,16 @@ fn it_can_begin_again_and_does_not_steer_a_real_stage() {
     let file = lab.record("a.mcap", "", 300);
     let then = frames(&file);
     let config = "acquisition.source = 'replay'\nreplay = { file = 'a.mcap', speed = 3, repeat = true }";
-    let daemon = Daemon::start(&lab, config);
+    let mut daemon = Player::start(&lab, config);
     let indices: Vec<u64> = (0..700).map(|_| daemon.frame().sample_index).collect();
     assert_eq!(indices[..300], indices[300..600]);
     assert_eq!(indices[0], then[0].sample_index);
-    assert_eq!(daemon.said("the recording begins again").len(), 1, "a log that is full of it helps nobody");
     let status = daemon.status();
     assert_eq!(status["replay"]["at_end"], false, "{status}");
     assert!(status["counters"]["replay_ends"].as_u64() >= Some(2), "{status}");
-    daemon.end();
+    daemon.ends_in_order(Signal::TERM);
+    let told = daemon.log.iter().filter(|line| line["message"] == "the recording begins again").count();
+    assert_eq!(told, 1, "a log that is full of it helps nobody");
     for (key, named) in
         [("steering.kind = 'gcs'", "steering.kind"), ("recording.mode = 'always'", "recording.mode")]
     {
@@ -206,13 +176,12 @@ fn what_a_daemon_has_recorded_is_computed_again_bit_by_bit() {
     let lab = Lab::new();
     let config = "recording = { folder = 'recordings', mode = 'always' }\nacquisition.rate_hz = 2000\n\
                   twin.channel_skew_us = 20\n[[twin.fault]]\nkind = 'stalled'\nat_s = 1.0\nfor_s = 0.3";
-    let daemon = Daemon::start(&lab, config);
+    let mut daemon = Player::start(&lab, config);
     let first = daemon.frame();
     while daemon.frame().time_ns - first.time_ns < 1_500_000_000 {}
-    let done = daemon.ctl(&["tare"]);
-    assert_eq!(done.code, 0, "{}", done.err);
+    daemon.told(&["tare"]);
     while daemon.frame().time_ns - first.time_ns < 3_000_000_000 {}
-    daemon.end();
+    daemon.ends_in_order(Signal::TERM);
     let folder = std::fs::read_dir(lab.path("recordings")).unwrap();
     let files: Vec<_> = folder
         .map(|file| file.unwrap().path())

@@ -1,14 +1,13 @@
 //! A replay across a hole in the recording, and behind its end.
 
-use std::io::{Read, Write};
-use std::net::TcpStream;
-
+use rustix::process::Signal;
 use serde_json::Value;
 use trifacet::client::PoseFrame;
 use trifacet_wire::{LockState, Status};
 
-use super::daemon::{Daemon, bytes, frames};
-use super::fixture::{Lab, on, run, trifacet};
+use super::daemon::{Player, bytes, frames};
+use super::fixture::Lab;
+use crate::testkit::{Daemon, http, on, run, trifacet, wait_for};
 
 /// Four chunks, of which the second cannot be read.
 fn with_a_hole(lab: &Lab) -> Vec<PoseFrame> {
@@ -31,31 +30,26 @@ fn is_silence(frame: &PoseFrame, before: &PoseFrame) {
 }
 
 /// Why `/readyz` is not ready: its first check, once the monitor has seen a frame.
-fn why_not_ready(daemon: &Daemon) -> Value {
-    let url = daemon.said("monitor is open")[0]["url"].as_str().unwrap().to_owned();
-    let at = url.trim_start_matches("http://").trim_end_matches('/');
-    loop {
-        let mut stream = TcpStream::connect(at).unwrap();
-        write!(stream, "GET /readyz HTTP/1.1\r\nHost: {at}\r\nConnection: close\r\n\r\n").unwrap();
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).unwrap();
-        assert!(answer.starts_with("HTTP/1.1 503"), "{answer}");
-        let ready: Value = serde_json::from_str(answer.split_once("\r\n\r\n").unwrap().1).unwrap();
-        if !ready["checks"][0]["since"].is_null() {
-            return ready["checks"][0]["reason"].clone();
-        }
-    }
+fn why_not_ready(daemon: &mut Daemon) -> Value {
+    let at = daemon.monitor();
+    wait_for("seen", || {
+        let page = http::get(at, "/readyz");
+        assert_eq!(page.code, 503, "{page:?}");
+        let ready: Value = serde_json::from_str(&page.body).unwrap();
+        let first = &ready["checks"][0];
+        if first["since"].is_null() { Err(page.body) } else { Ok(first["reason"].clone()) }
+    })
 }
 
 #[test]
 fn frames_go_on_across_a_hole_and_the_first_behind_it_says_what_is_missing() {
     let lab = Lab::new();
     let then = with_a_hole(&lab);
-    let daemon =
-        Daemon::start(&lab, "acquisition.source = 'replay'\nreplay = { file = 'hole.mcap', speed = 4 }");
+    let mut daemon =
+        Player::start(&lab, "acquisition.source = 'replay'\nreplay = { file = 'hole.mcap', speed = 4 }");
     let mut last = daemon.frame();
     let (mut silent, mut behind, mut now) = (0, None, vec![last]);
-    assert_eq!(why_not_ready(&daemon), "REPLAYED");
+    assert_eq!(why_not_ready(&mut daemon), "REPLAYED");
     while last.sample_index < then.last().unwrap().sample_index {
         let frame = daemon.frame();
         assert_eq!(frame.sequence, last.sequence + 1);
@@ -89,7 +83,7 @@ fn frames_go_on_across_a_hole_and_the_first_behind_it_says_what_is_missing() {
     let counters = &daemon.status()["counters"];
     assert_eq!((&counters["scans_lost"], &counters["replay_holes"]), (&behind.lost.into(), &1.into()));
     assert!(counters["scans"].as_u64() > Some(5000) && counters["lock_locked"] == 1, "{counters}");
-    daemon.end();
+    daemon.ends_in_order(Signal::TERM);
 }
 
 #[test]
@@ -97,7 +91,7 @@ fn at_the_end_everything_says_that_it_is_one() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "", 600);
     let then = frames(&file);
-    let daemon = Daemon::start(&lab, "acquisition.source = 'replay'\nreplay.file = 'a.mcap'");
+    let mut daemon = Player::start(&lab, "acquisition.source = 'replay'\nreplay.file = 'a.mcap'");
     let mut last = daemon.frame();
     let began = daemon.status();
     let (replay, pose) = (&began["replay"], &began["pose"]);
@@ -124,8 +118,8 @@ fn at_the_end_everything_says_that_it_is_one() {
     for nonsense in ["powered", "NTP", "stuck", "NOT_LOCKED"] {
         assert!(!told.out.contains(nonsense), "{}", told.out);
     }
-    assert_eq!(why_not_ready(&daemon), "SOURCE_DOWN, REPLAYED");
-    daemon.end();
+    assert_eq!(why_not_ready(&mut daemon), "SOURCE_DOWN, REPLAYED");
+    daemon.ends_in_order(Signal::TERM);
 }
 
 #[test]
@@ -133,13 +127,13 @@ fn the_doctor_sees_a_replay_and_no_wrong_clock() {
     let lab = Lab::new();
     lab.record("a.mcap", "", 2000);
     let config = "acquisition.source = 'replay'\nreplay = { file = 'a.mcap', repeat = true }";
-    let daemon = Daemon::start(&lab, config);
+    let mut daemon = Player::start(&lab, config);
     while !daemon.frame().status.has(Status::POSE_VALID) {}
     let told = on(&["doctor", &daemon.tcp(), "--config"], &lab.path("daemon.toml"));
     assert_eq!(told.code, 0, "{} {}", told.out, told.err);
     assert!(told.out.contains("a replay of a.mcap, recorded 1970-01-01T00:00:00."), "{}", told.out);
     assert!(!told.out.contains("NTP") && !told.out.contains("clock"), "{}", told.out);
-    daemon.end();
+    daemon.ends_in_order(Signal::TERM);
 }
 
 #[test]
@@ -147,12 +141,12 @@ fn a_pace_that_no_machine_keeps_leaves_the_daemon_alive() {
     let lab = Lab::new();
     lab.record("a.mcap", "acquisition.rate_hz = 10000", 60_000);
     let config = "acquisition.source = 'replay'\nreplay = { file = 'a.mcap', speed = 1000, repeat = true }";
-    let daemon = Daemon::start(&lab, config);
+    let mut daemon = Player::start(&lab, config);
     let mut frame = daemon.frame();
     while frame.sequence < 300_000 {
         frame = daemon.frame();
         assert!(!frame.status.has(Status::SOURCE_DOWN), "{frame:?}");
     }
     assert!(daemon.status()["counters"]["replay_ends"].as_u64() >= Some(4));
-    daemon.end();
+    daemon.ends_in_order(Signal::TERM);
 }

@@ -12,7 +12,8 @@ use trifacet::recording::codec::{EncodeError, Encoder};
 use trifacet::recording::reader::{Read, Reader};
 use trifacet::recording::writer::Writer;
 
-use super::fixture::{EVENTFUL, Lab, on, run, trifacet};
+use super::fixture::{EVENTFUL, Lab};
+use crate::testkit::{on, run, trifacet};
 
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum Broken {

@@ -2,7 +2,8 @@
 
 use std::process::Command;
 
-use super::fixture::{Lab, on, run, trifacet};
+use super::fixture::Lab;
+use crate::testkit::{on, run, trifacet};
 
 #[test]
 #[cfg(not(feature = "parquet"))]

@@ -9,7 +9,8 @@ use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process};
 
-use super::fixture::{Lab, on, run, trifacet};
+use super::fixture::Lab;
+use crate::testkit::{on, run, trifacet};
 
 #[test]
 fn what_is_no_recording_is_bad_data_and_nobody_waits_for_it() {

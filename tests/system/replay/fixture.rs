@@ -1,17 +1,11 @@
 //! Recordings of the free-running twin.
 
-use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::path::PathBuf;
+
+use crate::testkit::{Folder, run, trifacet};
 
 /// A folder with recordings.
-pub(crate) struct Lab(tempfile::TempDir);
-
-/// What a command did.
-pub(crate) struct Done {
-    pub(crate) code: i32,
-    pub(crate) out: String,
-    pub(crate) err: String,
-}
+pub(crate) struct Lab(pub(crate) Folder);
 
 /// Everything that can happen to samples, within three seconds at 2 kHz.
 pub(crate) const EVENTFUL: &str = "
@@ -37,16 +31,15 @@ pub(crate) const EVENTFUL: &str = "
 
 impl Lab {
     pub(crate) fn new() -> Self {
-        Self(tempfile::tempdir().unwrap())
+        Self(Folder::new())
     }
 
     pub(crate) fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
+        self.0.path(name)
     }
 
     pub(crate) fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> PathBuf {
-        std::fs::write(self.path(name), bytes).unwrap();
-        self.path(name)
+        self.0.write(name, bytes)
     }
 
     /// So many scans of the twin with this configuration.
@@ -58,22 +51,4 @@ impl Lab {
         assert_eq!(done.code, 0, "{}", done.err);
         file
     }
-}
-
-pub(crate) fn trifacet(args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_trifacet"));
-    command.args(args);
-    command
-}
-
-pub(crate) fn run(command: &mut Command) -> Done {
-    let output = command.output().unwrap();
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    let code = output.status.code().unwrap_or_else(|| panic!("{command:?} ended with {}", output.status));
-    Done { code, out: text(output.stdout), err: text(output.stderr) }
-}
-
-/// A command on a file.
-pub(crate) fn on(args: &[&str], file: &Path) -> Done {
-    run(trifacet(args).arg(file))
 }

@@ -8,7 +8,8 @@ use trifacet::recording::codec::Encoder;
 use trifacet::recording::writer::Writer;
 
 use super::damage::{Broken, entries, split, write};
-use super::fixture::{Done, Lab, on, run, trifacet};
+use super::fixture::Lab;
+use crate::testkit::{Done, on, run, trifacet};
 
 /// All that can be computed came out as it was, and something could not be.
 fn not_all(done: &Done) {

@@ -2,7 +2,8 @@
 
 use trifacet::clock::{Clock, SystemClock};
 
-use super::fixture::{EVENTFUL, Lab, on, run, trifacet};
+use super::fixture::{EVENTFUL, Lab};
+use crate::testkit::{on, run, trifacet};
 
 #[test]
 fn every_frame_is_identical_and_the_code_says_so() {

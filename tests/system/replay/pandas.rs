@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 use std::process::Command;
 
-use super::fixture::{EVENTFUL, Lab, on};
+use super::fixture::{EVENTFUL, Lab};
+use crate::testkit::on;
 use crate::testkit::venv;
 
 fn pandas() -> Command {

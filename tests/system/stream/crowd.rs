@@ -9,8 +9,8 @@ use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 use trifacet::client::{Client, Endpoint, Heartbeat, Losses, Message};
 
-use super::daemon::Daemon;
-use super::fixture::PATIENCE;
+use super::fixture::publishing;
+use crate::testkit::PATIENCE;
 
 async fn connect(address: SocketAddr) -> Client {
     let mut client = Client::connect(&Endpoint::Tcp(address.to_string())).await.unwrap();
@@ -44,8 +44,8 @@ fn nothing_lost((frames, losses, heartbeat): &(u64, Losses, Heartbeat)) {
 
 #[tokio::test]
 async fn of_64_clients_at_1_khz_one_stalls_and_the_others_lose_nothing() {
-    let daemon = Daemon::start("tcp = '127.0.0.1:0'\nudp = []\ntcp_queue = 2048");
-    let address = daemon.tcp();
+    let mut daemon = publishing("tcp = '127.0.0.1:0'\nudp = []\ntcp_queue = 2048");
+    let address = daemon.address();
     let socket = TcpSocket::new_v4().unwrap();
     socket.set_recv_buffer_size(4096).unwrap();
     let mut stalled = socket.connect(address).await.unwrap();
@@ -84,8 +84,8 @@ async fn of_64_clients_at_1_khz_one_stalls_and_the_others_lose_nothing() {
 
 #[tokio::test]
 async fn two_hundred_that_come_and_go_cost_the_others_nothing() {
-    let daemon = Daemon::start("tcp = '127.0.0.1:0'\nudp = []\ntcp_queue = 4096\ntcp_clients = 250");
-    let address = daemon.tcp();
+    let mut daemon = publishing("tcp = '127.0.0.1:0'\nudp = []\ntcp_queue = 4096\ntcp_clients = 250");
+    let address = daemon.address();
     let steady = tokio::spawn(read(connect(address).await, 3000));
     for n in 0..200 {
         let mut visitor = TcpStream::connect(address).await.unwrap();

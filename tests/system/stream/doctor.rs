@@ -2,19 +2,17 @@
 
 use std::io::Write;
 use std::net::{TcpListener, UdpSocket};
-use std::process::Command;
 
 use trifacet::client::PoseFrame;
 use trifacet::exit;
 
-use super::daemon::Daemon;
-use super::fixture::frame;
+use super::fixture::{frame, publishing};
+use crate::testkit::{run, trifacet};
 
 /// Exit code, and what it says.
 fn doctor(args: &[&str]) -> (i32, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_trifacet")).arg("doctor").args(args).output().unwrap();
-    let text = [output.stdout, output.stderr].map(|b| String::from_utf8(b).unwrap()).concat();
-    (output.status.code().unwrap(), text)
+    let done = run(trifacet(&["doctor"]).args(args));
+    (done.code, done.out + &done.err)
 }
 
 /// It says all this, and that nothing valid comes.
@@ -30,8 +28,8 @@ fn wrong(args: &[&str], told: &[&str]) {
 fn a_daemon_that_is_fine_is_said_to_be_over_every_way() {
     let receiver = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let keys = format!("tcp = '127.0.0.1:0'\nudp = ['{receiver}']\nsubscribe = '127.0.0.1:0'");
-    let daemon = Daemon::start(&keys);
-    let (tcp, subscribe) = (daemon.tcp(), daemon.subscriptions());
+    let mut daemon = publishing(&keys);
+    let (tcp, subscribe) = (daemon.address(), daemon.subscriptions());
     for endpoint in [format!("tcp://{tcp}"), format!("udp://{receiver}"), format!("subscribe://{subscribe}")]
     {
         let (code, text) = doctor(&[&endpoint]);
@@ -43,17 +41,17 @@ fn a_daemon_that_is_fine_is_said_to_be_over_every_way() {
 
 #[test]
 fn what_is_wrong_with_the_light_is_said() {
-    let daemon = Daemon::start(
+    let mut daemon = publishing(
         "tcp = '127.0.0.1:0'\nudp = []\n[centering]\nsearch = false\n[[twin.fault]]\nat_s = 0.0\nkind = 'psd-dark'\npsd = 1",
     );
-    wrong(&[&format!("tcp://{}", daemon.tcp())], &["not valid", "PSD_B_LOW", "NOT_LOCKED"]);
-    let daemon =
-        Daemon::start("tcp = '127.0.0.1:0'\nudp = []\n[[twin.fault]]\nat_s = 0.0\nkind = 'beam-blocked'");
-    wrong(&[&format!("tcp://{}", daemon.tcp())], &["no light on any PSD", "is the laser on"]);
-    let daemon = Daemon::start(
+    wrong(&[&format!("tcp://{}", daemon.address())], &["not valid", "PSD_B_LOW", "NOT_LOCKED"]);
+    let mut daemon =
+        publishing("tcp = '127.0.0.1:0'\nudp = []\n[[twin.fault]]\nat_s = 0.0\nkind = 'beam-blocked'");
+    wrong(&[&format!("tcp://{}", daemon.address())], &["no light on any PSD", "is the laser on"]);
+    let mut daemon = publishing(
         "tcp = '127.0.0.1:0'\nudp = []\n[acquisition]\nsource = 'serial'\n[acquisition.serial]\nport = '/dev/no-board'",
     );
-    wrong(&[&format!("tcp://{}", daemon.tcp())], &["SOURCE_DOWN", "plugged in"]);
+    wrong(&[&format!("tcp://{}", daemon.address())], &["SOURCE_DOWN", "plugged in"]);
 }
 
 #[test]
@@ -67,8 +65,8 @@ fn what_is_wrong_with_the_link_is_said() {
     wrong(&[&format!("udp://{}", taken.local_addr().unwrap())], &["taken by", &own]);
     wrong(&["udp://203.0.113.77:7362"], &["no interface of this machine has this address"]);
 
-    let daemon = Daemon::start("tcp = '127.0.0.1:0'\nudp = []\nallow = ['10.0.0.0/8']");
-    wrong(&[&format!("tcp://{}", daemon.tcp())], &["refused", "[publishing] allow"]);
+    let mut daemon = publishing("tcp = '127.0.0.1:0'\nudp = []\nallow = ['10.0.0.0/8']");
+    wrong(&[&format!("tcp://{}", daemon.address())], &["refused", "[publishing] allow"]);
 }
 
 #[test]

@@ -1,8 +1,7 @@
-//! A TCP server with frames made by hand.
+//! A TCP server with frames made by hand, and a daemon that publishes.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
-use std::time::Duration;
 
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
@@ -16,8 +15,8 @@ use trifacet::publishing::tcp::{self, Limits};
 use trifacet_wire::stream::Descriptor;
 use trifacet_wire::{LockState, Status};
 
-/// Long enough for any machine; nothing here waits so long unless it hangs.
-pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
+use crate::testkit::Daemon;
+
 const ID: StreamId = StreamId { session: 11, config: 22 };
 
 /// A running server, fed by hand.
@@ -74,4 +73,9 @@ pub(crate) fn frame(sequence: u64) -> PoseFrame {
         powers: [0.0; 3],
         steering: [0.0; 2],
     }
+}
+
+/// A daemon on its twin with these keys of `[publishing]`, and tables after them.
+pub(crate) fn publishing(keys: &str) -> Daemon {
+    Daemon::start(&format!("[publishing]\n{keys}\n"))
 }

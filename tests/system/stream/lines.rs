@@ -11,7 +11,8 @@ use trifacet::client::{Client, Message, Options, Pace, PoseFrame};
 use trifacet::publishing::tcp::Limits;
 use trifacet_wire::Status;
 
-use super::fixture::{PATIENCE, Server, frame, start};
+use super::fixture::{Server, frame, start};
+use crate::testkit::PATIENCE;
 
 /// A client that talks in lines.
 struct Talk(BufReader<TcpStream>);

@@ -1,7 +1,6 @@
 //! The stream from end to end: server, client, `trifacet watch`, and the document that describes it.
 
 mod crowd;
-mod daemon;
 mod doctor;
 mod document;
 mod fixture;

@@ -11,7 +11,8 @@ use trifacet::exit;
 use trifacet::publishing::tcp::{self, Limits};
 use trifacet_wire::stream::Decoder;
 
-use super::fixture::{PATIENCE, Server, descriptor, frame, start};
+use super::fixture::{Server, descriptor, frame, start};
+use crate::testkit::PATIENCE;
 
 /// A client that is through with the descriptor and the first heartbeat: it gets every frame from now on.
 async fn connect(address: SocketAddr) -> Client {

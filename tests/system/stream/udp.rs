@@ -7,8 +7,8 @@ use tokio::time::timeout;
 use trifacet::client::{Backoff, Client, ClientError, Endpoint, Losses, Message, Options, Pace, PoseFrame};
 use trifacet_wire::Status;
 
-use super::daemon::Daemon;
-use super::fixture::PATIENCE;
+use super::fixture::publishing;
+use crate::testkit::PATIENCE;
 
 fn receiver() -> UdpSocket {
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
@@ -45,7 +45,7 @@ fn targets_have_divider_byte_order_and_held_poses_of_their_own() {
     let [plain, big, held] = [receiver(), receiver(), receiver()];
     let [a, b, c] = [&plain, &big, &held].map(|socket| socket.local_addr().unwrap());
     let dark = "[[twin.fault]]\nat_s = 0.5\nkind = 'beam-blocked'";
-    let _daemon = Daemon::start(&format!(
+    let _daemon = publishing(&format!(
         "tcp = 'off'\nudp = ['{a}', {{ address = '{b}', big_endian = true, divider = 7 }}, {{ address = '{c}', held = true }}]\n{dark}"
     ));
     for _ in 0..10 {
@@ -80,7 +80,7 @@ async fn multicast_is_sent_through_the_interface_that_is_named() {
         let target = format!(
             "tcp = 'off'\nudp = [{{ address = '{group}', interface = '{interface}', ttl = 1, divider = 5 }}]"
         );
-        let _daemon = Daemon::start(&target);
+        let _daemon = publishing(&target);
         let options = Options { interface: Some(interface.into()), ..Options::default() };
         let mut client = Client::connect_with(&Endpoint::Udp(group.clone()), options).await.unwrap();
         let first = timeout(PATIENCE, client.next()).await;
@@ -92,7 +92,7 @@ async fn multicast_is_sent_through_the_interface_that_is_named() {
 
 #[tokio::test]
 async fn a_subscription_is_kept_alive_and_ended_by_the_client() {
-    let daemon = Daemon::start("tcp = 'off'\nudp = []\nsubscribe = '127.0.0.1:0'");
+    let mut daemon = publishing("tcp = 'off'\nudp = []\nsubscribe = '127.0.0.1:0'");
     let endpoint = Endpoint::Subscribe(daemon.subscriptions().to_string());
     let options = Options { pace: Pace::Divider(2), lease_s: 1, held: true, ..Options::default() };
     let mut client = Client::connect_with(&endpoint, options).await.unwrap();
@@ -108,7 +108,7 @@ async fn a_subscription_is_kept_alive_and_ended_by_the_client() {
 
 #[test]
 fn a_lease_ends_and_so_do_the_frames_and_nobody_is_served_by_a_forged_request() {
-    let daemon = Daemon::start("tcp = 'off'\nudp = []\nsubscribe = '127.0.0.1:0'\nsubscribers = 1");
+    let mut daemon = publishing("tcp = 'off'\nudp = []\nsubscribe = '127.0.0.1:0'\nsubscribers = 1");
     let address = daemon.subscriptions();
     let [client, victim] = [receiver(), receiver()];
     let challenge = ask(&client, address, "subscribe lease_s=1 divider=1");
@@ -146,7 +146,7 @@ fn a_lease_ends_and_so_do_the_frames_and_nobody_is_served_by_a_forged_request() 
 
 #[tokio::test]
 async fn a_network_that_is_not_allowed_cannot_subscribe() {
-    let daemon = Daemon::start("tcp = 'off'\nudp = []\nsubscribe = '127.0.0.1:0'\nallow = ['10.0.0.0/8']");
+    let mut daemon = publishing("tcp = 'off'\nudp = []\nsubscribe = '127.0.0.1:0'\nallow = ['10.0.0.0/8']");
     let endpoint = Endpoint::Subscribe(daemon.subscriptions().to_string());
     match Client::connect(&endpoint).await {
         Err(ClientError::Refused(why)) => assert!(why.contains("[publishing] allow"), "{why}"),
@@ -160,8 +160,8 @@ async fn a_client_comes_back_when_the_daemon_does() {
     let tcp = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let subscribe = receiver().local_addr().unwrap();
     let keys = format!("tcp = '{tcp}'\nudp = []\nsubscribe = '{subscribe}'");
-    let mut daemon = Daemon::start(&keys);
-    assert_eq!(daemon.tcp(), tcp);
+    let mut daemon = publishing(&keys);
+    assert_eq!(daemon.address(), tcp);
     assert_eq!(daemon.subscriptions(), subscribe);
     let backoff = Backoff { first: Duration::from_millis(20), most: Duration::from_millis(200) };
     for endpoint in [Endpoint::Tcp(tcp.to_string()), Endpoint::Subscribe(subscribe.to_string())] {
@@ -169,7 +169,7 @@ async fn a_client_comes_back_when_the_daemon_does() {
         let mut client = Client::connect_with(&endpoint, options).await.unwrap();
         let session = session(&mut client).await;
         drop(daemon);
-        daemon = Daemon::start(&keys);
+        daemon = publishing(&keys);
         let came_back = async { while self::session(&mut client).await == session {} };
         timeout(PATIENCE, came_back).await.expect("it connects again");
         assert!(client.reconnects() > 0 || matches!(endpoint, Endpoint::Subscribe(_)));

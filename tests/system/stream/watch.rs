@@ -11,6 +11,7 @@ use trifacet::publishing::tcp::Limits;
 use trifacet_wire::Status;
 
 use super::fixture::{frame, start};
+use crate::testkit;
 
 /// A frame without a pose.
 fn invalid(sequence: u64) -> PoseFrame {
@@ -37,8 +38,8 @@ fn serve() -> SocketAddr {
 }
 
 fn trifacet(args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_trifacet"));
-    command.arg("watch").args(args);
+    let mut command = testkit::trifacet(&["watch"]);
+    command.args(args);
     command
 }
 

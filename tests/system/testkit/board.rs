@@ -2,34 +2,33 @@
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdin, Command, Stdio};
+use std::process::{ChildStdin, Stdio};
 use std::sync::mpsc;
 
 use serde_json::Value;
 
-use super::{PATIENCE, now_ns};
+use super::{Folder, Killed, PATIENCE, now_ns, trifacet, wait_for};
 
 /// A link in a folder of its own, to which boards can be plugged in one after the other.
-pub(crate) struct Socket {
-    folder: tempfile::TempDir,
-}
+#[derive(Clone)]
+pub(crate) struct Socket(Folder);
 
 impl Socket {
     pub(crate) fn new() -> Self {
-        Self { folder: tempfile::tempdir().unwrap() }
+        Self(Folder::new())
     }
 
     pub(crate) fn link(&self) -> PathBuf {
-        self.folder.path().join("board")
+        self.0.path("board")
     }
 }
 
 /// An emulated board. Killed when dropped.
 pub(crate) struct Board {
-    child: Child,
+    child: Killed,
     orders: ChildStdin,
     lines: mpsc::Receiver<String>,
-    socket: std::sync::Arc<Socket>,
+    socket: Socket,
     /// The steering outputs must stay within this, micrometres.
     limit_um: f64,
 }
@@ -37,7 +36,7 @@ pub(crate) struct Board {
 impl Board {
     /// A board with this configuration, behind a link of its own.
     pub(crate) fn start(config: &str) -> Self {
-        Self::plug_into(Socket::new().into(), config)
+        Self::plug_into(Socket::new(), config)
     }
 
     /// Another board behind the same link.
@@ -46,11 +45,9 @@ impl Board {
     }
 
     /// A board with this configuration, behind this link.
-    pub(crate) fn plug_into(socket: std::sync::Arc<Socket>, config: &str) -> Self {
-        let file = socket.folder.path().join("emulate.toml");
-        std::fs::write(&file, config).unwrap();
-        let mut child = Command::new(env!("CARGO_BIN_EXE_trifacet"))
-            .args(["emulate", "--link"])
+    pub(crate) fn plug_into(socket: Socket, config: &str) -> Self {
+        let file = socket.0.write("emulate.toml", config);
+        let mut child = trifacet(&["emulate", "--link"])
             .arg(socket.link())
             .arg("--config")
             .arg(&file)
@@ -64,7 +61,7 @@ impl Board {
         std::thread::spawn(move || {
             BufReader::new(out).lines().map_while(Result::ok).try_for_each(|line| sender.send(line))
         });
-        let board = Self { child, orders, lines, socket, limit_um: 400.0 };
+        let board = Self { child: Killed(child), orders, lines, socket, limit_um: 400.0 };
         assert!(board.line().starts_with("/dev/pts/"));
         board
     }
@@ -110,29 +107,17 @@ impl Board {
 
     /// Asks until the board says so.
     pub(crate) fn until(&mut self, is: impl Fn(&Value) -> bool) -> Value {
-        let mut status = Value::Null;
-        for _ in 0..PATIENCE.as_millis() / 10 {
-            status = self.status();
-            if is(&status) {
-                return status;
-            }
-            std::thread::sleep(std::time::Duration::from_millis(10));
-        }
-        panic!("never so: {status}");
+        wait_for("so", || {
+            let status = self.status();
+            if is(&status) { Ok(status) } else { Err(status.to_string()) }
+        })
     }
 
     /// Ends the board as a power cut would; returns the moment before.
     pub(crate) fn kill(&mut self) -> i64 {
         let before = now_ns();
-        self.child.kill().unwrap();
-        self.child.wait().unwrap();
+        self.child.0.kill().unwrap();
+        self.child.0.wait().unwrap();
         before
-    }
-}
-
-impl Drop for Board {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }

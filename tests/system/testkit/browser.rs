@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::Once;
 use std::time::Duration;
 
@@ -11,11 +11,11 @@ use serde_json::{Value, json};
 use tungstenite::stream::MaybeTlsStream;
 use tungstenite::{Message, WebSocket};
 
-use super::PATIENCE;
+use super::{Killed, PATIENCE, now_ns};
 
 /// A browser with one tab. Ends with its test.
 pub(crate) struct Browser {
-    child: Child,
+    _child: Killed,
     _profile: tempfile::TempDir,
     socket: WebSocket<MaybeTlsStream<TcpStream>>,
     session: String,
@@ -55,8 +55,15 @@ impl Browser {
             stream.set_read_timeout(Some(PATIENCE)).unwrap();
         }
         let (session, target) = (String::new(), String::new());
-        let mut browser =
-            Self { child, _profile: profile, socket, session, target, calls: 0, events: vec![] };
+        let mut browser = Self {
+            _child: Killed(child),
+            _profile: profile,
+            socket,
+            session,
+            target,
+            calls: 0,
+            events: vec![],
+        };
         let tabs = browser.call("Target.getTargets", &json!({}));
         let tab = tabs["targetInfos"].as_array().unwrap().iter().find(|t| t["type"] == "page").unwrap();
         browser.target = tab["targetId"].as_str().unwrap().into();
@@ -101,14 +108,14 @@ impl Browser {
 
     /// Waits until an expression is true.
     pub(crate) fn until(&mut self, expression: &str) {
-        for _ in 0..PATIENCE.as_millis() / 50 {
-            if self.eval(expression) == true {
-                return;
+        let begin_ns = now_ns();
+        while self.eval(expression) != true {
+            if now_ns() - begin_ns > PATIENCE.as_nanos() as i64 {
+                let text = self.eval("document.body.innerText");
+                panic!("never {expression}: {text}");
             }
-            std::thread::sleep(Duration::from_millis(50));
+            std::thread::sleep(Duration::from_millis(50)); // so that the page gets on
         }
-        let text = self.eval("document.body.innerText");
-        panic!("never {expression}: {text}");
     }
 
     /// As on a screen of this size.
@@ -188,13 +195,6 @@ impl Browser {
             _ => None,
         };
         self.events.iter().filter_map(url).collect()
-    }
-}
-
-impl Drop for Browser {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }
 
