@@ -2,7 +2,6 @@
 
 use std::path::Path;
 use std::sync::Arc;
-use std::time::Duration;
 
 use trifacet::acquisition::{Down, Event, Scan, SerialSource, Source};
 use trifacet::clock::SystemClock;
@@ -113,13 +112,7 @@ async fn the_stage_is_steered_and_parks_when_the_host_is_gone() {
     host.steer(8, [40_000, 0], LeaseAction::Park);
     assert_eq!(host.ack().await, Ack { id: 8, accepted: false });
     drop(host);
-    let parked = std::iter::repeat_with(|| {
-        std::thread::sleep(Duration::from_millis(20));
-        board.status()
-    })
-    .take(500)
-    .find(|status| status["lease_expired"] == true)
-    .expect("the lease ends");
+    let parked = board.until(|status| status["lease_expired"] == true);
     assert_eq!(parked["steering"], "parked");
     assert_eq!(parked["output_codes"], serde_json::json!([0, 0]));
     assert_eq!((&parked["commands_taken"], &parked["commands_refused"]), (&1.into(), &1.into()));
@@ -210,9 +203,5 @@ async fn a_board_that_was_told_to_stop_sends_no_more() {
     host.scans(10).await;
     assert_eq!(board.status()["started"], true);
     host.source.close().await;
-    let stopped = (0..500).any(|_| {
-        std::thread::sleep(Duration::from_millis(10));
-        board.status()["started"] == false
-    });
-    assert!(stopped);
+    board.until(|status| status["started"] == false);
 }

@@ -240,20 +240,20 @@ fn on(board: &Board, more: &str) -> Lab {
     Lab::new(&format!("acquisition.source = \"serial\"\nacquisition.serial.port = \"{port}\"\n{more}"))
 }
 
-/// Tunes on a board that must stay within its limits; says what was said if a pause of the machine has ended it.
-fn tuned_within_limits() -> Result<(), String> {
-    let mut board = Board::start(&format!("twin.steering.matrix = {TURNED:?}")).steered_within(15.0);
-    let lab = on(&board, "steering = { limit_um = 15, on_exit = \"park\", park_um = [12, -7] }\n");
-    let mut tune = Killed(lab.command(&["tune", "--steps", "20"]).stderr(Stdio::piped()).spawn().unwrap());
+#[test]
+fn a_board_is_tuned_within_its_limits_and_parked() {
+    // A machine that lets the board sleep for five periods ends a run, as it should: at this rate, for 50 ms.
+    let mut board = Board::start(&format!("acquisition.rate_hz = 100\ntwin.steering.matrix = {TURNED:?}"));
+    board = board.steered_within(15.0);
+    let steering = "steering = { limit_um = 15, on_exit = \"park\", park_um = [12, -7] }\n";
+    let lab = on(&board, &format!("acquisition.rate_hz = 100\n{steering}"));
+    let mut tune = Killed(lab.command(&["tune", "--steps", "10"]).stderr(Stdio::piped()).spawn().unwrap());
     while tune.0.try_wait().unwrap().is_none() {
         board.status(); // within its limits
-        std::thread::sleep(Duration::from_millis(20));
+        std::thread::sleep(Duration::from_millis(20)); // between two looks
     }
     let mut said = String::new();
     std::io::Read::read_to_string(&mut tune.0.stderr.take().unwrap(), &mut said).unwrap();
-    if ["the source is down: no scan for", "this machine is too busy"].iter().any(|why| said.contains(why)) {
-        return Err(said);
-    }
     assert!(tune.0.wait().unwrap().success(), "{said}");
     let config = lab.after();
     for (found, truth) in config.steering.matrix.as_flattened().iter().zip(TURNED.as_flattened()) {
@@ -263,14 +263,6 @@ fn tuned_within_limits() -> Result<(), String> {
     let status = board.status();
     stands_at(&status, [12.0, -7.0]);
     assert_eq!(status["commands_refused"], 0, "{status}");
-    Ok(())
-}
-
-#[test]
-fn a_board_is_tuned_within_its_limits_and_parked() {
-    // A machine that lets the board sleep for 20 ms ends a run, as it should: one of some must have its time.
-    let paused: Vec<_> = (0..5).map_while(|_| tuned_within_limits().err()).collect();
-    assert!(paused.len() < 5, "{paused:#?}");
 }
 
 #[test]

@@ -9,7 +9,7 @@ use std::time::Duration;
 use rustix::process::Signal;
 use serde_json::Value;
 
-use crate::testkit::{Controller, Daemon, Trouble, now_ns};
+use crate::testkit::{Controller, Daemon, Stream, Trouble, now_ns};
 
 /// Slow enough to be seen: 100 um/s.
 const SLEW_UM_PER_S: f64 = 100.0;
@@ -244,16 +244,20 @@ fn a_servo_is_switched_on_if_that_is_allowed_and_unknown_questions_are_left_out(
 #[test]
 fn without_samples_nothing_moves() {
     let controller = Controller::new();
-    let fault = "twin.fault = [{ at_s = 0.5, for_s = 1.0, kind = \"stalled\" }]";
+    let fault = "twin.fault = [{ at_s = 0.5, for_s = 2.0, kind = \"stalled\" }]";
     let mut daemon = Daemon::start(&on_tcp(&controller, fault));
     let mut stream = daemon.client();
     controller.moved(2);
+    // Frames of silence come 100 times a second.
+    let silence = |stream: &mut Stream| {
+        stream.skip_to_now();
+        let silent = stream.take(30).iter().all(|frame| !frame.of_samples());
+        assert!(silent, "for 300 ms");
+        controller.state().position
+    };
     stream.until("silent", |frame| !frame.of_samples());
-    std::thread::sleep(Duration::from_millis(300)); // what was under way has arrived
-    let stands = controller.state().position;
-    stream.until("silent", |frame| !frame.of_samples());
-    std::thread::sleep(Duration::from_millis(300));
-    assert_eq!(controller.state().position, stands);
+    let stands = silence(&mut stream); // what was under way has arrived
+    assert_eq!(silence(&mut stream), stands);
     let moves = controller.state().moves.len();
     controller.moved(moves + 2);
     daemon.ends_in_order(Signal::TERM);

@@ -280,7 +280,7 @@ fn a_tare_between_points_of_an_axis_is_noticed() {
 #[test]
 fn a_tare_within_the_record_at_rest_begins_it_anew() {
     let folder = tempfile::tempdir().unwrap();
-    let (daemon, _stream, at) = daemon(REST);
+    let (daemon, mut stream, at) = daemon(REST);
     let file = folder.path().join("lab.csv");
     std::fs::write(&file, "axis,unit,point,reference\ntx,um,1,0\ntx,um,2,1\ntx,um,3,2\n").unwrap();
     let out = folder.path().join("out");
@@ -293,7 +293,8 @@ fn a_tare_within_the_record_at_rest_begins_it_anew() {
     person.hears("Enter starts it");
     person.types("");
     person.hears("recording");
-    std::thread::sleep(std::time::Duration::from_millis(1500)); // half of the record
+    stream.skip_to_now();
+    stream.take(1500); // half of the record
     daemon.reload(&format!("{PATIENT}{REST}frames.tare.rotation_deg = [0.1, 0.0, 0.0]\n"));
     person.hears("have changed (a tare?): the record begins anew");
     let (code, told) = person.end();

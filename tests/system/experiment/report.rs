@@ -1,7 +1,6 @@
 //! The report in a real browser.
 
 use std::path::Path;
-use std::time::Duration;
 
 use super::done;
 use crate::testkit::Browser;
@@ -23,7 +22,7 @@ fn the_report_stands_alone_and_fits_desks_phones_and_paper() {
         for scheme in ["light", "dark"] {
             page.scheme(scheme);
             page.until(CHARTS);
-            std::thread::sleep(Duration::from_millis(300)); // for the eye: the last chart is drawn
+            page.drawn();
             page.picture(&pictures.join(format!("experiment-{}-{scheme}.png", size[0])));
             let whole =
                 "[...document.querySelectorAll('.scroll')].every((t) => t.scrollWidth <= t.clientWidth)";
@@ -60,6 +59,7 @@ fn readme(page: &mut Browser, to: &Path) {
     page.size([900, 600]);
     let height = page.eval("Math.ceil(document.querySelector('.pair').getBoundingClientRect().bottom) + 4");
     page.size([900, height.as_u64().unwrap() as u32]);
-    std::thread::sleep(Duration::from_millis(300)); // for the eye: the charts have their width
+    page.until("[...document.querySelectorAll('.main-svg')].every((s) => s.getBoundingClientRect().right <= innerWidth)");
+    page.drawn();
     page.picture(to);
 }

@@ -57,7 +57,7 @@ fn two_themes_and_two_sizes_fit_and_can_be_read() {
     page.until("document.querySelectorAll('.strips .main-svg').length >= 6");
     page.until("document.querySelector('#faults').innerText.includes('over:')");
     page.until(FINE);
-    std::thread::sleep(Duration::from_secs(6)); // charts with something in them, for the eye
+    page.until("document.querySelector('.strips .chart').data[1].x.length > 30"); // something in them, for the eye
     for (size, name) in [(DESK, "1280"), ([390, 844], "390")] {
         page.size(size);
         for scheme in ["light", "dark"] {
@@ -65,7 +65,7 @@ fn two_themes_and_two_sizes_fit_and_can_be_read() {
             // Charts are drawn when they are seen: once through the page.
             page.eval("(async () => { for (let y = 0; y < document.body.scrollHeight; y += 400) { scrollTo(0, y); await new Promise((go) => setTimeout(go, 700)); } scrollTo(0, 0); })()");
             page.until("document.querySelectorAll('.spectra .main-svg').length >= 2");
-            std::thread::sleep(Duration::from_millis(500));
+            page.drawn();
             page.picture(&Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("page-{name}-{scheme}.png")));
             let misfits = page.eval(MISFITS);
             assert_eq!(misfits, serde_json::json!([]), "{name} {scheme}");

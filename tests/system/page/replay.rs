@@ -1,7 +1,6 @@
 //! The page of a daemon that replays: nothing on it is of now, and it says so first.
 
 use std::path::Path;
-use std::time::Duration;
 
 use serde_json::json;
 
@@ -36,7 +35,8 @@ fn fits(page: &mut Browser, name: &str) {
         page.size(size);
         for scheme in ["light", "dark"] {
             page.scheme(scheme);
-            std::thread::sleep(Duration::from_secs(1)); // drawn
+            page.until(&format!("{MISFITS}.length === 0")); // charts follow the size when they are seen
+            page.drawn();
             let picture = format!("{name}-{width}-{scheme}.png");
             page.picture(&Path::new(env!("CARGO_TARGET_TMPDIR")).join(picture));
             assert_eq!(page.eval(MISFITS), json!([]), "{name} {width} {scheme}");

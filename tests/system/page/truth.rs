@@ -1,11 +1,21 @@
 //! That the page tells the truth, soon, and stops telling anything when it knows nothing.
 
+use std::net::SocketAddr;
+
 use serde_json::Value;
 use trifacet_wire::Status;
 
 use super::{DESK, FINE, daemon, page};
-use crate::testkit::Browser;
-use crate::testkit::{Daemon, Stream};
+use crate::testkit::{Board, Browser, Daemon, Stream};
+
+/// A daemon on a board, whose light fails when a test says so.
+fn on_board() -> (Board, Daemon, Stream, SocketAddr) {
+    let board = Board::start("");
+    let port = board.link();
+    let config = format!("acquisition.source = 'serial'\nacquisition.serial.port = '{}'\n", port.display());
+    let (daemon, stream, at) = daemon(&config);
+    (board, daemon, stream, at)
+}
 
 /// What the table of poses shows, with the frame that it is of.
 fn shown(page: &mut Browser) -> Value {
@@ -74,15 +84,18 @@ const NOTES: &str = "(() => {
 
 #[test]
 fn a_blocked_beam_turns_the_page_to_its_reason_within_a_second_and_back() {
-    let (_daemon, mut stream, at) =
-        daemon("twin.fault = [{ kind = \"beam-blocked\", at_s = 8.0, for_s = 3.0 }]\n");
+    let (mut board, _daemon, mut stream, at) = on_board();
     let mut page = page(at);
     page.eval(NOTES);
+    board.order("beam-blocked 6");
     let dark = stream.until("dark", |frame| frame.has(Status::PSD_A_LOW));
-    page.until("notes.some(([, text]) => text.includes('too little light on PSD A, B, C'))");
-    assert_eq!(page.eval("document.querySelector('#verdict').dataset.grade"), "bad");
-    assert_eq!(page.eval("document.querySelector('#pose .now').textContent"), "–");
-    page.until("document.querySelector('#faults').innerText.includes('PSD_B_LOW, since')");
+    // All of it in one look: the light comes back by itself.
+    page.until(
+        "notes.some(([, text]) => text.includes('too little light on PSD A, B, C'))
+            && document.querySelector('#verdict').dataset.grade === 'bad'
+            && document.querySelector('#pose .now').textContent === '–'
+            && document.querySelector('#faults').innerText.includes('PSD_B_LOW, since')",
+    );
     let locked = stream.until("locked again", |frame| frame.time_ns > dark.time_ns && frame.locked());
     page.until(FINE);
     let notes = page.eval("notes");
@@ -121,14 +134,19 @@ fn without_a_board_there_are_no_samples_rather_than_no_light_and_nothing_is_meas
 
 #[test]
 fn a_spectrum_that_gets_nothing_new_is_old() {
-    let (_daemon, _stream, at) =
-        daemon("twin.fault = [{ kind = \"beam-blocked\", at_s = 8.0, for_s = 8.0 }]\n");
+    let (mut board, _daemon, _stream, at) = on_board();
     let mut page = page(at);
-    page.until("document.querySelector('#spectrum-facts').textContent.startsWith('Welch')");
-    page.until("document.querySelector('#spectrum-facts').textContent.startsWith('Old, of ')");
-    assert_eq!(page.eval("getComputedStyle(document.querySelector('.spectra')).opacity"), "0.35");
-    page.until("document.querySelector('#spectrum-facts').textContent.startsWith('Welch')");
-    assert_eq!(page.eval("getComputedStyle(document.querySelector('.spectra')).opacity"), "1");
+    // Each in one look: it changes by itself.
+    let shows = |text: &str, opacity: &str| {
+        format!(
+            "document.querySelector('#spectrum-facts').textContent.startsWith('{text}')
+                && getComputedStyle(document.querySelector('.spectra')).opacity === '{opacity}'"
+        )
+    };
+    page.until(&shows("Welch", "1"));
+    board.order("beam-blocked 8");
+    page.until(&shows("Old, of ", "0.35"));
+    page.until(&shows("Welch", "1"));
 }
 
 #[test]

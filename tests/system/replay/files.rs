@@ -4,13 +4,11 @@ use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::thread::sleep;
-use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::fixture::Lab;
-use crate::testkit::{on, run, trifacet};
+use crate::testkit::{on, run, trifacet, wait_for};
 
 #[test]
 fn what_is_no_recording_is_bad_data_and_nobody_waits_for_it() {
@@ -97,11 +95,11 @@ fn a_replay_that_is_interrupted_leaves_nothing() {
     let mut command = trifacet(&["replay", "--speed", "0.001", "--output"]);
     let mut child = command.arg(&out).arg(&file).stderr(Stdio::null()).spawn().unwrap();
     let files = format!("/proc/{}/fd", child.id());
-    let begun = |_: &u32| {
-        let open = fs::read_dir(&files).unwrap().filter_map(|fd| fs::read_link(fd.ok()?.path()).ok());
-        open.into_iter().any(|to| to.starts_with(lab.path("")) && to != file)
-    };
-    assert!((0..1000).inspect(|_| sleep(Duration::from_millis(10))).any(|n| begun(&n)), "it writes");
+    wait_for("a file that it writes", || {
+        let mut open = fs::read_dir(&files).unwrap().filter_map(|fd| fs::read_link(fd.ok()?.path()).ok());
+        let begun = open.any(|to| to.starts_with(lab.path("")) && to != file);
+        begun.then_some(()).ok_or_else(|| "none".into())
+    });
     kill_process(Pid::from_child(&child), Signal::INT).unwrap();
     assert!(!child.wait().unwrap().success());
     assert_eq!(names(&lab), before);

@@ -76,6 +76,10 @@ impl Board {
         self.socket.link()
     }
 
+    pub(crate) fn pid(&self) -> u32 {
+        self.child.0.id()
+    }
+
     fn line(&self) -> String {
         self.lines.recv_timeout(PATIENCE).unwrap()
     }

@@ -118,6 +118,11 @@ impl Browser {
         }
     }
 
+    /// Waits until what has changed so far is drawn.
+    pub(crate) fn drawn(&mut self) {
+        self.eval("new Promise((go) => requestAnimationFrame(() => requestAnimationFrame(go)))");
+    }
+
     /// As on a screen of this size.
     pub(crate) fn size(&mut self, [width, height]: [u32; 2]) {
         let mobile = width < 600;
