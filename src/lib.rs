@@ -44,6 +44,7 @@ pub mod replay;
 pub mod service;
 pub mod steering;
 pub mod twin;
-pub use {
-    trifacet_client as client, trifacet_core as core, trifacet_optics as optics, trifacet_wire as wire,
-};
+pub use trifacet_client as client;
+pub use trifacet_core as core;
+pub use trifacet_optics as optics;
+pub use trifacet_wire as wire;

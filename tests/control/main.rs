@@ -1,9 +1,0 @@
-//! A running daemon is told what to do: through `trifacet ctl`, its socket, and SIGHUP.
-
-#![allow(clippy::unwrap_used)]
-
-mod fixture;
-mod reload;
-mod socket;
-mod steer;
-mod tare;

@@ -1,0 +1,12 @@
+//! What the numbers are worth: the sensor model and its inverse, the accuracy of poses, and the centering loop
+//! in lockstep with the twin.
+//!
+//! Many of these tests print tables: `cargo test --test numeric NAME -- --nocapture`.
+
+#![allow(clippy::unwrap_used)]
+
+mod accuracy;
+mod centering;
+mod misprints;
+mod optics;
+mod optics_reference;

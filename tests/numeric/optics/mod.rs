@@ -1,0 +1,8 @@
+//! The sensor model and its inverse, on the nominal head and on heads that are not.
+
+mod beam;
+mod fusion;
+mod heads;
+mod robustness;
+mod round_trip;
+mod slopes;

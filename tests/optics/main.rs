@@ -1,9 +1,0 @@
-//! The sensor model and its inverse, on the nominal head and on heads that are not.
-#![allow(clippy::unwrap_used)]
-
-mod beam;
-mod fusion;
-mod heads;
-mod robustness;
-mod round_trip;
-mod slopes;

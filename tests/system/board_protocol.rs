@@ -1,0 +1,135 @@
+//! `docs/board-protocol.md` is true: its examples decode to what it says of them and come back byte for
+//! byte, and its baud rates are those that the daemon asks for.
+
+use std::fmt::Debug;
+
+use trifacet_wire::actuator::{LeaseAction, OutputCommand};
+use trifacet_wire::board::message::{BoardScan, ErrorReason, Reply, StartResult, SteerResult};
+use trifacet_wire::board::{Answer, BoardIdentity, Deframer, MessageError, Request, required_baud};
+use trifacet_wire::channel::{Converter, MAX_CHANNELS, Role, SIGNALS};
+
+const DOCUMENT: &str = include_str!("../../docs/board-protocol.md");
+
+/// The message and the frame of the example under a heading.
+fn example(heading: &str) -> (Vec<u8>, Vec<u8>) {
+    let (_, section) = DOCUMENT.split_once(&format!("\n### {heading}\n")).expect(heading);
+    let (_, block) = section.split_once("```text\nmessage").expect(heading);
+    let (message, rest) = block.split_once("frame").expect(heading);
+    let (frame, _) = rest.split_once("```").expect(heading);
+    (bytes(message), bytes(frame))
+}
+
+fn bytes(hex: &str) -> Vec<u8> {
+    hex.split_whitespace().map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect()
+}
+
+/// Checks an example in both directions.
+fn check<T: Debug + PartialEq>(
+    heading: &str,
+    expected: &T,
+    decode: impl Fn(&[u8]) -> Result<T, MessageError>,
+    encode: impl Fn(&T, &mut Vec<u8>),
+) {
+    let (message, frame) = example(heading);
+    let mut deframer = Deframer::default();
+    let found = deframer.next(&mut &frame[..]).expect(heading).expect(heading);
+    assert_eq!(found, &message[..message.len() - 4], "{heading}: the frame holds the message");
+    assert_eq!(decode(found).as_ref(), Ok(expected), "{heading}");
+    let mut out = Vec::new();
+    encode(expected, &mut out);
+    assert_eq!(out, frame, "{heading}");
+    for length in 2..found.len() {
+        assert!(decode(&found[..length]).is_err(), "{heading} cut to {length} bytes");
+    }
+}
+
+#[test]
+fn the_examples_of_the_host_are_true() {
+    let command = OutputCommand { id: 42, codes: [1000, -2000], lease_ms: 200, on_expiry: LeaseAction::Park };
+    for (heading, request) in [
+        ("0x01 IDENTIFY", Request::Identify),
+        ("0x02 START", Request::Start { rate_mhz: 1_000_000, park: [6554, -6554] }),
+        ("0x03 STOP", Request::Stop),
+        ("0x04 STEER", Request::Steer(command)),
+    ] {
+        check(heading, &request, Request::decode, Request::encode);
+    }
+}
+
+#[test]
+fn the_examples_of_the_board_are_true() {
+    let mut roles = SIGNALS.to_vec();
+    roles.extend([Role::Steering(0), Role::Steering(1)]);
+    let identity = BoardIdentity {
+        tick_hz: 1_000_000,
+        converter: Converter { bits: 18, range_v: 10.0 },
+        output_bits: 16,
+        simulated: false,
+        rate_mhz: [1_000, 20_000_000],
+        roles,
+        skew_ns: (0..11).map(|channel| channel * 4000).collect(),
+        name: "Example board 1.0 #0007".into(),
+    };
+    check("0x81 IDENTITY", &Answer::Identity(identity), Answer::decode, Answer::encode);
+    let reply = Reply { start: true, result: StartResult::Done, rate_mhz: 1_000_000 };
+    check("0x82 REPLY", &Answer::Reply(reply), Answer::decode, Answer::encode);
+    let ack = Answer::Ack { id: 42, result: SteerResult::Accepted };
+    check("0x83 ACK", &ack, Answer::decode, Answer::encode);
+    let error = Answer::Error { reason: ErrorReason::Type, kind: 0x7f };
+    check("0x85 ERROR", &error, Answer::decode, Answer::encode);
+}
+
+#[test]
+fn the_example_of_a_scan_is_true() {
+    let (message, frame) = example("0x84 SCAN");
+    let mut codes = [0; MAX_CHANNELS];
+    let some = [1, -1, 131_071, -131_072, 65_536, 40_000, 256, -256, 40_001, 12_345, -12_345];
+    codes[..some.len()].copy_from_slice(&some);
+    let scan = Answer::Scan(BoardScan {
+        sequence: 258,
+        tick: u32::MAX,
+        output_railed: true,
+        lease_expired: false,
+        overrun: true,
+        channels: 11,
+        codes,
+    });
+    let body = &message[..message.len() - 4];
+    assert_eq!(Answer::decode(body), Ok(scan.clone()));
+    let mut out = Vec::new();
+    scan.encode(&mut out);
+    assert_eq!(out, frame);
+    // A scan may have any number of whole codes, and nothing else.
+    let cut = Answer::decode(&body[..body.len() - 1]);
+    assert_eq!(cut, Err(MessageError::Length { kind: 0x84, length: body.len() - 1 }));
+}
+
+#[test]
+fn the_baud_rates_are_those_that_the_daemon_asks_for() {
+    let rates = [500.0, 1e3, 2e3, 5e3, 10e3];
+    for channels in [9, 11, 16] {
+        let row = rates.map(|rate_hz| grouped(required_baud(channels, rate_hz)));
+        let row = format!("| {channels} | {} |", row.join(" | "));
+        assert!(DOCUMENT.lines().any(|line| line == row), "the table needs {row}");
+    }
+}
+
+/// A number with a space between its groups of three digits.
+fn grouped(number: u32) -> String {
+    let digits = number.to_string();
+    let groups: Vec<_> =
+        digits.as_bytes().rchunks(3).rev().map(|group| std::str::from_utf8(group).unwrap()).collect();
+    groups.join(" ")
+}
+
+#[test]
+fn what_is_no_message_of_this_version_is_told_apart() {
+    assert_eq!(Request::decode(&[0x81, 1]), Err(MessageError::Type(0x81)));
+    assert_eq!(Answer::decode(&[0x01, 1]), Err(MessageError::Type(0x01)));
+    assert_eq!(Request::decode(&[0x01, 2]), Err(MessageError::Version { kind: 0x01, version: 2 }));
+    assert_eq!(Request::decode(&[0x03, 1, 0]), Err(MessageError::Length { kind: 0x03, length: 3 }));
+    let (mut steer, _) = example("0x04 STEER");
+    steer.truncate(steer.len() - 4);
+    *steer.last_mut().unwrap() = 2;
+    assert_eq!(Request::decode(&steer), Err(MessageError::Value { kind: 4, field: "action on expiry" }));
+}

@@ -1,0 +1,132 @@
+//! The socket itself: who may use it, and what it makes of nonsense.
+
+use std::io::{Read, Write};
+use std::os::unix::fs::PermissionsExt;
+
+use trifacet::exit;
+
+use super::fixture::{AT_REST, Lab, say};
+use crate::testkit::{Folder, on, run, trifacet, wait_for};
+
+#[test]
+fn status_is_one_line_that_says_what_is_going_on() {
+    let daemon = Lab::start(AT_REST);
+    let status = daemon.status_until(|status| status["loop"]["lock"] == "locked");
+    assert_eq!(status["loop"]["mode"], "on");
+    assert_eq!(status["pose"]["valid"], true, "{status}");
+    let tx = status["pose"]["tx_ty_tz_m"][0].as_f64().unwrap();
+    assert!((tx - 100e-6).abs() < 10e-6, "{status}");
+    // The beam follows the apex, which is 100 um off.
+    let x = status["loop"]["commanded_um"][0].as_f64().unwrap();
+    assert!((x - 100.0).abs() < 5.0, "{status}");
+    let frame = daemon.frame();
+    assert_eq!(status["config"], format!("{:08x}", frame.config));
+    assert_eq!(status["session"], format!("{:08x}", frame.session));
+    assert!(status["counters"]["scans"].as_u64().unwrap() > 100, "{status}");
+    assert_eq!(status["file"], daemon.file().to_str().unwrap());
+}
+
+#[test]
+fn nonsense_is_refused_and_half_a_command_is_none() {
+    let daemon = Lab::start(AT_REST);
+    let mut client = daemon.connect();
+    for line in ["steer 1 2\n", "\n", "\u{fc}\0\u{7f}\n", "setpoint 1\n", "gains nan 1\n", "loop sideways\n"]
+    {
+        let answer = say(&mut client, line);
+        assert_eq!((answer["ok"].as_bool(), answer["code"].as_u64()), (Some(false), Some(64)), "{answer}");
+        assert!(answer["error"].as_str().unwrap().contains("setpoint X_UM Y_UM"), "{answer}");
+    }
+    assert_eq!(say(&mut client, "Loop shadow\r\n")["loop"]["mode"], "shadow", "the connection stays");
+    // Two lines in one piece are two commands.
+    assert_eq!(say(&mut client, "status\nstatus\n")["ok"], true);
+    assert_eq!(say(&mut client, "")["ok"], true);
+    // Half a line: the half of a number would be another number.
+    let (_, mut half) = daemon.connect();
+    half.write_all(b"setpoint 1 2").unwrap();
+    half.shutdown(std::net::Shutdown::Write).unwrap();
+    let mut rest = String::new();
+    assert_eq!(half.read_to_string(&mut rest).unwrap(), 0);
+    assert_eq!(say(&mut client, "status\n")["loop"]["setpoint_um"][0], 0.0);
+    // A line without an end.
+    let (_, mut long) = daemon.connect();
+    long.write_all(&[b'x'; 256]).unwrap();
+    long.read_to_string(&mut rest).unwrap();
+    assert!(rest.contains("at most 256 bytes"), "{rest}");
+    // Nobody is in the way of anybody.
+    let idle: Vec<_> = (0..5).map(|_| daemon.connect()).collect();
+    daemon.told(&["status"]);
+    drop(idle);
+}
+
+#[test]
+fn clients_beyond_the_cap_are_closed_and_places_become_free() {
+    let daemon = Lab::start(AT_REST);
+    let mut clients: Vec<_> = (0..16).map(|_| daemon.connect()).collect();
+    for client in &mut clients {
+        assert_eq!(say(client, "status\n")["ok"], true);
+    }
+    let (code, _, errors) = daemon.ctl(&["status"]);
+    assert_eq!(code, i32::from(exit::UNAVAILABLE), "{errors}");
+    clients.clear();
+    // The daemon need not have seen them go yet.
+    wait_for("a free place", || match daemon.ctl(&["status"]) {
+        (0, ..) => Ok(()),
+        (_, _, errors) => Err(errors),
+    });
+}
+
+#[test]
+fn its_permissions_are_those_of_the_configuration() {
+    let daemon = Lab::start("");
+    let mode = std::fs::metadata(daemon.socket()).unwrap().permissions().mode();
+    assert_eq!(mode & 0o7777, 0o640);
+}
+
+#[test]
+fn a_socket_in_use_is_left_alone_and_a_dead_one_is_replaced() {
+    let mut daemon = Lab::start("");
+    let file = daemon.file();
+    let second = on(&["run", "--config"], &file);
+    assert_eq!(second.code, i32::from(exit::IN_USE), "{}", second.err);
+    assert!(second.err.contains("in use by another daemon"), "{}", second.err);
+    daemon.told(&["status"]);
+    daemon.kill();
+    assert!(daemon.socket().exists());
+    let (code, _, errors) = daemon.ctl(&["status"]);
+    assert_eq!(code, i32::from(exit::UNAVAILABLE), "{errors}");
+    assert!(errors.contains("is it running"), "{errors}");
+    daemon.start_again();
+    daemon.told(&["status"]);
+    daemon.end();
+}
+
+#[test]
+fn what_is_no_socket_is_not_replaced() {
+    let folder = Folder::new();
+    let notes = folder.write("notes", "precious");
+    let text = format!(
+        "publishing.tcp = \"off\"\nmonitor.listen = \"off\"\ncontrol.socket = \"{}\"\n",
+        notes.display()
+    );
+    let run = on(&["run", "--config"], &folder.write("lab.toml", text));
+    assert_eq!(run.code, i32::from(exit::IO), "{}", run.err);
+    assert_eq!(std::fs::read_to_string(&notes).unwrap(), "precious");
+}
+
+#[test]
+fn ctl_tells_mistakes_from_absence() {
+    let nobody = run(&mut trifacet(&["ctl", "--socket", "/no/such/socket", "status"]));
+    assert_eq!(nobody.code, i32::from(exit::UNAVAILABLE));
+    assert!(nobody.err.contains("/no/such/socket"));
+    for args in [
+        &["ctl"][..],
+        &["ctl", "dance"],
+        &["ctl", "loop", "maybe"],
+        &["ctl", "setpoint", "1"],
+        &["ctl", "setpoint", "one", "two"],
+        &["ctl", "tare", "--poses", "0"],
+        &["ctl", "tare", "clear", "--poses", "5"],
+    ] {
+        assert_eq!(run(&mut trifacet(args)).code, i32::from(exit::USAGE), "{args:?}");
+    }
+}

@@ -1,0 +1,81 @@
+//! What the daemon says of light that lies: a displaced laser, a power that steps, a burst of noise.
+
+use trifacet_wire::Status;
+
+use crate::testkit::{Daemon, Frame, truth};
+
+/// What the daemon says of samples up to this one.
+fn frames(daemon: &mut Daemon, last: u64) -> Vec<Frame> {
+    let mut frames = daemon.client().through("the last", |f| f.sample_index >= last);
+    frames.retain(Frame::of_samples);
+    frames
+}
+
+#[test]
+fn a_bumped_laser_contradicts_the_readback_until_it_is_put_back() {
+    let fault = "twin.fault = [{ at_s = 3, for_s = 1, kind = 'laser-bump', shift_um = [24, -18] }]";
+    let mut daemon = Daemon::start(fault);
+    let frames = frames(&mut daemon, 5500);
+    assert!(frames.iter().any(|f| f.sample_index < 1500) && frames.iter().all(Frame::valid));
+    for frame in &frames {
+        let bumped = (3009..4000).contains(&frame.sample_index);
+        assert_eq!(frame.has(Status::INCONSISTENT), bumped, "{frame:?}");
+        let residual_um = frame.steering_residual * 1e6;
+        let expected = if (3000..4000).contains(&frame.sample_index) { 25.0..35.0 } else { 0.0..6.0 };
+        assert!(expected.contains(&residual_um), "{frame:?}");
+    }
+    // The loop brings the beam back all the same.
+    assert!(frames.iter().any(|f| f.has(Status::INCONSISTENT) && f.locked()));
+    daemon.message("contradict each other");
+    daemon.message("agree again");
+    daemon.read_log();
+    let told = daemon.log.iter().filter(|line| line.to_string().contains("contradict each other")).count();
+    assert_eq!(told, 1);
+}
+
+#[test]
+fn samples_beside_a_step_of_the_power_have_no_pose_and_the_others_have() {
+    // 0.12 ms into a scan: after some of its channels.
+    let step = "twin.channel_skew_us = 50\n\
+        twin.fault = [{ at_s = 2.00012, for_s = 0.5, kind = 'laser-power', factor = 1.2 }]";
+    for average in [1, 10] {
+        let mut daemon = Daemon::start(&format!("{step}\nestimation.average = {average}"));
+        let frames = frames(&mut daemon, 3000);
+        assert!(frames.iter().any(|f| f.sample_index < 1500));
+        let mut beside = [0, 0];
+        for frame in &frames {
+            assert_eq!(frame.valid(), !frame.has(Status::POWER_STEP), "{frame:?}");
+            if frame.has(Status::POWER_STEP) {
+                let k = frame.sample_index;
+                assert!([2000..2010, 2500..2510].iter().any(|range| range.contains(&k)), "{frame:?}");
+                beside[usize::from(k >= 2500)] += 1;
+            }
+        }
+        let expected = if average == 1 { 2..=4 } else { 1..=1 };
+        assert!(beside.iter().all(|n| expected.contains(n)), "{beside:?}");
+    }
+}
+
+#[test]
+fn a_burst_of_noise_is_in_the_deviations() {
+    let fault = "twin.fault = [{ at_s = 2, for_s = 1, kind = 'noise-burst', factor = 10 }]";
+    let mut daemon = Daemon::start(fault);
+    let frames = frames(&mut daemon, 3500);
+    let truth = truth(fault, 3501);
+    let (burst, calm): (Vec<Frame>, Vec<Frame>) = frames
+        .into_iter()
+        .filter(|f| !(2000..2020).contains(&f.sample_index))
+        .partition(|f| (2020..3000).contains(&f.sample_index));
+    let valid: Vec<_> = burst.iter().filter(|f| f.valid()).collect();
+    assert!(valid.len() > burst.len() / 2, "{} of {}", valid.len(), burst.len());
+    for frame in calm.iter().filter(|f| f.sample_index < 2000) {
+        assert!(frame.deviations[0] < 1.2e-6, "{frame:?}");
+    }
+    assert!(valid.iter().all(|f| f.deviations[0] > 4e-6));
+    for frame in burst.iter().chain(&calm).filter(|f| f.valid()) {
+        for (axis, true_value) in truth[frame.sample_index as usize].iter().enumerate() {
+            let error = (frame.pose[axis] - true_value) / f64::from(frame.deviations[axis]);
+            assert!(error.abs() < 7.0, "{axis}: {error} deviations: {frame:?}");
+        }
+    }
+}

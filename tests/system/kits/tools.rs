@@ -1,0 +1,61 @@
+//! The programs that the kits are made for. A missing one fails the test: it would have tested nothing.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::OnceLock;
+
+use tempfile::TempDir;
+
+use crate::testkit::venv;
+pub(crate) use crate::testkit::venv::succeeded;
+
+/// A file of the repository.
+pub(crate) fn root(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+/// The text of a file of the repository.
+pub(crate) fn read(path: &str) -> String {
+    std::fs::read_to_string(root(path)).unwrap()
+}
+
+/// Python with the kit's module, and nothing but the standard library besides.
+pub(crate) fn python(script: &str) -> Command {
+    need("python3", "the Python kit is tested with it");
+    let mut command = Command::new("python3");
+    for_python(&mut command).args(["-W", "error"]).arg(root(script));
+    command
+}
+
+fn for_python(command: &mut Command) -> &mut Command {
+    command.env("PYTHONPATH", root("clients/python")).env("PYTHONDONTWRITEBYTECODE", "1")
+}
+
+/// Python with NumPy and a parser of TwinCAT's Structured Text, which are installed under `target/` once.
+pub(crate) fn python_with_packages() -> Command {
+    static VENV: OnceLock<PathBuf> = OnceLock::new();
+    let python = VENV.get_or_init(|| {
+        need("python3", "the Python kit is tested with it");
+        venv::python("kits-venv", "numpy, blark", &["numpy", "blark==0.8.3"])
+    });
+    let mut command = Command::new(python);
+    for_python(&mut command);
+    command
+}
+
+/// Compiles a C program as strictly as its users may.
+pub(crate) fn compile(source: &str, more: &[&str]) -> (TempDir, PathBuf) {
+    need("cc", "the C kit is tested with it");
+    let place = tempfile::tempdir().unwrap();
+    let program = place.path().join("program");
+    let strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-O2", "-I"];
+    let mut command = Command::new("cc");
+    command.args(strict).arg(root("clients/c")).args(more).arg("-o").arg(&program).arg(root(source));
+    succeeded(&mut command, source);
+    (place, program)
+}
+
+fn need(program: &str, why: &str) {
+    let found = Command::new(program).arg("--version").output();
+    assert!(found.is_ok(), "{program} is not installed: {why}");
+}

@@ -1,0 +1,118 @@
+//! What the metrics say, held against the documents, the stream and the dashboard.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::page::{Metrics, until};
+use crate::testkit::{Daemon, Stream, wait_for};
+
+fn read(path: &str) -> String {
+    std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).unwrap()
+}
+
+/// The page of a daemon that knows everything that it ever will.
+fn complete() -> Metrics {
+    let mut daemon = Daemon::start("monitor.listen = \"127.0.0.1:0\"");
+    let at = daemon.monitor();
+    wait_for("the trend", || {
+        let metrics = Metrics::of(at);
+        let complete = metrics.0.contains_key("trifacet_power_trend_watts_per_second");
+        if complete { Ok(metrics) } else { Err("no trend".into()) }
+    })
+}
+
+/// Type, labels and meaning by name.
+type Table = BTreeMap<String, [String; 3]>;
+
+fn documented() -> Table {
+    let page = read("docs/monitoring.md");
+    let rows = page.lines().filter(|line| line.starts_with("| `trifacet_"));
+    let cells = rows.map(|row| row.split('|').map(|cell| cell.trim().replace('`', "")).collect::<Vec<_>>());
+    cells.map(|cells| (cells[1].clone(), [2, 3, 4].map(|i| cells[i].clone()))).collect()
+}
+
+fn live(metrics: &Metrics) -> Table {
+    let row = |family: &super::page::Family| {
+        let labels = family.samples.iter().flat_map(|(_, labels, _)| labels.keys());
+        let labels: BTreeSet<_> = labels.map(String::as_str).filter(|label| *label != "le").collect();
+        let labels = labels.into_iter().collect::<Vec<_>>().join(", ");
+        [family.kind.clone(), labels, family.context.clone()]
+    };
+    metrics.0.iter().map(|(name, family)| (name.clone(), row(family))).collect()
+}
+
+/// Every word of a file that looks like the name of a sample.
+fn names(text: &str) -> BTreeSet<&str> {
+    let words = text.split(|c: char| !(c.is_ascii_alphanumeric() || c == '_'));
+    words.filter(|word| word.starts_with("trifacet_")).collect()
+}
+
+#[test]
+fn table_dashboard_and_alerts_are_true_to_the_live_page() {
+    let metrics = complete();
+    assert_eq!(documented(), live(&metrics), "left: docs/monitoring.md, right: the live page");
+
+    let samples: BTreeSet<_> =
+        metrics.0.values().flat_map(|f| &f.samples).map(|(name, ..)| &name[..]).collect();
+    for (file, least) in [("monitoring/grafana-dashboard.json", 40), ("monitoring/alerts.yml", 6)] {
+        let text = read(file);
+        let used = names(&text);
+        assert!(used.len() >= least, "{file}: {used:?}");
+        let unknown: Vec<_> = used.difference(&samples).collect();
+        assert!(unknown.is_empty(), "{file} asks for {unknown:?}");
+    }
+}
+
+#[test]
+fn the_dashboard_is_one_that_grafana_takes() {
+    let dashboard: Value = serde_json::from_str(&read("monitoring/grafana-dashboard.json")).unwrap();
+    assert!(dashboard["schemaVersion"].as_i64().unwrap() >= 38, "of Grafana 10");
+    assert_eq!(dashboard["uid"], "trifacet");
+    let panels = dashboard["panels"].as_array().unwrap();
+    let ids: BTreeSet<_> = panels.iter().map(|panel| panel["id"].as_i64().unwrap()).collect();
+    assert_eq!(ids.len(), panels.len(), "ids are unique");
+    for panel in panels {
+        let place = &panel["gridPos"];
+        assert!(place["x"].as_i64().unwrap() + place["w"].as_i64().unwrap() <= 24, "{panel}");
+        let targets = panel["targets"].as_array().unwrap();
+        assert!(!targets.is_empty() && targets.iter().all(|t| t["expr"].is_string()), "{panel}");
+        assert_eq!(panel["datasource"]["uid"], "${datasource}", "{panel}");
+    }
+}
+
+#[test]
+fn counters_and_sums_are_those_of_the_stream() {
+    let config = "monitor.listen = \"127.0.0.1:0\"\nacquisition.rate_hz = 200\n\
+        twin.fault = [{ kind = 'dropped', fraction = 0.2, at_s = 1, for_s = 1 }, { kind = 'stalled', at_s = 4 }]";
+    let mut daemon = Daemon::start(config);
+    let mut stream = Stream::tcp(daemon.address());
+    let at = daemon.monitor();
+    let mut frames = stream.through("silence", |frame| !frame.of_samples() && frame.sample_index > 500);
+    until(at, "stalled", |ready| ready["checks"][0]["ok"] == false);
+    // No sample comes any more, so what was counted of samples stands still.
+    let heartbeat = stream.heartbeat();
+    let metrics = Metrics::of(at);
+    for (name, count) in &heartbeat.counters {
+        let sample = format!("trifacet_{name}_total");
+        if name.starts_with("frames") {
+            assert!(metrics.value(&sample, "") >= *count as f64, "{name}");
+        } else {
+            assert!((metrics.value(&sample, "") - *count as f64).abs() < 0.5, "{name}");
+        }
+    }
+    assert!(heartbeat.counters["scans_lost"] > 10, "{heartbeat:?}");
+    assert!((metrics.value("trifacet_clients", "tcp") - 1.0).abs() < 0.5);
+
+    // The stream has all frames but those before it came; what they sum up to is on the page.
+    let first = frames[0].sequence;
+    frames.retain(crate::testkit::Frame::of_samples);
+    let solved = metrics.value("trifacet_solve_delay_seconds_count", "");
+    assert!(solved >= frames.len() as f64 && solved <= (frames.len() as u64 + first) as f64, "{solved}");
+    let lost = frames.iter().filter(|frame| frame.lost > 0).count() as f64;
+    assert!((metrics.value("trifacet_status_frames_total", "SAMPLE_GAP") - lost).abs() < 0.5);
+    let total =
+        frames.iter().rev().take(100).map(|f| f64::from(f.powers.iter().sum::<f32>())).sum::<f64>() / 100.0;
+    assert!((total - 0.6e-3).abs() < 1e-5, "{total}");
+}

@@ -1,0 +1,142 @@
+//! Who is let in, and what it costs the others.
+
+use std::io::Read;
+use std::net::{SocketAddr, TcpListener, TcpStream};
+
+use super::page::{Metrics, until};
+use crate::testkit::http::{ask, get};
+use crate::testkit::{Daemon, Done, Folder, PATIENCE, Stream, on, wait_for};
+
+const ON: &str = "monitor.listen = \"127.0.0.1:0\"";
+
+/// A command with this configuration.
+fn with(command: &str, config: &str) -> Done {
+    on(&[command, "--config"], &Folder::new().write("lab.toml", config))
+}
+
+#[test]
+fn requests_for_other_hosts_and_from_other_sites_are_refused_and_counted() {
+    let mut daemon = Daemon::start(&format!("{ON}\nmonitor.allowed_hosts = [\"lab-pc\"]"));
+    let at = daemon.monitor();
+    let port = at.port();
+    for good in
+        [format!("localhost:{port}"), format!("127.0.0.1:{port}"), "lab-pc".into(), "LAB-PC:80".into()]
+    {
+        assert_eq!(ask(at, "/healthz", &format!("Host: {good}\r\n")).code, 200, "{good}");
+    }
+    let same = format!("Host: {at}\r\nOrigin: http://{at}\r\n");
+    assert_eq!(ask(at, "/healthz", &same).code, 200);
+    let elsewhere = format!("Host: {at}\r\nOrigin: http://evil.example\r\n");
+    for bad in ["Host: evil.example\r\n", "Host: 127.0.0.2\r\n", "", &elsewhere] {
+        for path in ["/healthz", "/metrics", "/nothing"] {
+            let page = ask(at, path, bad);
+            assert_eq!(page.code, 403, "{bad}: {page:?}");
+            assert!(page.body.contains(if bad == elsewhere { "Origin" } else { "Host" }), "{page:?}");
+        }
+    }
+    let twice = format!("Host: {at}\r\nHost: evil.example\r\n");
+    assert_eq!(ask(at, "/metrics", &twice).code, 400);
+    assert_eq!(get(at, "http://evil.example/metrics").code, 403);
+    assert_eq!(get(at, &format!("http://{at}/metrics")).code, 200);
+    let metrics = Metrics::of(at);
+    assert!((metrics.value("trifacet_monitor_forbidden_total", "") - 14.0).abs() < 0.5);
+    let page = get(at, "/metrics");
+    assert!(!page.headers.contains("access-control-"), "{page:?}");
+    assert_eq!(get(at, "/nothing").code, 404);
+}
+
+#[test]
+fn scrapes_and_hung_viewers_cost_no_sample() {
+    let mut daemon =
+        Daemon::start(&format!("{ON}\nacquisition.rate_hz = 10000\npublishing.tcp_queue = 65536"));
+    let mut stream = Stream::tcp(daemon.address());
+    let at = daemon.monitor();
+    stream.locked();
+    until(at, "ready", |ready| ready["ready"] == true);
+    // They hold connections and never say what they want.
+    let hung: Vec<_> = (0..20).map(|_| TcpStream::connect(at).unwrap()).collect();
+    let scrapers: Vec<_> = (0..50).map(|_| std::thread::spawn(move || scrape(at))).collect();
+    for scraper in scrapers {
+        scraper.join().unwrap();
+    }
+    let heartbeat = stream.heartbeat();
+    for counter in ["scans_lost", "estimation_overflows", "tcp_overflows", "tcp_dropped", "monitor_overflows"]
+    {
+        assert_eq!(heartbeat.counters[counter], 0, "{counter}");
+    }
+    drop(hung);
+}
+
+fn scrape(at: SocketAddr) {
+    for _ in 0..5 {
+        let page = get(at, "/metrics");
+        assert_eq!(page.code, 200);
+        assert!(page.body.ends_with("# EOF\n"));
+    }
+}
+
+#[test]
+fn too_many_connections_are_cut_off_and_the_first_ones_stay() {
+    let mut daemon = Daemon::start(ON);
+    let at = daemon.monitor();
+    let open: Vec<_> = (0..128).map(|_| TcpStream::connect(at).unwrap()).collect();
+    let mut one_more = TcpStream::connect(at).unwrap();
+    one_more.set_read_timeout(Some(PATIENCE)).unwrap();
+    // Cut off at once: an end, or a reset.
+    assert_eq!(one_more.read(&mut [0; 1]).unwrap_or(0), 0);
+    daemon.message("refused a connection");
+    drop(open);
+    wait_for("let in again", || {
+        let open = TcpStream::connect(at).is_ok_and(|mut stream| still_open(&mut stream));
+        open.then_some(()).ok_or_else(|| "cut off".into())
+    });
+}
+
+/// Whether a connection is kept for a while.
+fn still_open(stream: &mut TcpStream) -> bool {
+    stream.set_read_timeout(Some(std::time::Duration::from_millis(200))).unwrap();
+    stream.read(&mut [0; 1]).is_err_and(|e| e.kind() == std::io::ErrorKind::WouldBlock)
+}
+
+#[test]
+fn a_port_in_use_is_a_clear_error() {
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let _holder = TcpListener::bind(taken).unwrap();
+    let config = format!("publishing.tcp = \"off\"\npublishing.udp = []\nmonitor.listen = \"{taken}\"\n");
+    let done = with("run", &config);
+    let errors = done.err;
+    assert_eq!(done.code, 75, "{errors}");
+    for word in [&taken.to_string(), "monitor.listen", "another process has the port"] {
+        assert!(errors.contains(word), "{errors}");
+    }
+}
+
+#[test]
+fn switched_off_it_opens_nothing() {
+    let mut daemon = Daemon::start("publishing.tcp = \"off\"\nmonitor.listen = \"off\"");
+    daemon.says("locked", |line| line["to"] == "locked");
+    let descriptors = std::fs::read_dir(format!("/proc/{}/fd", daemon.pid())).unwrap();
+    let sockets: Vec<_> = descriptors
+        .filter_map(|entry| std::fs::read_link(entry.unwrap().path()).ok()?.to_str().map(str::to_owned))
+        .filter_map(|link| Some(link.strip_prefix("socket:[")?.strip_suffix(']')?.to_owned()))
+        .collect();
+    for table in ["tcp", "tcp6"] {
+        let table = std::fs::read_to_string(format!("/proc/net/{table}")).unwrap();
+        for row in table.lines().skip(1) {
+            let inode = row.split_whitespace().nth(9).unwrap();
+            assert!(!sockets.iter().any(|own| own == inode), "{row}");
+        }
+    }
+    assert!(!daemon.said("monitor is open"));
+}
+
+#[test]
+fn an_address_of_the_network_is_noted_by_check() {
+    let note = |config: &str| with("check", config).out;
+    let open = note("monitor.listen = \"0.0.0.0:7360\"");
+    assert!(open.contains("note") && open.contains("every host that reaches it may read"), "{open}");
+    assert!(open.contains("http://0.0.0.0:7360/"), "{open}");
+    let closed = note("");
+    assert!(closed.contains("http://127.0.0.1:7360/") && !closed.contains("may read"), "{closed}");
+    assert!(note("monitor.listen = \"off\"").contains("monitor        off"));
+}

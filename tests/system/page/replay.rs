@@ -1,0 +1,77 @@
+//! The page of a daemon that replays: nothing on it is of now, and it says so first.
+
+use std::path::Path;
+
+use serde_json::json;
+
+use super::looks::{CONTRAST, MISFITS};
+use super::{DESK, daemon};
+use crate::testkit::{Browser, Daemon, Stream, on};
+
+/// A daemon that replays so many milliseconds of the twin, and its page.
+fn replayed(folder: &Path, ms: u32, how: &str) -> (Daemon, Stream, Browser) {
+    let file = folder.join("a.mcap");
+    let recorded = on(&["simulate", "--closed-loop", "--samples", &ms.to_string(), "--record"], &file);
+    assert_eq!(recorded.code, 0, "{}", recorded.err);
+    let (daemon, stream, at) = daemon(&format!(
+        "acquisition.source = \"replay\"\nreplay.file = \"{}\"\n{how}\n\
+         monitor.control = true\nmonitor.token = \"0123456789abcdef\"\n",
+        file.display()
+    ));
+    (daemon, stream, Browser::open(&format!("http://{at}/"), DESK))
+}
+
+/// Waits for a verdict.
+fn says(page: &mut Browser, text: &str) {
+    let whole = format!("Replay of a.mcap, recorded 1970-01-01 00:00:00 UTC: {text}");
+    page.until(&format!("document.querySelector('#verdict .text')?.textContent === '{whole}'"));
+    assert_eq!(page.eval("document.querySelector('#verdict').dataset.grade"), "note");
+    assert_eq!(page.eval("document.body.classList.contains('stale')"), false, "frames come");
+}
+
+/// In both themes, on a desk and in a hand. Pictures are for the eye.
+fn fits(page: &mut Browser, name: &str) {
+    for (size, width) in [(DESK, "1280"), ([390, 844], "390")] {
+        page.size(size);
+        for scheme in ["light", "dark"] {
+            page.scheme(scheme);
+            page.until(&format!("{MISFITS}.length === 0")); // charts follow the size when they are seen
+            page.drawn();
+            let picture = format!("{name}-{width}-{scheme}.png");
+            page.picture(&Path::new(env!("CARGO_TARGET_TMPDIR")).join(picture));
+            assert_eq!(page.eval(MISFITS), json!([]), "{name} {width} {scheme}");
+            let worst = page.eval(CONTRAST);
+            assert!(worst[0].as_f64().unwrap() >= 4.5, "{name} {width} {scheme}: {worst}");
+        }
+    }
+}
+
+#[test]
+fn a_replay_is_told_on_top_and_offers_nothing_that_would_be_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_daemon, _stream, mut page) = replayed(folder.path(), 20_000, "replay.repeat = true");
+    says(&mut page, "pose valid, beam locked");
+    page.until("document.querySelectorAll('.strips canvas').length >= 6");
+    let offered = page.eval("document.querySelectorAll('#control :is(button, input):not(:disabled)').length");
+    assert_eq!(offered, 0);
+    assert_eq!(
+        page.eval("document.querySelector('#answer').textContent"),
+        "◆ A recording is replayed: nothing steers, and nothing about it can be changed"
+    );
+    let loops = page.eval(
+        "[...document.querySelectorAll('#beam-facts div, #facts div')].map((e) => e.textContent).filter((t) => t.startsWith('loop'))",
+    );
+    assert_eq!(loops, json!(["loopnone: a replay", "loopnone: a replay"]));
+    fits(&mut page, "replay");
+    assert_eq!(page.complaints(), Vec::<String>::new());
+}
+
+#[test]
+fn at_the_end_of_a_recording_the_page_says_that_it_is_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_daemon, _stream, mut page) = replayed(folder.path(), 2000, "");
+    says(&mut page, "it is at its end");
+    page.until("document.querySelector('#beam-facts').innerText.includes('held')");
+    fits(&mut page, "replay-end");
+    assert_eq!(page.complaints(), Vec::<String>::new());
+}

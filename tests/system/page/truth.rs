@@ -1,0 +1,220 @@
+//! That the page tells the truth, soon, and stops telling anything when it knows nothing.
+
+use std::net::SocketAddr;
+
+use serde_json::Value;
+use trifacet_wire::Status;
+
+use super::{DESK, FINE, daemon, page};
+use crate::testkit::{Board, Browser, Daemon, Stream};
+
+/// A daemon on a board, whose light fails when a test says so.
+fn on_board() -> (Board, Daemon, Stream, SocketAddr) {
+    let board = Board::start("");
+    let port = board.link();
+    let config = format!("acquisition.source = 'serial'\nacquisition.serial.port = '{}'\n", port.display());
+    let (daemon, stream, at) = daemon(&config);
+    (board, daemon, stream, at)
+}
+
+/// What the table of poses shows, with the frame that it is of.
+fn shown(page: &mut Browser) -> Value {
+    page.eval(
+        "({ sample: Number(document.querySelector('#pose').dataset.sample),
+            now: [...document.querySelectorAll('#pose .now')].map((e) => e.textContent),
+            sd: [...document.querySelectorAll('#pose .sd')].map((e) => e.textContent) })",
+    )
+}
+
+fn number(text: &Value) -> f64 {
+    text.as_str().unwrap().replace('\u{2212}', "-").parse().unwrap()
+}
+
+#[test]
+fn the_page_comes_from_the_daemon_alone_and_says_what_the_stream_says() {
+    let (_daemon, mut stream, at) = daemon("");
+    let mut page = page(at);
+    page.until("document.querySelectorAll('.strips canvas').length >= 6");
+    let mut before = 0;
+    for _ in 0..5 {
+        page.until(&format!("Number(document.querySelector('#pose').dataset.sample) > {before}"));
+        let shown = shown(&mut page);
+        let sample = shown["sample"].as_u64().unwrap();
+        let frame = stream.until("the same sample", |frame| frame.sample_index >= sample);
+        assert_eq!(frame.sample_index, sample);
+        before = sample;
+        for axis in 0..6 {
+            let (now, sd) = (number(&shown["now"][axis]), number(&shown["sd"][axis]));
+            assert!((now - frame.pose[axis] * 1e6).abs() < 0.0051, "{axis}: {shown} {frame:?}");
+            assert!(
+                (sd - f64::from(frame.deviations[axis]) * 1e6).abs() < 0.0051,
+                "{axis}: {shown} {frame:?}"
+            );
+        }
+        // Within one refresh.
+        let newest = page.eval("Number(document.querySelector('#pose').dataset.time)").as_f64().unwrap();
+        let now = page.eval("Date.now()").as_f64().unwrap();
+        assert!(now - newest < 2000.0, "what is shown is {} ms old", now - newest);
+    }
+    let units = "(() => { const s = document.querySelector('#units'); s.value = 'mm'; s.dispatchEvent(new Event('change')); })()";
+    page.eval(units);
+    page.until("document.querySelector('#pose .unit').textContent === 'mm'");
+    let elsewhere: Vec<_> = page
+        .requests()
+        .into_iter()
+        .filter(|url| {
+            ![format!("http://{at}/"), format!("ws://{at}/"), "data:".into()]
+                .iter()
+                .any(|own| url.starts_with(own))
+        })
+        .filter(|url| url != "about:blank")
+        .collect();
+    assert_eq!(elsewhere, Vec::<String>::new());
+    assert!(page.requests().iter().any(|url| url.ends_with("/uplot.js")));
+    assert_eq!(page.complaints(), Vec::<String>::new());
+}
+
+/// Notes each new verdict with the time of the newest frame that the page knew then.
+const NOTES: &str = "(() => {
+    window.notes = [];
+    const text = document.querySelector('#verdict .text');
+    new MutationObserver(() => setTimeout(() => notes.push([Number(document.querySelector('#pose').dataset.time), text.textContent]), 0))
+        .observe(text, { childList: true, characterData: true, subtree: true });
+})()";
+
+#[test]
+fn a_blocked_beam_turns_the_page_to_its_reason_within_a_second_and_back() {
+    let (mut board, _daemon, mut stream, at) = on_board();
+    let mut page = page(at);
+    page.eval(NOTES);
+    board.order("beam-blocked 6");
+    let dark = stream.until("dark", |frame| frame.has(Status::PSD_A_LOW));
+    // All of it in one look: the light comes back by itself.
+    page.until(
+        "notes.some(([, text]) => text.includes('too little light on PSD A, B, C'))
+            && document.querySelector('#verdict').dataset.grade === 'bad'
+            && document.querySelector('#pose .now').textContent === '–'
+            && document.querySelector('#faults').innerText.includes('PSD_B_LOW, since')",
+    );
+    let locked = stream.until("locked again", |frame| frame.time_ns > dark.time_ns && frame.locked());
+    page.until(FINE);
+    // All lines of all axes have the hole.
+    page.until("[...document.querySelectorAll('.strips .chart')].every((e) => e.chart?.data.slice(1).every((y) => y.includes(null)))");
+    let notes = page.eval("notes");
+    let first = |is: &dyn Fn(&str) -> bool, after: f64| {
+        let notes = notes.as_array().unwrap();
+        let found = notes.iter().find(|n| n[0].as_f64().unwrap() >= after && is(n[1].as_str().unwrap()));
+        found.unwrap_or_else(|| panic!("{notes:?}"))[0].as_f64().unwrap()
+    };
+    let dark_ms = dark.time_ns as f64 * 1e-6;
+    let told = first(&|text| text.contains("too little light"), dark_ms);
+    assert!(told - dark_ms < 1000.0, "told {} ms later", told - dark_ms);
+    let locked_ms = locked.time_ns as f64 * 1e-6;
+    let told = first(&|text| text.contains("locked") && text.contains("valid,"), locked_ms - 200.0);
+    assert!(told - locked_ms < 1000.0, "told {} ms later", told - locked_ms);
+    assert_eq!(page.complaints(), Vec::<String>::new());
+}
+
+#[test]
+fn without_a_board_there_are_no_samples_rather_than_no_light_and_nothing_is_measured() {
+    let (_daemon, _stream, at) =
+        daemon("acquisition.source = 'serial'\nacquisition.serial.port = '/nowhere/board'\n");
+    let mut page = Browser::open(&format!("http://{at}/"), DESK);
+    page.until("document.querySelector('#verdict')?.innerText.includes('No valid pose: no samples since')");
+    page.until("document.querySelectorAll('#latency dd').length >= 5");
+    let told = page.eval(
+        "[...document.querySelectorAll('.psd .none, #balance .none, #latency dd, #beam-facts dd')].map((e) => e.textContent)",
+    );
+    let told: Vec<_> = told.as_array().unwrap().iter().map(|text| text.as_str().unwrap()).collect();
+    assert_eq!(told.iter().filter(|text| **text == "no samples").count(), 4, "{told:?}");
+    assert_eq!(told.iter().filter(|text| **text == "–").count(), 9, "{told:?}");
+    assert_eq!(page.eval("document.querySelector('.spectra').hidden"), true);
+    assert_eq!(page.complaints(), Vec::<String>::new());
+}
+
+#[test]
+fn a_spectrum_that_gets_nothing_new_is_old() {
+    let (mut board, _daemon, _stream, at) = on_board();
+    let mut page = page(at);
+    // Each in one look: it changes by itself.
+    let shows = |text: &str, opacity: &str| {
+        format!(
+            "document.querySelector('#spectrum-facts').textContent.startsWith('{text}')
+                && getComputedStyle(document.querySelector('.spectra')).opacity === '{opacity}'"
+        )
+    };
+    page.until(&shows("Welch", "1"));
+    board.order("beam-blocked 8");
+    page.until(&shows("Old, of ", "0.35"));
+    page.until(&shows("Welch", "1"));
+}
+
+#[test]
+fn a_task_that_stalls_is_named_before_the_daemon_ends() {
+    let (daemon, _stream, at) = daemon("realtime.stall_ms = 4000\n");
+    let mut page = page(at);
+    page.until("document.querySelectorAll('.strips canvas').length >= 6");
+    page.eval(NOTES);
+    daemon.told(&["drill", "stall", "centering"]);
+    let verdict = |text: &str| format!("notes.some(([, text]) => text.startsWith('{text}'))");
+    page.until(&verdict("Pose valid, beam not locked (held): task centering stalled since "));
+    page.until("document.querySelector('#faults li').innerText.includes('Fault: task centering stalled')");
+    assert_eq!(page.eval("document.body.classList.contains('stale')"), false, "poses come");
+    page.until(&verdict("No connection"));
+}
+
+#[test]
+fn a_daemon_that_died_leaves_a_grey_page_and_its_successor_a_live_one() {
+    let (first, _stream, at) = daemon("");
+    let mut page = page(at);
+    drop(first);
+    page.until("document.querySelector('#verdict .text').textContent.startsWith('No connection since ')");
+    assert_eq!(page.eval("document.body.classList.contains('stale')"), true);
+    assert_eq!(page.eval("getComputedStyle(document.querySelector('#pose')).opacity"), "0.35");
+    let _second = Daemon::start(&format!("monitor.listen = \"{at}\""));
+    page.until(FINE);
+}
+
+#[test]
+fn a_stopped_daemon_is_no_news_and_an_ended_one_says_goodbye() {
+    use rustix::process::Signal;
+    let (mut daemon, _stream, at) = daemon("");
+    let mut page = page(at);
+    daemon.signal(Signal::STOP);
+    page.until(
+        "document.querySelector('#verdict .text').textContent.startsWith('No news from the daemon since ')",
+    );
+    assert_eq!(page.eval("document.body.classList.contains('stale')"), true);
+    daemon.signal(Signal::CONT);
+    page.until(FINE);
+    daemon.ends_in_order(Signal::TERM);
+    page.until("document.querySelector('#verdict .text').textContent.startsWith('No connection')");
+}
+
+/// Updates made for viewers so far.
+fn updates(stream: &mut Stream) -> u64 {
+    stream.heartbeat().counters["page_updates"]
+}
+
+#[test]
+fn a_hidden_page_gets_nothing_and_comes_back_with_its_whole_past() {
+    let (_daemon, mut stream, at) = daemon("");
+    let mut page = page(at);
+    page.until("document.querySelectorAll('.strips canvas').length >= 6");
+    page.hide();
+    page.until("document.hidden");
+    stream.skip_to_now();
+    updates(&mut stream); // the one that was under way
+    let before = updates(&mut stream);
+    stream.take(3000);
+    stream.skip_to_now();
+    assert_eq!(updates(&mut stream), before, "updates are made for nobody");
+    page.show();
+    page.until(FINE);
+    assert!(updates(&mut stream) > before);
+    page.until("document.querySelector('.strips .chart').chart.data[0].length > 30");
+    // No hole where it was hidden.
+    let holes =
+        page.eval("document.querySelector('.strips .chart').chart.data[3].filter((y) => y === null).length");
+    assert_eq!(holes, 0);
+}

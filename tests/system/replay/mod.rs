@@ -1,0 +1,12 @@
+//! Recordings computed again, looked at, saved and exported, through the binary.
+
+mod daemon;
+mod daemon_hole;
+mod damage;
+mod export;
+mod files;
+mod fixture;
+mod holes;
+mod identity;
+#[cfg(feature = "parquet")]
+mod pandas;

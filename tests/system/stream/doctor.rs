@@ -1,0 +1,123 @@
+//! `trifacet doctor`: each trouble is named, with what to do.
+
+use std::io::Write;
+use std::net::{TcpListener, UdpSocket};
+
+use trifacet::client::PoseFrame;
+use trifacet::exit;
+
+use super::fixture::{frame, publishing};
+use crate::testkit::{run, trifacet};
+
+/// Exit code, and what it says.
+fn doctor(args: &[&str]) -> (i32, String) {
+    let done = run(trifacet(&["doctor"]).args(args));
+    (done.code, done.out + &done.err)
+}
+
+/// It says all this, and that nothing valid comes.
+fn wrong(args: &[&str], told: &[&str]) {
+    let (code, text) = doctor(args);
+    assert_eq!(code, i32::from(exit::UNAVAILABLE), "{text}");
+    for part in told.iter().chain(&["WRONG", "->"]) {
+        assert!(text.contains(part), "lacks {part}:\n{text}");
+    }
+}
+
+#[test]
+fn a_daemon_that_is_fine_is_said_to_be_over_every_way() {
+    let receiver = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let keys = format!("tcp = '127.0.0.1:0'\nudp = ['{receiver}']\nsubscribe = '127.0.0.1:0'");
+    let mut daemon = publishing(&keys);
+    let (tcp, subscribe) = (daemon.address(), daemon.subscriptions());
+    for endpoint in [format!("tcp://{tcp}"), format!("udp://{receiver}"), format!("subscribe://{subscribe}")]
+    {
+        let (code, text) = doctor(&[&endpoint]);
+        assert_eq!(code, 0, "{text}");
+        assert!(text.contains("poses are valid") && text.contains("SIMULATED"), "{text}");
+        assert!(!text.contains("WRONG") && !text.contains("clock error"), "{text}");
+    }
+}
+
+#[test]
+fn what_is_wrong_with_the_light_is_said() {
+    let mut daemon = publishing(
+        "tcp = '127.0.0.1:0'\nudp = []\n[centering]\nsearch = false\n[[twin.fault]]\nat_s = 0.0\nkind = 'psd-dark'\npsd = 1",
+    );
+    wrong(&[&format!("tcp://{}", daemon.address())], &["not valid", "PSD_B_LOW", "NOT_LOCKED"]);
+    let mut daemon =
+        publishing("tcp = '127.0.0.1:0'\nudp = []\n[[twin.fault]]\nat_s = 0.0\nkind = 'beam-blocked'");
+    wrong(&[&format!("tcp://{}", daemon.address())], &["no light on any PSD", "check that the laser is on"]);
+    let mut daemon = publishing(
+        "tcp = '127.0.0.1:0'\nudp = []\n[acquisition]\nsource = 'serial'\n[acquisition.serial]\nport = '/dev/no-board'",
+    );
+    wrong(&[&format!("tcp://{}", daemon.address())], &["SOURCE_DOWN", "plugged in"]);
+}
+
+#[test]
+fn what_is_wrong_with_the_link_is_said() {
+    let closed = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    wrong(&[&format!("tcp://{closed}")], &["nothing listens", "trifacet run"]);
+    wrong(&[&format!("subscribe://{closed}")], &["no server for subscriptions", "[publishing] subscribe"]);
+
+    let taken = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let own = format!("process {} (", std::process::id());
+    wrong(&[&format!("udp://{}", taken.local_addr().unwrap())], &["taken by", &own]);
+    wrong(&["udp://203.0.113.77:7362"], &["no interface of this machine has this address"]);
+
+    let mut daemon = publishing("tcp = '127.0.0.1:0'\nudp = []\nallow = ['10.0.0.0/8']");
+    wrong(&[&format!("tcp://{}", daemon.address())], &["refused", "[publishing] allow"]);
+}
+
+#[test]
+fn why_no_datagram_arrives_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("lab.toml");
+    let closed = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let free = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    std::fs::write(&file, format!("[publishing]\ntcp = '{closed}'\nudp = ['{free}']\n")).unwrap();
+    let config = ["--config", file.to_str().unwrap()];
+    let elsewhere = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    wrong(
+        &[&[format!("udp://{elsewhere}").as_str()], &config[..]].concat(),
+        &["sends none to", &free.to_string()],
+    );
+    wrong(
+        &[&[format!("udp://{free}").as_str()], &config[..]].concat(),
+        &["no daemon answers", "trifacet run"],
+    );
+}
+
+/// A server that says this to everyone.
+fn serve(bytes: Vec<u8>) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    std::thread::spawn(move || {
+        let clients: Vec<_> = listener
+            .incoming()
+            .map(|client| {
+                let mut client = client.unwrap();
+                client.write_all(&bytes).unwrap();
+                client
+            })
+            .collect();
+        drop(clients);
+    });
+    format!("tcp://{address}")
+}
+
+#[test]
+fn another_version_another_program_and_another_clock_are_told_apart() {
+    let mut other = frame(0).encode();
+    other[4] = 9;
+    let crc = crc32fast::hash(&other[..188]);
+    other[188..].copy_from_slice(&crc.to_le_bytes());
+    wrong(&[&serve(other.to_vec())], &["version 9.0", "same version"]);
+    wrong(&[&serve(b"220 mail ready\r\n".to_vec())], &["do not belong to this stream", "another program"]);
+    wrong(&[&serve(Vec::new())], &["sends nothing"]);
+    // Frames of 1970 are valid poses all the same.
+    let old: Vec<u8> = (0..10).flat_map(|n| PoseFrame { time_ns: 0, ..frame(n) }.encode()).collect();
+    let (code, text) = doctor(&[&serve(old)]);
+    assert_eq!(code, 0, "{text}");
+    assert!(text.contains("clock error") && text.contains("NTP"), "{text}");
+}

@@ -1,0 +1,248 @@
+//! `trace` and `solve` through the binary: the reference cases in both directions, and bad tables.
+
+use std::collections::HashMap;
+use std::io::Write;
+use std::process::{Output, Stdio};
+
+use crate::testkit;
+
+/// Runs the binary with this standard input.
+fn trifacet(arguments: &[&str], input: &[u8]) -> Output {
+    let mut child = testkit::trifacet(arguments)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut stdin = child.stdin.take().unwrap();
+    let input = input.to_vec();
+    let writer = std::thread::spawn(move || {
+        let _ = stdin.write_all(&input); // a program that refuses the first line reads no more
+    });
+    let output = child.wait_with_output().unwrap();
+    writer.join().unwrap();
+    output
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// Columns of a CSV text by name, as text.
+fn columns(csv: &[u8]) -> HashMap<String, Vec<String>> {
+    let mut reader = csv::Reader::from_reader(csv);
+    let header = reader.headers().unwrap().clone();
+    let mut columns: HashMap<String, Vec<String>> = header.iter().map(|n| (n.into(), vec![])).collect();
+    for record in reader.records() {
+        for (name, field) in header.iter().zip(&record.unwrap()) {
+            columns.get_mut(name).unwrap().push(field.into());
+        }
+    }
+    columns
+}
+
+const POSE: [&str; 6] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "yaw_rad"];
+const OFFSET: [&str; 2] = ["beam_dx_m", "beam_dy_m"];
+const SPOTS: [&str; 6] = ["u_a_m", "v_a_m", "u_b_m", "v_b_m", "u_c_m", "v_c_m"];
+const POWERS: [&str; 3] = ["power_a", "power_b", "power_c"];
+
+fn assert_near(ours: &[u8], theirs: &[u8], names: &[&str], tolerance: f64, what: &str) {
+    let (ours, theirs) = (columns(ours), columns(theirs));
+    for name in names {
+        assert_eq!(ours[*name].len(), theirs[*name].len(), "{what} {name}");
+        for (row, (a, b)) in ours[*name].iter().zip(&theirs[*name]).enumerate() {
+            let error = (a.parse::<f64>().unwrap() - b.parse::<f64>().unwrap()).abs();
+            assert!(error <= tolerance, "{what} row {row} {name}: {a} against {b}");
+        }
+    }
+}
+
+/// The reference file through `trace` and through `solve`, with a configuration for its head.
+fn reference(file: &str, model: &str, head: &str) {
+    let path = format!("{}/tests/reference/{file}", env!("CARGO_MANIFEST_DIR"));
+    let theirs = std::fs::read(&path).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("head.toml");
+    std::fs::write(&config, head).unwrap();
+    let options = ["--config", config.to_str().unwrap(), "--model", model];
+    let gaussian = model == "gaussian";
+
+    let traced = trifacet(&[&["trace"], &options[..], &[&path]].concat(), b"");
+    assert!(traced.status.success(), "{}", stderr(&traced));
+    assert_near(&traced.stdout, &theirs, &SPOTS, if gaussian { 1e-11 } else { 1e-12 }, file);
+    if gaussian {
+        assert_near(&traced.stdout, &theirs, &POWERS, 1e-10, file);
+    } else {
+        assert!(!columns(&traced.stdout).contains_key("power_a"));
+    }
+
+    for input in [&theirs, &traced.stdout] {
+        let solved = trifacet(&[&["solve"], &options[..], &["-"]].concat(), input);
+        assert!(solved.status.success(), "{}", stderr(&solved));
+        assert_near(&solved.stdout, &theirs, &POSE, 1e-10, file);
+        if gaussian {
+            assert_near(&solved.stdout, &theirs, &OFFSET, 1e-10, file);
+        }
+        let solved = columns(&solved.stdout);
+        assert!(solved["status"].iter().all(|status| status == "ok"));
+        let most = if gaussian { 8 } else { 6 };
+        assert!(solved["iterations"].iter().all(|n| (1..=most).contains(&n.parse::<i32>().unwrap())));
+    }
+}
+
+#[test]
+fn the_ray_model_agrees_with_the_reference_both_ways() {
+    reference("ray.csv", "ray", "");
+    reference("ray_r180.csv", "ray", "head.psd_distance_mm = 180");
+}
+
+#[test]
+fn the_gaussian_model_agrees_with_the_reference_both_ways() {
+    reference("gaussian.csv", "gaussian", "");
+    reference(
+        "gaussian_r400_w500.csv",
+        "gaussian",
+        "head.psd_distance_mm = 400\nhead.beam_diameter_mm = 1.0",
+    );
+}
+
+/// The figures of docs/sensor-model.md, section "Errors of the ray model".
+#[test]
+fn the_ray_model_is_off_by_what_the_documentation_says() {
+    let poses = "tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad,beam_dx_m,beam_dy_m\n\
+                 0,0,0,0,0,0,0,0\n\
+                 0,0,0,0,0,0,1e-6,0\n\
+                 0,0,0,0,0,0,1e-5,0\n\
+                 0,0,0,0,0.01,0,0,0\n";
+    let signals = trifacet(&["trace", "--model", "gaussian"], poses.as_bytes()).stdout;
+    let solved = columns(&trifacet(&["solve", "--model", "ray"], &signals).stdout);
+    let value = |row: usize, name: &str| solved[name][row].parse::<f64>().unwrap() * 1e6;
+    let near = |ours: f64, documented: f64, half_a_digit: f64| {
+        assert!((ours - documented).abs() <= half_a_digit, "{ours} is documented as {documented}");
+    };
+    near(value(0, "tz_m"), -119.2, 0.05);
+    near(value(1, "tx_m"), 0.42, 0.005);
+    near(value(1, "pitch_rad"), 0.68, 0.005);
+    near(value(2, "tx_m"), 4.1, 0.05);
+    near(value(2, "pitch_rad"), 6.8, 0.05);
+    near(value(3, "tx_m"), -1.4, 0.05);
+    near(value(3, "pitch_rad") - 10_000.0, -0.39, 0.005);
+
+    // The Gaussian model knows.
+    let known = columns(&trifacet(&["solve"], &signals).stdout);
+    assert!(known["tx_m"].iter().all(|x| x.parse::<f64>().unwrap().abs() < 1e-12), "{known:?}");
+    assert!((known["beam_dx_m"][2].parse::<f64>().unwrap() - 1e-5).abs() < 1e-12);
+}
+
+#[test]
+fn columns_count_by_name_whatever_their_order_and_dress() {
+    let dressed = "\u{feff}comment,\"yaw_rad\", pitch_rad,roll_rad,tz_m,ty_m,tx_m,beam_dy_m\r\n\
+                   here; 1,0.001,0.002,0.003,1e-4,2e-4,3e-4,5e-6\r\n";
+    let plain = "tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad,beam_dx_m,beam_dy_m\n\
+                 3e-4,2e-4,1e-4,0.003,0.002,0.001,0,5e-6\n";
+    let [dressed, plain] = [dressed, plain].map(|text| trifacet(&["trace"], text.as_bytes()));
+    assert!(dressed.status.success(), "{}", stderr(&dressed));
+    assert_eq!(dressed.stdout, plain.stdout);
+    // Seventeen significant digits, in the notation that every reader knows.
+    let cell = &columns(&plain.stdout)["power_a"][0];
+    assert_eq!(cell.split('e').next().unwrap().len(), "1.0123456789012345".len(), "{cell}");
+}
+
+#[test]
+fn a_bad_row_is_named_and_the_rest_go_on() {
+    let rows = "tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad\r\n\
+                0,0,0,0,0,0\r\n\
+                \r\n\
+                0,zero,0,0,0,0\r\n\
+                0,0,0\r\n\
+                0,0,nan,0,0,0\r\n\
+                0,0,0.05,0,0,0\r\n\
+                0,0,0,0,0,1e-3";
+    let output = trifacet(&["trace"], rows.as_bytes());
+    assert_eq!(output.status.code(), Some(65));
+    let told = stderr(&output);
+    for line in [
+        "standard input:4: ty_m is \"zero\", not a finite number",
+        "standard input:5: 3 fields where the header has 6",
+        "standard input:6: tz_m is \"nan\", not a finite number",
+        "standard input:7: the light from facet A falls off its PSD",
+        "standard input: 4 of 6 rows could not be processed",
+    ] {
+        assert!(told.contains(line), "{told}");
+    }
+    assert_eq!(told.lines().count(), 5, "{told}");
+    let columns = columns(&output.stdout);
+    for name in SPOTS.iter().chain(&POWERS) {
+        let good: Vec<_> = columns[*name].iter().map(|cell| cell != "NaN").collect();
+        assert_eq!(good, [true, false, false, false, false, true], "{name}");
+    }
+}
+
+#[test]
+fn solve_says_why_there_is_no_pose() {
+    let rows = "u_a_m,v_a_m,u_b_m,v_b_m,u_c_m,v_c_m,power_a,power_b,power_c\n\
+                0,0,0,0,0,0,0.3,0.3,0.3\n\
+                0,0,0,0,0,0,0.3,-0.3,0.3\n\
+                0,0.007,0,0,0,0,0.3,0.3,0.3\n\
+                0,0,0,0,0,0,0.3,0.3,inf\n";
+    let output = trifacet(&["solve"], rows.as_bytes());
+    assert_eq!(output.status.code(), Some(65));
+    let solved = columns(&output.stdout);
+    let status = &solved["status"];
+    assert_eq!(status[0], "ok");
+    assert!(status[1].contains("too little light on PSD B"), "{status:?}");
+    assert!(status[2].contains("off PSD A"), "{status:?}");
+    assert!(status[3].contains("power_c"), "{status:?}");
+    for name in POSE.iter().chain(&OFFSET) {
+        let known: Vec<_> = solved[*name].iter().map(|cell| cell != "NaN").collect();
+        assert_eq!(known, [true, false, false, false], "{name}");
+    }
+    assert!(stderr(&output).contains("standard input:3: too little light on PSD B"));
+}
+
+#[test]
+fn the_ray_model_needs_no_powers_and_the_gaussian_does() {
+    let rows = b"u_a_m,v_a_m,u_b_m,v_b_m,u_c_m,v_c_m\n0,0,0,0,0,0\n";
+    assert!(trifacet(&["solve", "--model", "ray"], rows).status.success());
+    let output = trifacet(&["solve", "--model", "gaussian"], rows);
+    assert_eq!(output.status.code(), Some(65));
+    assert!(stderr(&output).contains("standard input:1: the column power_a is missing"));
+}
+
+#[test]
+fn tables_that_are_none_are_refused() {
+    let header = "tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad";
+    for (input, message) in [
+        (String::new(), "standard input:1: empty: the first line must name the columns tx_m, ty_m"),
+        ("\n\n".into(), "standard input:1: empty"),
+        ("0,0,0,0,0,0\n".into(), "the column tx_m is missing; required are tx_m"),
+        (format!("\n{header},tx_m\n"), "standard input:2: the column tx_m occurs twice"),
+    ] {
+        let output = trifacet(&["trace"], input.as_bytes());
+        assert_eq!(output.status.code(), Some(65), "{input}");
+        assert!(stderr(&output).contains(message), "{}", stderr(&output));
+        assert!(output.stdout.is_empty());
+    }
+    let header_only = trifacet(&["trace"], format!("{header}\n").as_bytes());
+    assert!(header_only.status.success());
+    let output = trifacet(&["solve", "/no/such.csv"], b"");
+    assert_eq!(output.status.code(), Some(74));
+    assert!(stderr(&output).contains("cannot open /no/such.csv: No such file"), "{}", stderr(&output));
+}
+
+#[test]
+fn a_reader_that_has_seen_enough_is_no_error() {
+    let mut rows = String::from("tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad\n");
+    rows.push_str(&"0,0,0,0,0,0\n".repeat(20_000)); // more than a pipe holds
+    let mut child = testkit::trifacet(&["trace"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    let _ = child.stdin.take().unwrap().write_all(rows.as_bytes()); // it may end before the last row
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success(), "{:?}", output.status);
+    assert_eq!(stderr(&output), "");
+}

@@ -1,0 +1,46 @@
+//! A client as small as can be: one request, one answer.
+
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+
+use super::PATIENCE;
+
+/// An answer.
+#[derive(Debug)]
+pub(crate) struct Page {
+    pub(crate) code: u16,
+    pub(crate) headers: String,
+    pub(crate) body: String,
+}
+
+/// Asks for a page as a client on the same machine.
+pub(crate) fn get(at: SocketAddr, path: &str) -> Page {
+    ask(at, path, &format!("Host: {at}\r\n"))
+}
+
+/// Asks for a page with these headers.
+pub(crate) fn ask(at: SocketAddr, path: &str, headers: &str) -> Page {
+    request(at, &format!("GET {path}"), headers, "")
+}
+
+/// Sends a body with these headers.
+pub(crate) fn post(at: SocketAddr, path: &str, headers: &str, body: &str) -> Page {
+    let length = body.len();
+    request(
+        at,
+        &format!("POST {path}"),
+        &format!("Host: {at}\r\n{headers}Content-Length: {length}\r\n"),
+        body,
+    )
+}
+
+fn request(at: SocketAddr, what: &str, headers: &str, body: &str) -> Page {
+    let mut stream = TcpStream::connect(at).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    write!(stream, "{what} HTTP/1.1\r\n{headers}Connection: close\r\n\r\n{body}").unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap_or_else(|| panic!("{answer:?}"));
+    let code = head.split(' ').nth(1).unwrap().parse().unwrap();
+    Page { code, headers: head.to_ascii_lowercase(), body: body.into() }
+}

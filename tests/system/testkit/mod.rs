@@ -1,0 +1,59 @@
+//! What the tests of the program share: daemons, boards, browsers and clients that end with their test.
+
+mod board;
+mod browser;
+mod control;
+mod controller;
+mod daemon;
+mod folder;
+mod honest;
+pub(crate) mod http;
+mod load;
+mod program;
+mod stream;
+mod truth;
+mod udp;
+pub(crate) mod venv;
+
+use std::time::{Duration, SystemTime};
+
+pub(crate) use board::{Board, Socket};
+pub(crate) use browser::Browser;
+pub(crate) use controller::{Controller, State, Trouble};
+pub(crate) use daemon::{Daemon, stamp_ns};
+pub(crate) use folder::Folder;
+pub(crate) use load::waited_ns;
+pub(crate) use program::{Done, Killed, on, run, trifacet};
+pub(crate) use stream::{Frame, Stream};
+pub(crate) use truth::{errors, truth};
+pub(crate) use udp::Udp;
+
+/// Longer than anything here takes on the slowest machine; nothing waits so long unless it hangs.
+pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
+
+/// The system clock, which the daemon's own time stamps follow: nanoseconds of UTC since 1970.
+#[expect(clippy::disallowed_methods, reason = "a test is an edge")]
+pub(crate) fn now_ns() -> i64 {
+    SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_nanos() as i64
+}
+
+/// Looks again and again until something is found; `Err` describes what was seen instead.
+pub(crate) fn wait_for<T>(what: &str, mut look: impl FnMut() -> Result<T, String>) -> T {
+    let begin_ns = now_ns();
+    loop {
+        match look() {
+            Ok(found) => return found,
+            Err(seen) => {
+                let patient = now_ns() - begin_ns < PATIENCE.as_nanos() as i64;
+                assert!(patient, "never {what}: {seen}");
+            }
+        }
+        std::thread::sleep(Duration::from_millis(10)); // between two looks, so that others get on
+    }
+}
+
+/// Mean of a number over frames.
+pub(crate) fn mean(frames: &[Frame], number: impl Fn(&Frame) -> f64) -> f64 {
+    assert!(!frames.is_empty());
+    frames.iter().map(number).sum::<f64>() / frames.len() as f64
+}

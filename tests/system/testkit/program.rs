@@ -1,0 +1,41 @@
+//! The program as a command.
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+/// What a command did.
+pub(crate) struct Done {
+    pub(crate) code: i32,
+    pub(crate) out: String,
+    pub(crate) err: String,
+}
+
+/// The program with these arguments, and nothing to read.
+pub(crate) fn trifacet(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_trifacet"));
+    command.args(args).stdin(Stdio::null());
+    command
+}
+
+/// Runs a command to its end.
+pub(crate) fn run(command: &mut Command) -> Done {
+    let output = command.output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    let code = output.status.code().unwrap_or_else(|| panic!("{command:?} ended with {}", output.status));
+    Done { code, out: text(output.stdout), err: text(output.stderr) }
+}
+
+/// Runs the program on a file.
+pub(crate) fn on(args: &[&str], file: &Path) -> Done {
+    run(trifacet(args).arg(file))
+}
+
+/// A child that does not outlive its test.
+pub(crate) struct Killed(pub(crate) Child);
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
