@@ -57,7 +57,7 @@ fn two_themes_and_two_sizes_fit_and_can_be_read() {
     page.until("document.querySelectorAll('.strips canvas').length >= 6");
     page.until("document.querySelector('#faults').innerText.includes('over:')");
     page.until(FINE);
-    page.until("document.querySelector('.strips .chart').data[1].x.length > 30"); // something in them, for the eye
+    page.until("document.querySelector('.strips .chart').chart?.data[0].length > 30"); // something in them, for the eye
     for (size, name) in [(DESK, "1280"), ([390, 844], "390")] {
         page.size(size);
         for scheme in ["light", "dark"] {
