@@ -41,6 +41,7 @@ pub mod publishing;
 pub mod realtime;
 pub mod recording;
 pub mod replay;
+pub mod serial_port;
 pub mod service;
 pub mod steering;
 pub mod twin;

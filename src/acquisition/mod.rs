@@ -5,11 +5,10 @@
 //! to the source.
 //!
 //! - [`source`]: the trait of a source, and its events. [`task`]: the acquisition task.
-//! - [`serial`], [`port`]: a board on a serial port. [`board`]: the host side of its protocol.
+//! - [`serial`]: a board on a serial port. [`board`]: the host side of its protocol.
 //! - [`timebase`]: from ticks of the board to the time of the host.
 
 pub mod board;
-pub mod port;
 pub mod serial;
 pub mod source;
 pub mod task;

@@ -18,10 +18,10 @@ use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::actuator::OutputCommand;
 
 use super::board::{Session, Settings};
-use super::port::{self, PortError};
 use super::{Source, SourceError, SourceEvent};
 use crate::config::Config;
 use crate::exit::{Failure, IN_USE};
+use crate::serial_port::{self, PortError};
 
 /// Pause between two attempts to open the port.
 const RETRY: Duration = Duration::from_millis(200);
@@ -61,7 +61,7 @@ impl<C: Clock> SerialSource<C> {
     pub fn open(config: &Config, clock: C, counters: Arc<Counters>) -> Result<Self, Failure> {
         let serial = &config.acquisition.serial;
         let mut session = Session::new(Settings::from(config), counters);
-        let port = match port::open(&serial.port, serial.baud) {
+        let port = match serial_port::open(&serial.port, serial.baud) {
             Ok(port) => Port::Opened(port),
             Err(error @ PortError::InUse { .. }) => return Err(Failure::new(IN_USE, error.to_string())),
             Err(error) => {
@@ -87,7 +87,7 @@ impl<C: Clock> SerialSource<C> {
                 let (path, baud) = (self.path.clone(), self.baud);
                 self.port = Port::Opening(tokio::task::spawn_blocking(move || {
                     std::thread::sleep(RETRY);
-                    port::open(&path, baud)
+                    serial_port::open(&path, baud)
                 }));
             }
             Port::Opening(opening) => {

@@ -6,6 +6,8 @@ use trifacet_core::signals::{Identity, Scan};
 use trifacet_core::time::Mono;
 use trifacet_wire::actuator::{Ack, OutputCommand};
 
+use crate::serial_port::PortError;
+
 /// Reasons why there are no scans.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SourceError {
@@ -42,6 +44,13 @@ pub enum SourceError {
         /// Time since the last scan, milliseconds.
         silence_ms: u32,
     },
+}
+
+impl From<PortError> for SourceError {
+    fn from(error: PortError) -> Self {
+        let (PortError::InUse { port, .. } | PortError::Other { port, .. }) = &error;
+        Self::Open { port: port.display().to_string(), reason: error.reason() }
+    }
 }
 
 /// Events of a source.

@@ -2,6 +2,7 @@
 //!
 //! - [`command`]: the commands and their syntax; pure.
 //! - [`live`]: the configuration in force, and its changes.
+//! - [`page`]: the permission of the live page.
 //! - [`server`]: the socket. [`client`]: its client.
 //!
 //! All of this runs on the main thread. Requests reach the fast side through bounded channels. Each request
@@ -10,10 +11,12 @@
 pub mod client;
 pub mod command;
 pub mod live;
+pub mod page;
 pub mod server;
 
 pub use command::Command;
 pub use live::RunningConfig;
+pub use page::PageControls;
 use tokio::sync::mpsc;
 
 use crate::acquisition::task::SettingsChange;

@@ -193,7 +193,7 @@ async fn replayed(parts: Parts) -> anyhow::Result<()> {
     };
     let edges = replay::task::ReplayLinks { control, publish, means };
     let (_, _, estimation) = pipeline.into_stages();
-    let recording = replay::task::Recording { config: config.replay, beginning, estimation, counters };
+    let recording = replay::Recording { config: config.replay, beginning, estimation, counters };
     let task = replay::task::run(recording, SystemClock, edges, stop);
     // This task counts heartbeats for all three.
     let [acquisition, centering, estimation] = Task::ALL.map(|task| heartbeats.of(task));

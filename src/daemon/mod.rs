@@ -36,9 +36,8 @@ use crate::clock::SystemClock;
 use crate::clock::utc::Utc;
 use crate::config::{CalibrationContext, Config};
 use crate::control::server::Socket;
-use crate::control::{self, RunningConfig};
+use crate::control::{self, PageControls, RunningConfig};
 use crate::logging::Logging;
-use crate::monitor::page::control::Controls;
 use crate::monitor::view::{self, View};
 use crate::publishing::descriptor::StreamFacts;
 use crate::publishing::{Outlets, Publisher, PublisherSettings, StreamId, subscription_server};
@@ -140,7 +139,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         config: config_now,
         subscribers: subscription_server.as_ref().map(subscription_server::SubscriptionServer::subscribers),
         heartbeats,
-        control: Controls::of(&config.monitor, &live),
+        control: PageControls::of(&config.monitor, &live),
         recording: recording.state,
     });
     let slow = Slow {

@@ -4,8 +4,8 @@ use trifacet_core::steering::Xy;
 
 use super::observation::{self, Observation};
 use super::plan::{Plan, USED, refused, um};
+use super::record::{AXES, Recording, Step};
 use super::response::{self, Response, Windows};
-use super::task::{Recording, Step};
 use crate::exit::Failure;
 
 /// A gain counts as movement from this value, and from this multiple of its standard uncertainty.
@@ -71,9 +71,6 @@ pub struct Findings {
     /// Further information for the operator.
     pub remarks: Vec<String>,
 }
-
-/// The names of the axes.
-pub const AXES: [&str; 2] = ["x", "y"];
 
 impl Findings {
     /// Evaluates a recording. `period` is the sample period in seconds.

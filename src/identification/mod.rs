@@ -5,6 +5,7 @@
 //! - [`plan`]: chooses safe steps, and refuses unsafe ones.
 //! - `probe`: checks whether the beam responds within a dwell time.
 //! - [`task`]: receives samples, makes the steps, and returns the stage. It takes the place of centering.
+//! - [`record`]: the steps and observations of a measurement.
 //! - [`findings`]: the resulting keys of the configuration, and whether they can be trusted.
 //!
 //! Everything but the task is pure.
@@ -13,5 +14,6 @@ pub mod findings;
 pub mod observation;
 pub mod plan;
 mod probe;
+pub mod record;
 pub mod response;
 pub mod task;

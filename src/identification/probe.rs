@@ -7,9 +7,9 @@
 use trifacet_core::steering::Xy;
 use trifacet_core::time::Mono;
 
-use super::findings::AXES;
 use super::observation::{self, Observation};
 use super::plan::{Plan, refused, um};
+use super::record::AXES;
 use crate::exit::Failure;
 
 /// Largest fraction of the movement that may be missing at the end of a dwell time.

@@ -14,6 +14,7 @@ use trifacet_wire::actuator::Ack;
 use super::observation::{self, Observation, Observer};
 use super::plan::{Plan, Settings, refused, um};
 use super::probe::Probe;
+use super::record::{Recording, Step};
 use crate::acquisition::task::SampleEvent;
 use crate::exit::{self, Failure};
 use crate::steering::{Driver, StageEvent};
@@ -50,34 +51,6 @@ pub trait Audience {
 
     /// The stage was returned to this position. `complaint` is the reason if it has not acknowledged this.
     fn back(&mut self, position: Xy, complaint: Option<&str>);
-}
-
-/// A step of one axis.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Step {
-    /// Axis: 0 or 1.
-    pub axis: usize,
-    /// Positive direction.
-    pub forth: bool,
-    /// Target position, metres.
-    pub to: Xy,
-    /// Index of the observation on which the step was commanded.
-    pub on: usize,
-    /// Time from the sample to its command, seconds.
-    pub computed: f64,
-}
-
-/// All observations and steps.
-#[derive(Clone, Debug)]
-pub struct Recording {
-    /// The plan.
-    pub plan: Plan,
-    /// One observation per sample, in order.
-    pub looks: Vec<Observation>,
-    /// Number of observations before the first movement.
-    pub rest: usize,
-    /// The steps, in order.
-    pub steps: Vec<Step>,
 }
 
 /// Measures. Returns `None` if `audience` declines the plan.

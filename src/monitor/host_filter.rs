@@ -76,6 +76,15 @@ fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
     headers.get(name)?.to_str().ok()
 }
 
+/// Whether a request comes from this page, or from no page at all. Another server on this machine has
+/// pages, too; and this one has none by https.
+pub fn own_page(headers: &HeaderMap) -> bool {
+    let text = |name: HeaderName| headers.get(name)?.to_str().ok();
+    let Some(origin) = text(header::ORIGIN) else { return !headers.contains_key(header::ORIGIN) };
+    let site = origin.strip_prefix("http://");
+    site.zip(text(header::HOST)).is_some_and(|(site, host)| site.eq_ignore_ascii_case(host))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -135,6 +144,29 @@ mod tests {
         }
         for bad in ["null", "http://evil.example", "https://localhost.evil.example", ""] {
             assert!(refused("localhost", Some(bad)), "{bad}");
+        }
+    }
+
+    #[test]
+    fn another_port_of_this_machine_is_another_site() {
+        let from = |origin: Option<&str>| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::HOST, "localhost:7360".parse().unwrap());
+            if let Some(origin) = origin {
+                headers.insert(header::ORIGIN, origin.parse().unwrap());
+            }
+            own_page(&headers)
+        };
+        assert!(from(None) && from(Some("http://localhost:7360")) && from(Some("http://LOCALHOST:7360")));
+        for bad in [
+            "http://localhost:8080",
+            "http://localhost",
+            "null",
+            "",
+            "http://127.0.0.1:7360",
+            "https://localhost:7360",
+        ] {
+            assert!(!from(Some(bad)), "{bad}");
         }
     }
 }

@@ -16,11 +16,11 @@ use trifacet_wire::stream::Descriptor;
 
 use super::health::{Checks, Readiness, Standstill};
 use super::page::bins::History;
-use super::page::control::Controls;
 use super::page::state::PageState;
 use super::tally::Tally;
 use crate::clock::SystemClock;
 use crate::config::Config;
+use crate::control::PageControls;
 use crate::publishing::target::Subscriber;
 use crate::recording::handle::State;
 
@@ -55,7 +55,7 @@ pub struct Sources {
     /// State of the recorder.
     pub recording: Arc<State>,
     /// Control from the page, if enabled.
-    pub control: Option<Controls>,
+    pub control: Option<PageControls>,
 }
 
 /// Data for the pages.

@@ -24,3 +24,4 @@ mod tests;
 pub use comparison::Comparison;
 pub use engine::Engine;
 pub use header::RecordingHeader;
+pub use player::Recording;

@@ -11,8 +11,7 @@ use trifacet_wire::stream::Replayed;
 use super::pace::Pace;
 use super::playback::{Next, Playback};
 use super::republisher::{Republished, Republisher};
-use super::task::Recording;
-use super::{Comparison, Engine};
+use super::{Comparison, Engine, RecordingHeader};
 use crate::centering::CenteringRequest;
 use crate::config::{CalibrationContext, ReplayConfig};
 use crate::recording::reader::Read;
@@ -26,6 +25,19 @@ const SILENCE_NS: i64 = 10_000_000;
 const SLOW_NS: i64 = NS_PER_S / 2;
 /// Shortest interval of log lines about the restart of the recording.
 const LAPS_NS: i64 = 60 * NS_PER_S;
+
+/// The recording to replay.
+#[derive(Debug)]
+pub struct Recording {
+    /// File, speed and repetition.
+    pub config: ReplayConfig,
+    /// Beginning of the recording.
+    pub beginning: RecordingHeader,
+    /// Estimation with the first configuration. It makes the reports of silence.
+    pub estimation: Estimation,
+    /// Counters; replayed entries count as if they came from a source.
+    pub counters: Arc<Counters>,
+}
 
 pub(super) struct Player<C, Publish, Means> {
     config: ReplayConfig,

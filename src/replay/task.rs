@@ -1,19 +1,15 @@
 //! The task of a daemon that replays a recording, in place of acquisition, centering and estimation. There is
 //! no steering: the recorded state of the loop comes with the samples.
 
-use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
-use trifacet_core::estimation::Estimation;
-use trifacet_core::telemetry::Counters;
 use trifacet_core::time::Clock;
 
-use super::RecordingHeader;
-use super::player::Player;
+use super::player::{Player, Recording};
 use super::republisher::Republished;
-use crate::config::{CalibrationContext, ReplayConfig};
+use crate::config::CalibrationContext;
 use crate::control::FastLink;
 use crate::estimation::EstimationRequest;
 
@@ -29,19 +25,6 @@ pub struct ReplayLinks<Publish, Means> {
     pub publish: Publish,
     /// Receives the configuration that applies from the next report on.
     pub means: Means,
-}
-
-/// The recording to replay.
-#[derive(Debug)]
-pub struct Recording {
-    /// File, speed and repetition.
-    pub config: ReplayConfig,
-    /// Beginning of the recording.
-    pub beginning: RecordingHeader,
-    /// Estimation with the first configuration. It makes the reports of silence.
-    pub estimation: Estimation,
-    /// Counters; replayed entries count as if they came from a source.
-    pub counters: Arc<Counters>,
 }
 
 /// Runs until `stop`.

@@ -2,8 +2,9 @@
 
 use std::fmt::{Display, Write};
 
-use trifacet::identification::findings::{AXES, Findings};
+use trifacet::identification::findings::Findings;
 use trifacet::identification::plan::Plan;
+use trifacet::identification::record::AXES;
 use trifacet::identification::response::Response;
 
 const WIDTH: f64 = 760.0;

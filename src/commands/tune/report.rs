@@ -4,8 +4,9 @@ use std::fmt;
 
 use trifacet::config::edit::{Edit, Value};
 use trifacet::config::{CenteringConfig, Config, Gains};
-use trifacet::identification::findings::{AXES, Findings, Measured};
+use trifacet::identification::findings::{Findings, Measured};
 use trifacet::identification::plan::Plan;
+use trifacet::identification::record::AXES;
 
 /// Results together with the configuration of the measurement.
 pub(super) struct Report<'a> {

@@ -10,31 +10,12 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use serde_json::json;
-use tokio::sync::Mutex;
 use trifacet_core::centering::LoopMode;
 
-use super::own_page;
-use crate::config::{MonitorConfig, Token};
-use crate::control::{self, Command, RunningConfig};
+use crate::control::{self, Command};
+use crate::monitor::host_filter::own_page;
 use crate::monitor::view::View;
 use crate::recording::RecorderCommand;
-
-/// Control of the daemon from the page. Exists only if `monitor.control` is on.
-#[derive(Clone, Debug)]
-pub struct Controls {
-    /// Whoever presents this token may give commands.
-    pub token: Token,
-    /// The daemon.
-    pub live: Arc<Mutex<RunningConfig>>,
-}
-
-impl Controls {
-    /// The controls, if the configuration enables them.
-    pub fn of(config: &MonitorConfig, live: &Arc<Mutex<RunningConfig>>) -> Option<Self> {
-        let token = config.token.clone().filter(|_| config.control)?;
-        Some(Self { token, live: Arc::clone(live) })
-    }
-}
 
 /// A command from the page: `{"command": "loop on"}`.
 #[derive(Debug, Deserialize)]

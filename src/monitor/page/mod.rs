@@ -16,7 +16,7 @@ pub mod viewer;
 use std::sync::Arc;
 
 use axum::Router;
-use axum::http::{HeaderMap, HeaderName, header};
+use axum::http::{HeaderName, header};
 use axum::routing::{MethodRouter, get, post};
 
 use super::view::View;
@@ -56,15 +56,6 @@ fn asset<S: Clone + Send + Sync + 'static>(kind: &'static str, text: &'static st
     get(async move || (headers, text))
 }
 
-/// Whether a request comes from this page, or from no page at all. Another server on this machine has
-/// pages, too; and this one has none by https.
-fn own_page(headers: &HeaderMap) -> bool {
-    let text = |name: HeaderName| headers.get(name)?.to_str().ok();
-    let Some(origin) = text(header::ORIGIN) else { return !headers.contains_key(header::ORIGIN) };
-    let site = origin.strip_prefix("http://");
-    site.zip(text(header::HOST)).is_some_and(|(site, host)| site.eq_ignore_ascii_case(host))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -75,28 +66,5 @@ mod tests {
             ["default-src", "script-src", "connect-src", "img-src", "style-src", "'none'", "'self'"];
         let rest = POLICY.split([';', ' ']).filter(|word| !word.is_empty() && !allowed.contains(word));
         assert!(rest.eq(["base-uri", "form-action", "frame-ancestors"]), "{POLICY}");
-    }
-
-    #[test]
-    fn another_port_of_this_machine_is_another_site() {
-        let from = |origin: Option<&str>| {
-            let mut headers = HeaderMap::new();
-            headers.insert(header::HOST, "localhost:7360".parse().unwrap());
-            if let Some(origin) = origin {
-                headers.insert(header::ORIGIN, origin.parse().unwrap());
-            }
-            own_page(&headers)
-        };
-        assert!(from(None) && from(Some("http://localhost:7360")) && from(Some("http://LOCALHOST:7360")));
-        for bad in [
-            "http://localhost:8080",
-            "http://localhost",
-            "null",
-            "",
-            "http://127.0.0.1:7360",
-            "https://localhost:7360",
-        ] {
-            assert!(!from(Some(bad)), "{bad}");
-        }
     }
 }

@@ -18,7 +18,7 @@ use tokio::sync::broadcast::error::RecvError;
 use tokio::time::{MissedTickBehavior, interval, timeout};
 use trifacet_wire::Status;
 
-use super::own_page;
+use crate::monitor::host_filter::own_page;
 use crate::monitor::view::View;
 
 /// A viewer that accepts no data for this time is disconnected.

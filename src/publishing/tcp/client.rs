@@ -13,7 +13,7 @@ use tokio::time::{Instant, Interval, MissedTickBehavior, interval, sleep_until, 
 use trifacet_wire::stream::request::{Lines, MAX_LINE};
 use trifacet_wire::stream::{ClientCommand, StreamRequest};
 
-use super::{ServerContext, part};
+use super::context::{ServerContext, part};
 use crate::publishing::descriptor::heartbeat;
 use crate::publishing::encoding::{ClientEncoder, EncodedFrame, answer, farewell};
 use crate::publishing::query;

@@ -6,13 +6,12 @@
 //! This file accepts clients and closes the server; `client` serves one connection.
 
 mod client;
+mod context;
 
-use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{broadcast, mpsc, watch};
 use tokio::task::JoinSet;
@@ -24,43 +23,15 @@ use trifacet_wire::held::Hold;
 use trifacet_wire::stream::Descriptor;
 
 use self::client::Client;
+pub use self::context::Limits;
+use self::context::{ServerContext, part};
 use super::encoding::{EncodedFrame, farewell};
-use crate::config::Network;
 use crate::exit::Failure;
 
 /// Longest time at shutdown to receive the last frames, and again to send them.
 const DRAIN: Duration = Duration::from_millis(500);
-/// Longest time for a refused client to read the reason.
-const PARTING: Duration = Duration::from_secs(1);
 /// Most refused connections kept open at a time; further ones are closed without a reason.
 const PARTINGS: usize = 64;
-
-/// Limits of the server.
-#[derive(Clone, Debug)]
-pub struct Limits {
-    /// Most clients at a time; further ones are refused.
-    pub clients: usize,
-    /// Frames that a client may fall behind without loss; rounded up to a power of two.
-    pub queue: usize,
-    /// Networks from which clients may connect.
-    pub allow: Vec<Network>,
-    /// A client without a stream is disconnected after this time without a complete line.
-    pub idle: Duration,
-    /// A client that accepts no data for this time is disconnected: the connection is half-open or hangs.
-    pub stall: Duration,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self {
-            clients: 64,
-            queue: 1024,
-            allow: Network::loopback(),
-            idle: Duration::from_mins(1),
-            stall: Duration::from_secs(10),
-        }
-    }
-}
 
 /// Opens the port and logs its address.
 ///
@@ -121,16 +92,6 @@ impl Broadcaster {
             let _ = self.ring.send(frame_once);
         }
     }
-}
-
-/// Data shared by all clients.
-struct ServerContext {
-    /// The current descriptor.
-    descriptor: watch::Receiver<Descriptor>,
-    limits: Limits,
-    counters: Arc<Counters>,
-    newest: watch::Receiver<Option<Arc<EncodedFrame>>>,
-    ending: CancellationToken,
 }
 
 struct Server {
@@ -201,18 +162,4 @@ impl Server {
             );
         }
     }
-}
-
-/// Sends `last_word` and closes once the client has read it. Closing a socket with unread input would reset
-/// the connection, and `last_word` would be lost.
-async fn part(mut stream: TcpStream, last_word: Vec<u8>) {
-    let talk = async {
-        stream.write_all(&last_word).await?;
-        stream.shutdown().await?;
-        let mut ignored = [0; 1024];
-        while stream.read(&mut ignored).await? > 0 {}
-        io::Result::Ok(())
-    };
-    // An error means that the client has closed the connection.
-    let _ = timeout(PARTING, talk).await;
 }

@@ -14,7 +14,7 @@ use tokio_serial::SerialStream;
 use super::fault::Fault;
 use super::protocol::Answer;
 use super::settings::{Line, Settings};
-use crate::acquisition::port;
+use crate::serial_port;
 
 /// A serial line counts as quiet after this time without data.
 const QUIET: Duration = Duration::from_millis(50);
@@ -52,7 +52,7 @@ impl Link {
             }
             Line::Serial { port, baud } => {
                 let (path, baud) = (port.clone(), *baud);
-                let opening = tokio::task::spawn_blocking(move || port::open(&path, baud)).await;
+                let opening = tokio::task::spawn_blocking(move || serial_port::open(&path, baud)).await;
                 let opened = opening.map_err(|error| no_way(error.to_string()))?;
                 let tty = opened.map_err(|error| no_way(error.reason()))?;
                 Box::new(SerialStream::try_from(tty).map_err(|error| no_way(error.to_string()))?)

@@ -3,8 +3,8 @@
 use alloc::vec;
 use alloc::vec::Vec;
 
+use super::error::{MessageError, VERSION};
 use super::framing;
-use super::message::{MessageError, VERSION};
 
 /// Writes a message field by field.
 pub(super) struct Writer(Vec<u8>);

@@ -4,8 +4,8 @@ use alloc::borrow::ToOwned;
 use alloc::string::String;
 use alloc::vec::Vec;
 
+use super::error::MessageError;
 use super::fields::{Reader, Writer};
-use super::message::MessageError;
 use crate::channel::{Converter, Role, round};
 
 /// The longest name of a board in bytes.

@@ -4,13 +4,11 @@
 
 use alloc::vec::Vec;
 
+use super::error::MessageError;
 use super::fields::{Reader, Writer};
 use super::identity::BoardIdentity;
 use crate::actuator::{Ack, LeaseAction, OutputCommand};
 use crate::channel::MAX_CHANNELS;
-
-/// The implemented version of the protocol.
-pub const VERSION: u8 = 1;
 
 mod kind {
     pub(super) const IDENTIFY: u8 = 0x01;
@@ -22,38 +20,6 @@ mod kind {
     pub(super) const ACK: u8 = 0x83;
     pub(super) const SCAN: u8 = 0x84;
     pub(super) const ERROR: u8 = 0x85;
-}
-
-/// Reasons why an undamaged frame is not a message of this version.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum MessageError {
-    /// Another version of the protocol.
-    #[error("message {kind:#04x} of protocol version {version}; this program speaks version {VERSION}")]
-    Version {
-        /// Type of the message.
-        kind: u8,
-        /// Version of the message.
-        version: u8,
-    },
-    /// The type does not exist in this version and direction.
-    #[error("unknown message type {0:#04x}")]
-    Type(u8),
-    /// The length is wrong for the type.
-    #[error("message {kind:#04x} has the wrong length: {length} bytes")]
-    Length {
-        /// Type of the message.
-        kind: u8,
-        /// Length of the message without checksum, bytes.
-        length: usize,
-    },
-    /// A field has an undefined value.
-    #[error("message {kind:#04x}: the value of the {field} is undefined")]
-    Value {
-        /// Type of the message.
-        kind: u8,
-        /// Name of the field.
-        field: &'static str,
-    },
 }
 
 /// From host to board.
@@ -345,7 +311,7 @@ mod tests {
         fn any_bytes_are_a_message_or_an_error(mut bytes in prop::collection::vec(any::<u8>(), 0..260)) {
             if let [kind, version, ..] = &mut bytes[..] {
                 // Half of the messages get a valid type and version.
-                (*kind, *version) = if *kind & 8 == 0 { (*kind & 0x87, VERSION) } else { (*kind, *version) };
+                (*kind, *version) = if *kind & 8 == 0 { (*kind & 0x87, crate::board::VERSION) } else { (*kind, *version) };
             }
             let _ = Request::decode(&bytes);
             if let Ok(Answer::Scan(scan)) = Answer::decode(&bytes) {

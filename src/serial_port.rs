@@ -6,8 +6,6 @@ use std::path::{Path, PathBuf};
 
 use serialport::TTYPort;
 
-use super::SourceError;
-
 /// Reasons why a port cannot be opened.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PortError {
@@ -36,13 +34,6 @@ impl PortError {
             Self::InUse { holder, .. } => format!("in use by {holder}"),
             Self::Other { reason, .. } => reason.clone(),
         }
-    }
-}
-
-impl From<PortError> for SourceError {
-    fn from(error: PortError) -> Self {
-        let (PortError::InUse { port, .. } | PortError::Other { port, .. }) = &error;
-        Self::Open { port: port.display().to_string(), reason: error.reason() }
     }
 }
 

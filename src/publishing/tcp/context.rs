@@ -1,0 +1,70 @@
+//! What the server and its clients share: limits, the newest frame, and how a connection is closed.
+
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+use tokio::sync::watch;
+use tokio::time::timeout;
+use tokio_util::sync::CancellationToken;
+use trifacet_core::telemetry::Counters;
+use trifacet_wire::stream::Descriptor;
+
+use crate::config::Network;
+use crate::publishing::encoding::EncodedFrame;
+
+/// Longest time for a refused client to read the reason.
+const PARTING: Duration = Duration::from_secs(1);
+
+/// Limits of the server.
+#[derive(Clone, Debug)]
+pub struct Limits {
+    /// Most clients at a time; further ones are refused.
+    pub clients: usize,
+    /// Frames that a client may fall behind without loss; rounded up to a power of two.
+    pub queue: usize,
+    /// Networks from which clients may connect.
+    pub allow: Vec<Network>,
+    /// A client without a stream is disconnected after this time without a complete line.
+    pub idle: Duration,
+    /// A client that accepts no data for this time is disconnected: the connection is half-open or hangs.
+    pub stall: Duration,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            clients: 64,
+            queue: 1024,
+            allow: Network::loopback(),
+            idle: Duration::from_mins(1),
+            stall: Duration::from_secs(10),
+        }
+    }
+}
+
+/// Data shared by all clients.
+pub(super) struct ServerContext {
+    /// The current descriptor.
+    pub(super) descriptor: watch::Receiver<Descriptor>,
+    pub(super) limits: Limits,
+    pub(super) counters: Arc<Counters>,
+    pub(super) newest: watch::Receiver<Option<Arc<EncodedFrame>>>,
+    pub(super) ending: CancellationToken,
+}
+
+/// Sends `last_word` and closes once the client has read it. Closing a socket with unread input would reset
+/// the connection, and `last_word` would be lost.
+pub(super) async fn part(mut stream: TcpStream, last_word: Vec<u8>) {
+    let talk = async {
+        stream.write_all(&last_word).await?;
+        stream.shutdown().await?;
+        let mut ignored = [0; 1024];
+        while stream.read(&mut ignored).await? > 0 {}
+        io::Result::Ok(())
+    };
+    // An error means that the client has closed the connection.
+    let _ = timeout(PARTING, talk).await;
+}
