@@ -9,7 +9,7 @@ use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 use trifacet_core::centering::centering::Centering;
 use trifacet_core::centering::lock::Transition;
-use trifacet_core::centering::{LoopParams, LoopState, LoopView, TimedPose};
+use trifacet_core::centering::{LoopParams, LoopRefusal, LoopState, LoopView, TimedPose};
 use trifacet_core::estimation::PoseReport;
 use trifacet_core::signals::Sample;
 use trifacet_core::steering::{Command, Xy};
@@ -48,9 +48,9 @@ pub enum CenteringRequest {
     /// Changes the parameters; the reply confirms that they are in effect.
     Retune(Box<LoopParams>, oneshot::Sender<()>),
     /// Sends the stage to a position, metres; the reply may be a refusal.
-    Move(Xy, oneshot::Sender<Result<(), &'static str>>),
+    Move(Xy, oneshot::Sender<Result<(), LoopRefusal>>),
     /// Starts a search for the apex.
-    Search(oneshot::Sender<Result<(), &'static str>>),
+    Search(oneshot::Sender<Result<(), LoopRefusal>>),
     /// Asks for the state of the loop.
     View(oneshot::Sender<LoopView>),
 }
@@ -153,8 +153,9 @@ impl<D: Driver, C: Clock> Side<D, C> {
         let Some(transition) = transition else { return };
         let time = self.clock.now();
         let Transition { from, to, cause } = transition;
-        self.records.put(|| Entry::Lock { time, before: from, after: to, cause: cause.into() });
-        tracing::info!(from = from.name(), to = to.name(), cause, "lock");
+        self.records.put(|| Entry::Lock { time, before: from, after: to, cause: cause.text().into() });
+        tracing::info!(from = from.name(), to = to.name(), cause = cause.text(), "lock");
+        self.counters.lock_cause(cause).inc();
         self.counters.lock(to).inc();
     }
 

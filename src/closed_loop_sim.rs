@@ -182,6 +182,6 @@ impl ClosedLoopSim {
 
 fn record_transition(records: &RecordSender, time: Mono, transition: Option<Transition>) {
     if let Some(Transition { from, to, cause }) = transition {
-        records.put(|| Entry::Lock { time, before: from, after: to, cause: cause.into() });
+        records.put(|| Entry::Lock { time, before: from, after: to, cause: cause.text().into() });
     }
 }

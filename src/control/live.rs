@@ -7,7 +7,7 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::timeout;
-use trifacet_core::centering::LoopMode;
+use trifacet_core::centering::{LoopMode, LoopRefusal};
 use trifacet_core::channels::Channels;
 use trifacet_core::steering::Xy;
 use trifacet_core::telemetry::Counters;
@@ -140,11 +140,11 @@ impl RunningConfig {
     /// Sends a request that the loop may refuse.
     async fn order(
         &self,
-        order: impl FnOnce(oneshot::Sender<Result<(), &'static str>>) -> CenteringRequest,
+        order: impl FnOnce(oneshot::Sender<Result<(), LoopRefusal>>) -> CenteringRequest,
     ) -> Result<Value, Failure> {
         ask(&self.fast.orders, FAST_SIDE_TIMEOUT, order)
             .await?
-            .map_err(|why| Failure::new(exit::USAGE, why))?;
+            .map_err(|refusal| Failure::new(exit::USAGE, refusal.to_string()))?;
         Ok(json!({ "loop": self.loop_now().await? }))
     }
 

@@ -13,6 +13,7 @@ use prometheus_client::metrics::gauge::ConstGauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::Registry;
 use rustix::time::{ClockId, clock_gettime};
+use trifacet_core::centering::lock::LockCause;
 use trifacet_core::telemetry::Counters;
 use trifacet_wire::{LockState, Status};
 
@@ -41,9 +42,14 @@ impl Collector for View {
         let mut page = Page(encoder);
         page.daemon(self)?;
         page.clients(self)?;
-        for ((name, count), context) in self.sources.counters.list().into_iter().zip(Counters::MEANINGS) {
-            page.put(name, context.trim_end_matches('.'), &ConstCounter::new(count))?;
+        let counters = &self.sources.counters;
+        for ((name, count), definition) in counters.list().into_iter().zip(Counters::DEFINITIONS) {
+            page.put(name, definition.meaning.trim_end_matches('.'), &ConstCounter::new(count))?;
         }
+        let causes = LockCause::ALL
+            .iter()
+            .map(|cause| (cause.label(), ConstCounter::new(counters.lock_cause(*cause).get())));
+        page.each("lock_changes", "Changes of the lock state, by cause", "cause", causes)?;
         page.state(self)?;
         page.recording(self)?;
         let aggregates = self.aggregates();

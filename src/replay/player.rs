@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use trifacet_core::centering::LoopState;
+use trifacet_core::centering::{LoopRefusal, LoopState};
 use trifacet_core::estimation::{Estimation, PoseReport};
 use trifacet_core::telemetry::Counters;
 use trifacet_core::time::{Clock, Mono, NS_PER_S};
@@ -93,10 +93,11 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
     }
 
     pub(super) fn obey(&self, order: CenteringRequest) {
-        const WHY: &str = "a recording is replayed: there is no stage to steer";
         match order {
             CenteringRequest::Retune(_, done) => drop(done.send(())),
-            CenteringRequest::Move(_, reply) | CenteringRequest::Search(reply) => drop(reply.send(Err(WHY))),
+            CenteringRequest::Move(_, reply) | CenteringRequest::Search(reply) => {
+                let _ = reply.send(Err(LoopRefusal::NoStage));
+            }
             CenteringRequest::View(reply) => drop(reply.send(self.teller.view(&self.steering))),
         }
     }

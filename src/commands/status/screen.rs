@@ -2,27 +2,11 @@
 
 use serde_json::Value;
 use trifacet::client::PoseFrame;
+use trifacet_core::telemetry::Counters;
 use trifacet_wire::{LockState, Status};
 
 use super::Known;
 
-/// Counters of losses and refusals.
-const LOSSES: [&str; 14] = [
-    "scans_lost",
-    "replay_holes",
-    "frames_corrupted",
-    "frames_unknown",
-    "board_errors",
-    "converter_overruns",
-    "leases_expired",
-    "source_downs",
-    "commands_refused",
-    "estimation_overflows",
-    "centering_skips",
-    "udp_dropped",
-    "tcp_overflows",
-    "tcp_dropped",
-];
 /// Status bits that are shown elsewhere on the page, or are normal.
 const TOLD: Status = Status(Status::POSE_VALID.0 | Status::NOT_LOCKED.0 | Status::STEERING_MEASURED.0);
 
@@ -132,7 +116,7 @@ fn losses(known: &Known) -> String {
     let Some(heartbeat) = &known.heartbeat else { return "not available on this link".into() };
     let counted = |name: &str| heartbeat.counters.get(name).copied().filter(|n| *n > 0);
     let mut losses: Vec<_> =
-        LOSSES.into_iter().filter_map(|name| Some(format!("{name} {}", counted(name)?))).collect();
+        Counters::losses().filter_map(|name| Some(format!("{name} {}", counted(name)?))).collect();
     if known.missing > 0 {
         losses.push(format!("missing here {}", known.missing));
     }

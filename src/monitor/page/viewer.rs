@@ -16,6 +16,7 @@ use serde_json::json;
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::time::{MissedTickBehavior, interval, timeout};
+use trifacet_core::telemetry::Counters;
 use trifacet_wire::Status;
 
 use crate::monitor::host_filter::own_page;
@@ -105,15 +106,14 @@ impl Viewer {
         let bits: Vec<_> =
             bits.map(|((_, name), context)| json!({ "name": name, "meaning": context })).collect();
         let sources = &self.view.sources;
-        let counters: serde_json::Map<_, _> = (sources.counters.list().iter().map(|(name, _)| *name))
-            .zip(trifacet_core::telemetry::Counters::MEANINGS)
-            .map(|(name, context)| (name.to_owned(), (*context).into()))
-            .collect();
+        let counters: serde_json::Map<_, _> =
+            Counters::DEFINITIONS.iter().map(|d| (d.name.to_owned(), d.meaning.into())).collect();
         let hello = json!({ "hello": {
             "descriptor": *sources.descriptor.borrow(),
             "config": *sources.config.borrow(),
             "bits": bits,
             "counters": counters,
+            "losses": Counters::losses().collect::<Vec<_>>(),
             "control": sources.control.is_some(),
         }});
         self.say(&hello).await

@@ -4,7 +4,8 @@ use trifacet_optics::Optics;
 use trifacet_wire::LockState;
 use trifacet_wire::actuator::{Ack, LeaseAction};
 
-use super::lock::{Action, Lock, LockInput, Transition};
+use super::LoopRefusal;
+use super::lock::{Action, Lock, LockCause, LockInput, Transition};
 use super::stage::{CommandStatus, StageModel};
 use crate::centering::apex_tracker::ApexTracker;
 use crate::centering::observation::BeamObservation;
@@ -18,11 +19,6 @@ use crate::time::Mono;
 const MOST_PERIODS: f64 = 5.0;
 /// A jump begins if it is longer than this fraction of the beam radius.
 const WORTH_A_JUMP: f64 = 0.25;
-
-pub(super) const TOO_LATE: &str = "samples arrive later than centering.loop_delay_ms";
-pub(super) const STUCK: &str = "the stage does not follow its commands";
-pub(super) const REFUSED: &str = "the stage refuses its commands";
-pub(super) const NO_STAGE: &str = "the stage takes no commands";
 
 /// The centering loop.
 #[derive(Clone, Debug)]
@@ -117,9 +113,9 @@ impl Centering {
     ///
     /// # Errors
     /// The loop is not in manual mode.
-    pub fn move_to(&mut self, position: Xy) -> Result<(), &'static str> {
+    pub fn move_to(&mut self, position: Xy) -> Result<(), LoopRefusal> {
         if self.params.mode != LoopMode::Manual {
-            return Err("the stage can be moved manually only while the loop is \"manual\"");
+            return Err(LoopRefusal::NotManual);
         }
         self.open_loop = OpenLoopMove::jump(self.params.controller.within(position), 0.0);
         Ok(())
@@ -129,12 +125,12 @@ impl Centering {
     ///
     /// # Errors
     /// The loop is not on, or searches are disabled.
-    pub fn search(&mut self) -> Result<(), &'static str> {
+    pub fn search(&mut self) -> Result<(), LoopRefusal> {
         if self.params.mode != LoopMode::On {
-            return Err("the loop searches for the apex only while it is \"on\"");
+            return Err(LoopRefusal::NotOn);
         }
         if !self.params.limits.search {
-            return Err("centering.search is false");
+            return Err(LoopRefusal::SearchDisabled);
         }
         self.lock.search();
         Ok(())
@@ -215,7 +211,11 @@ impl Centering {
             None => self.look(sample, pose),
         };
         let error = self.offset.map_or([0.0; 2], |offset| self.error(offset));
-        let seen = if stuck { LockInput::Unclear(STUCK) } else { self.seen(&observation, error, sample) };
+        let seen = if stuck {
+            LockInput::Unclear(LockCause::StageStuck)
+        } else {
+            self.seen(&observation, error, sample)
+        };
         let decision = self.lock.update(seen, self.open_loop.arrived(), dt);
         if decision.begins {
             self.open_loop = self.begin(decision.action, &observation);
@@ -239,11 +239,13 @@ impl Centering {
     }
 
     /// The reason why the loop cannot act on observations, if there is one.
-    fn trouble(&self) -> Option<&'static str> {
+    fn trouble(&self) -> Option<LockCause> {
         match self.stage.command_status() {
-            CommandStatus::Gone => Some(NO_STAGE),
-            CommandStatus::Refuses => Some(REFUSED),
-            CommandStatus::Obeys if self.late_s > self.params.limits.lost_s => Some(TOO_LATE),
+            CommandStatus::Gone => Some(LockCause::StageGone),
+            CommandStatus::Refuses => Some(LockCause::StageRefuses),
+            CommandStatus::Obeys if self.late_s > self.params.limits.lost_s => {
+                Some(LockCause::SamplesTooLate)
+            }
             CommandStatus::Obeys => None,
         }
     }
@@ -376,7 +378,7 @@ impl Centering {
     pub fn silence(&mut self, dt: f64) -> Option<Transition> {
         (self.offset, self.shadow) = (None, None);
         self.tracker.interrupt();
-        self.lock.update(LockInput::Unclear("no samples"), false, dt).transition
+        self.lock.update(LockInput::Unclear(LockCause::NoSamples), false, dt).transition
     }
 
     /// The last command: hold or park. `None` if the loop does not control the stage, or the stage takes no

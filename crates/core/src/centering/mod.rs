@@ -31,4 +31,4 @@ pub mod tracking;
 pub use centering::Centering;
 pub use modes::{LoopMode, OnExit, Target};
 pub use params::LoopParams;
-pub use state::{LoopState, LoopView, Outcome, TimedPose};
+pub use state::{LoopRefusal, LoopState, LoopView, Outcome, TimedPose};

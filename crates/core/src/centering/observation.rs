@@ -2,6 +2,7 @@
 
 use trifacet_optics::{Model, Optics, Pose, Vec2};
 
+use super::lock::LockCause;
 use crate::signals::{PsdState, Sample};
 use crate::steering::Xy;
 
@@ -20,12 +21,12 @@ pub enum BeamObservation {
         /// The beam may be on the apex although light is missing: a PSD is covered, or a channel is clipped.
         covered: bool,
         /// The reason why the observation is incomplete.
-        cause: &'static str,
+        cause: LockCause,
     },
     /// No PSD sees light.
     Dark,
     /// The sample gives no information, for this reason.
-    Unclear(&'static str),
+    Unclear(LockCause),
 }
 
 impl BeamObservation {
@@ -36,16 +37,16 @@ impl BeamObservation {
         match (count(PsdState::Low), count(PsdState::Clipped)) {
             (0, 0) => match optics.offset_of_powers(&sample.powers, pose) {
                 Ok(offset) => BeamObservation::Offset(offset.into()),
-                Err(_) => BeamObservation::Unclear("the powers give no offset"),
+                Err(_) => BeamObservation::Unclear(LockCause::NoOffset),
             },
             // Too much light; no move of the stage would help.
-            (0, 3) => BeamObservation::Unclear("every PSD is clipped"),
+            (0, 3) => BeamObservation::Unclear(LockCause::AllClipped),
             // Either one channel is broken, or nearly all light falls on one PSD, which then receives three
             // times the power that it receives with the beam on the apex.
-            (0, _) => BeamObservation::Partial { apex, covered: true, cause: "a channel is clipped" },
+            (0, _) => BeamObservation::Partial { apex, covered: true, cause: LockCause::Clipped },
             (3, _) => BeamObservation::Dark,
             _ => {
-                let cause = "a PSD sees too little light";
+                let cause = LockCause::LittleLight;
                 if Self::covered(sample, beam, pose, apex, optics) {
                     return BeamObservation::Partial { apex, covered: true, cause };
                 }

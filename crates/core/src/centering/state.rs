@@ -65,3 +65,20 @@ pub struct TimedPose {
     /// Time at which its signals were sampled.
     pub time: Mono,
 }
+
+/// Why the loop refuses a request of the operator.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum LoopRefusal {
+    /// A recording is the source.
+    #[error("a recording is replayed: there is no stage to steer")]
+    NoStage,
+    /// A move needs manual mode.
+    #[error("the stage can be moved manually only while the loop is \"manual\"")]
+    NotManual,
+    /// A search needs mode on.
+    #[error("the loop searches for the apex only while it is \"on\"")]
+    NotOn,
+    /// The configuration disables searches.
+    #[error("centering.search is false")]
+    SearchDisabled,
+}

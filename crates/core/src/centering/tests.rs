@@ -6,7 +6,8 @@ use trifacet_optics::{Head, Model, Optics, Pose, Vec2};
 use trifacet_wire::LockState;
 use trifacet_wire::actuator::{Ack, LeaseAction};
 
-use crate::centering::centering::{Centering, TOO_LATE};
+use crate::centering::centering::Centering;
+use crate::centering::lock::LockCause;
 use crate::centering::{LoopMode, LoopParams, Outcome, TimedPose};
 use crate::signals::{PsdState, Sample};
 use crate::steering::{BeamMap, Xy};
@@ -274,7 +275,10 @@ fn a_source_that_is_always_late_is_said_to_be() {
         assert!(outcome.late && outcome.command.is_some_and(|command| command.position == [0.0; 2]));
         transitions.extend(outcome.transition.map(|t| (t.to, t.cause)));
     }
-    assert_eq!(transitions, [(LockState::Held, TOO_LATE), (LockState::Lost, TOO_LATE)]);
+    assert_eq!(
+        transitions,
+        [(LockState::Held, LockCause::SamplesTooLate), (LockState::Lost, LockCause::SamplesTooLate)]
+    );
     let sample = bench.beside_the_point();
     bench.centering.sample(&sample, None, sample.time);
     assert_eq!(bench.centering.state().lock, LockState::Acquiring);

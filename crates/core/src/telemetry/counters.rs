@@ -4,17 +4,47 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use trifacet_wire::LockState;
 
+use crate::centering::lock::LockCause;
+
+/// What a counter means for the user.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CounterKind {
+    /// An event of normal operation.
+    Event,
+    /// Something is lost, refused or too late: a sample, a frame, a command, a recorded entry.
+    Loss,
+}
+
+/// The definition of a counter, which every surface reads: status, page, metrics, documentation.
+#[derive(Clone, Copy, Debug)]
+pub struct CounterDefinition {
+    /// Its name.
+    pub name: &'static str,
+    /// Whether it counts losses.
+    pub kind: CounterKind,
+    /// What it counts, one sentence.
+    pub meaning: &'static str,
+}
+
 macro_rules! counters {
-    ($($(#[doc = $doc:literal])* $name:ident),* $(,)?) => {
+    ($($(#[doc = $doc:literal])* $kind:ident $name:ident),* $(,)?) => {
         /// Every counter of the daemon. Shared, lock-free; each only ever grows.
         #[derive(Debug, Default)]
-        pub struct Counters { $($(#[doc = $doc])* pub $name: Counter),* }
+        pub struct Counters {
+            $($(#[doc = $doc])* pub $name: Counter,)*
+            /// Changes of the lock state by cause.
+            causes: [Counter; LockCause::ALL.len()],
+        }
 
         impl Counters {
-            /// What each of them counts, in the order of [`Counters::list`].
-            pub const MEANINGS: &[&str] = &[$(concat!($($doc),*).trim_ascii()),*];
+            /// The definitions, in the order of the data flow.
+            pub const DEFINITIONS: &[CounterDefinition] = &[$(CounterDefinition {
+                name: stringify!($name),
+                kind: CounterKind::$kind,
+                meaning: concat!($($doc),*).trim_ascii(),
+            }),*];
 
-            /// All of them by name, in the order of the flow.
+            /// The counts by name, in the order of [`Counters::DEFINITIONS`].
             pub fn list(&self) -> Vec<(&'static str, u64)> {
                 vec![$((stringify!($name), self.$name.get())),*]
             }
@@ -24,100 +54,110 @@ macro_rules! counters {
 
 counters! {
     /// Scans that arrived complete.
-    scans,
+    Event scans,
     /// Samples that the converter took but that did not arrive.
-    scans_lost,
+    Loss scans_lost,
     /// Frames of the board that arrived twice.
-    scans_repeated,
+    Event scans_repeated,
     /// Frames of the board that arrived after a newer one and were not used.
-    scans_late,
+    Loss scans_late,
     /// Frames of the board with wrong framing or a wrong checksum.
-    frames_corrupted,
+    Loss frames_corrupted,
     /// Undamaged frames of the board with invalid contents.
-    frames_unknown,
+    Loss frames_unknown,
     /// Frames of the daemon that the board did not understand.
-    board_errors,
+    Loss board_errors,
     /// Times the board read its converter too late.
-    converter_overruns,
+    Loss converter_overruns,
     /// Times the board held or parked the steering because no new command arrived in time.
-    leases_expired,
+    Loss leases_expired,
     /// Times the source went down.
-    source_downs,
+    Loss source_downs,
     /// Times the replay reached the end of the recording.
-    replay_ends,
+    Event replay_ends,
     /// Gaps in the replayed recording: damaged or missing data.
-    replay_holes,
+    Loss replay_holes,
     /// Steering commands passed to the source.
-    commands_sent,
+    Event commands_sent,
     /// Steering commands that the board refused.
-    commands_refused,
+    Loss commands_refused,
     /// Samples dropped because estimation lagged behind.
-    estimation_overflows,
+    Loss estimation_overflows,
     /// Samples that the controller did not act on: a newer one was available, or they arrived later than the
     /// loop delay of its gains.
-    centering_skips,
+    Loss centering_skips,
     /// Times the loop began to acquire.
-    lock_acquiring,
+    Event lock_acquiring,
     /// Times the loop locked.
-    lock_locked,
+    Event lock_locked,
     /// Times the stage reached a limit.
-    lock_railed,
+    Event lock_railed,
     /// Times the loop began to hold the stage.
-    lock_held,
+    Event lock_held,
     /// Times the beam was lost.
-    lock_lost,
+    Event lock_lost,
     /// Times a search began.
-    lock_searching,
+    Event lock_searching,
     /// Times the loop was switched off or to manual.
-    lock_released,
+    Event lock_released,
     /// Pose frames made.
-    frames,
+    Event frames,
     /// Pose frames without a valid pose.
-    frames_invalid,
+    Event frames_invalid,
     /// Datagrams that the network stack did not accept.
-    udp_dropped,
+    Loss udp_dropped,
     /// Frames that did not reach the TCP server because it lagged behind.
-    tcp_overflows,
+    Loss tcp_overflows,
     /// Frames dropped for TCP clients that were too slow, summed over clients.
-    tcp_dropped,
+    Loss tcp_dropped,
     /// Requests for UDP subscriptions that were refused or invalid.
-    udp_refused,
+    Event udp_refused,
     /// TCP clients that were accepted.
-    tcp_connected,
+    Event tcp_connected,
     /// TCP clients that have disconnected.
-    tcp_disconnected,
+    Event tcp_disconnected,
     /// TCP clients that were refused: too many, or not from an allowed network.
-    tcp_refused,
+    Event tcp_refused,
     /// Entries that did not reach the recorder because it lagged behind.
-    recording_overflows,
+    Loss recording_overflows,
     /// Entries lost because the file could not be written.
-    recording_lost,
+    Loss recording_lost,
     /// Messages written to recordings.
-    recording_messages,
+    Event recording_messages,
     /// Bytes written to recordings.
-    recording_bytes,
+    Event recording_bytes,
     /// Recordings begun.
-    recording_files,
+    Event recording_files,
     /// Recordings deleted to keep the budget.
-    recording_deletions,
+    Event recording_deletions,
     /// Times a recording could not continue: disk full, folder missing, or similar.
-    recording_faults,
+    Loss recording_faults,
     /// Frames that did not reach the monitor because it lagged behind.
-    monitor_overflows,
+    Loss monitor_overflows,
     /// Updates of the page, each made once for all viewers.
-    page_updates,
+    Event page_updates,
     /// Updates of the page that a viewer did not accept in time, summed over viewers.
-    page_skips,
+    Loss page_skips,
     /// HTTP connections that were closed and viewers that were refused: too many.
-    monitor_refused,
+    Event monitor_refused,
     /// HTTP requests that were refused: not addressed to this host alone, or from a page of another host.
-    monitor_forbidden,
+    Event monitor_forbidden,
     /// Commands over HTTP that were refused: a wrong token, or monitor.control is off.
-    monitor_denied,
+    Event monitor_denied,
 }
 
 impl Counters {
-    /// That of the times the loop came to this state.
+    /// The names of the counters of losses.
+    pub fn losses() -> impl Iterator<Item = &'static str> {
+        Self::DEFINITIONS.iter().filter(|d| d.kind == CounterKind::Loss).map(|d| d.name)
+    }
+
+    /// Changes of the lock state with this cause.
+    pub fn lock_cause(&self, cause: LockCause) -> &Counter {
+        &self.causes[cause as usize]
+    }
+
+    /// The counter of transitions to this state.
     pub fn lock(&self, state: LockState) -> &Counter {
         match state {
             LockState::Acquiring => &self.lock_acquiring,

@@ -8,5 +8,5 @@ mod counters;
 pub mod heartbeat;
 mod latest_status;
 
-pub use counters::{Counter, Counters};
+pub use counters::{Counter, CounterDefinition, CounterKind, Counters};
 pub use latest_status::LatestStatus;

@@ -263,7 +263,7 @@ function losses(update) {
   const [median, high] = [0, 1].map((i) => (delays.length > 0 ? delays.reduce((s, d) => s + d[i], 0) / delays.length : null));
   const us = (x) => (x === null ? "–" : `${fixed(x, 0)} µs`);
   const share = sum("frames") > 0 ? `${fixed((100 * sum("invalid")) / sum("frames"), 1)} %` : "–";
-  const lost = Object.entries(counters ?? {}).filter(([name, n]) => n > 0 && LOSSES.includes(name));
+  const lost = Object.entries(counters ?? {}).filter(([name, n]) => n > 0 && hello.losses.includes(name));
   facts($("latency"), [
     ["sample to datagram, median", us(median)],
     ["99th percentile", us(high)],
@@ -275,7 +275,6 @@ function losses(update) {
   facts($("counters"), Object.entries(counters ?? {}).map(([name, n]) => [name.replaceAll("_", " "), count(n), hello.counters[name]]));
   lately.length = 0;
 }
-const LOSSES = ["scans_lost", "replay_holes", "frames_corrupted", "source_downs", "leases_expired", "estimation_overflows", "udp_dropped", "tcp_overflows", "tcp_dropped", "monitor_overflows", "page_skips"];
 
 // What the person orders.
 

@@ -14,9 +14,11 @@
 //!                         waiting: held
 //! ```
 
+mod cause;
 #[cfg(test)]
 mod tests;
 
+pub use cause::LockCause;
 use trifacet_wire::LockState;
 
 use crate::centering::LoopMode;
@@ -76,12 +78,12 @@ pub enum LockInput {
         /// The computed apex differs from the one at which the loop gave up.
         news: bool,
         /// The reason why the observation is incomplete.
-        cause: &'static str,
+        cause: LockCause,
     },
     /// No PSD sees light.
     Dark,
     /// The observation gives no information, for this reason.
-    Unclear(&'static str),
+    Unclear(LockCause),
 }
 
 /// Action of the loop.
@@ -107,7 +109,7 @@ pub struct Transition {
     /// State after.
     pub to: LockState,
     /// The cause.
-    pub cause: &'static str,
+    pub cause: LockCause,
 }
 
 /// Decision that follows from an observation.
@@ -150,11 +152,11 @@ struct Next {
     action: Action,
     begins: bool,
     state: LockState,
-    cause: &'static str,
+    cause: LockCause,
 }
 
 impl Next {
-    fn go_on(action: Action, state: LockState, cause: &'static str) -> Self {
+    fn go_on(action: Action, state: LockState, cause: LockCause) -> Self {
         Self { action, begins: false, state, cause }
     }
 }
@@ -196,9 +198,9 @@ impl Lock {
         let from = self.state;
         *self = Self::new(self.limits, mode);
         let cause = match mode {
-            LoopMode::On => "switched on",
-            LoopMode::Off | LoopMode::Shadow => "switched off",
-            LoopMode::Manual => "switched to manual",
+            LoopMode::On => LockCause::SwitchedOn,
+            LoopMode::Off | LoopMode::Shadow => LockCause::SwitchedOff,
+            LoopMode::Manual => LockCause::SwitchedToManual,
         };
         (from != self.state).then_some(Transition { from, to: self.state, cause })
     }
@@ -267,23 +269,23 @@ impl Lock {
         // The comparisons are written so that NaN is outside.
         let within = size <= limit && self.mean_square.sqrt() <= limit;
         let (state, cause) = if found && !railed {
-            (LockState::Acquiring, "all PSDs see light")
+            (LockState::Acquiring, LockCause::LightFound)
         } else if railed {
-            (LockState::Railed, "the steering is at a limit")
+            (LockState::Railed, LockCause::AtLimit)
         } else if !within {
-            (LockState::Acquiring, "the offset, or its rms, is above the limit")
+            (LockState::Acquiring, LockCause::OffsetTooLarge)
         } else if self.state == LockState::Locked || self.good_s + dt >= lock_s {
             (self.attempts, self.slips, self.found) = (0, 0, false);
-            (LockState::Locked, "the offset is within the limit")
+            (LockState::Locked, LockCause::OffsetWithinLimit)
         } else {
-            (LockState::Acquiring, "the offset is within the limit, but not yet for lock_time_ms")
+            (LockState::Acquiring, LockCause::Confirming)
         };
         self.good_s = if within && !railed { self.good_s + dt } else { 0.0 };
         Next::go_on(Action::Regulating, state, cause)
     }
 
     /// Holds the stage.
-    fn hold(&mut self, cause: &'static str, dt: f64) -> Next {
+    fn hold(&mut self, cause: LockCause, dt: f64) -> Next {
         self.good_s = 0.0;
         self.mean_square = f64::INFINITY;
         self.blind_s += dt;
@@ -295,7 +297,7 @@ impl Lock {
     }
 
     fn no_light(&mut self, arrived: bool, dt: f64) -> Next {
-        const CAUSE: &str = "no PSD sees light";
+        const CAUSE: LockCause = LockCause::NoLight;
         match self.action {
             Action::Regulating | Action::Holding => {
                 let held = self.hold(CAUSE, dt);
@@ -304,7 +306,7 @@ impl Lock {
                 }
                 held
             }
-            Action::Jumping if arrived => Self::look("no PSD sees light where the apex should be"),
+            Action::Jumping if arrived => Self::look(LockCause::NoLightAtApex),
             Action::Jumping => Self::capture(false),
             Action::Searching => self.look_on(arrived, CAUSE),
             Action::Waiting => Self::wait(),
@@ -315,7 +317,7 @@ impl Lock {
         &mut self,
         elsewhere: bool,
         covered: bool,
-        cause: &'static str,
+        cause: LockCause,
         arrived: bool,
         dt: f64,
     ) -> Next {
@@ -333,7 +335,7 @@ impl Lock {
             }
             Action::Jumping if !arrived => Self::capture(false),
             Action::Jumping if leap => self.leap(),
-            Action::Jumping => Self::look("a PSD sees too little light where the apex should be"),
+            Action::Jumping => Self::look(LockCause::LittleLightAtApex),
             Action::Searching if self.dark && leap => self.leap(),
             Action::Searching => self.look_on(arrived, cause),
             Action::Waiting => Self::wait(),
@@ -346,15 +348,15 @@ impl Lock {
     }
 
     fn capture(begins: bool) -> Next {
-        let cause = "a spot shows where the apex should be";
+        let cause = LockCause::ApexSeen;
         Next { begins, ..Next::go_on(Action::Jumping, LockState::Acquiring, cause) }
     }
 
-    fn look(cause: &'static str) -> Next {
+    fn look(cause: LockCause) -> Next {
         Next { begins: true, ..Next::go_on(Action::Searching, LockState::Searching, cause) }
     }
 
-    fn look_on(&mut self, arrived: bool, cause: &'static str) -> Next {
+    fn look_on(&mut self, arrived: bool, cause: LockCause) -> Next {
         if !arrived {
             return Next::go_on(Action::Searching, LockState::Searching, cause);
         }
@@ -363,12 +365,12 @@ impl Lock {
     }
 
     fn give_up() -> Next {
-        let cause = "found and lost too often (is steering.matrix right?): waiting for `ctl search`";
+        let cause = LockCause::LostTooOften;
         Next::go_on(Action::Waiting, LockState::Held, cause)
     }
 
     fn wait() -> Next {
-        let cause = "all searches failed: waiting for light or `ctl search`";
+        let cause = LockCause::SearchesFailed;
         Next::go_on(Action::Waiting, LockState::Held, cause)
     }
 }

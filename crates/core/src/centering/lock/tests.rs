@@ -5,11 +5,11 @@ use super::*;
 const LIMITS: LockLimits = LockLimits { offset: 3e-6, lock_s: 0.05, lost_s: 0.05, search: true, attempts: 2 };
 const DT: f64 = 1e-3;
 const COVERED_ONE: LockInput =
-    LockInput::Partial { elsewhere: false, covered: true, news: false, cause: "some light" };
+    LockInput::Partial { elsewhere: false, covered: true, news: false, cause: LockCause::LittleLight };
 const ELSEWHERE: LockInput =
-    LockInput::Partial { elsewhere: true, covered: false, news: false, cause: "some light" };
+    LockInput::Partial { elsewhere: true, covered: false, news: false, cause: LockCause::LittleLight };
 const HERE: LockInput =
-    LockInput::Partial { elsewhere: false, covered: false, news: false, cause: "some light" };
+    LockInput::Partial { elsewhere: false, covered: false, news: false, cause: LockCause::LittleLight };
 
 fn new() -> Lock {
     Lock::new(LIMITS, LoopMode::On)
@@ -105,7 +105,7 @@ fn a_loss_is_confirmed_twice_before_the_search() {
 fn what_is_unclear_is_held_and_never_searched() {
     let mut lock = new();
     let held = [(Action::Holding, LockState::Held), (Action::Holding, LockState::Lost)];
-    assert_eq!(course(&mut lock, LockInput::Unclear("clipped"), 10_000), held);
+    assert_eq!(course(&mut lock, LockInput::Unclear(LockCause::Clipped), 10_000), held);
     let mut forbidden = Lock::new(LockLimits { search: false, ..LIMITS }, LoopMode::On);
     for seen in [LockInput::Dark, ELSEWHERE, HERE] {
         feed(&mut forbidden, off_by(0.0), 60);
@@ -156,7 +156,8 @@ fn after_so_many_searches_in_vain_it_waits_for_light_or_a_person() {
     lock.search();
     assert_eq!(searched(&mut lock), 2, "a person");
     assert_eq!(course(&mut lock, ELSEWHERE, 1000), [(Action::Waiting, LockState::Held)], "no news");
-    let news = LockInput::Partial { elsewhere: true, covered: false, news: true, cause: "some light" };
+    let news =
+        LockInput::Partial { elsewhere: true, covered: false, news: true, cause: LockCause::LittleLight };
     assert_eq!(lock.update(news, false, DT).action, Action::Jumping);
     feed(&mut lock, off_by(0.0), 60);
     assert_eq!((lock.state(), lock.attempts()), (LockState::Locked, 0));
