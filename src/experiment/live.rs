@@ -151,7 +151,7 @@ fn look(frame: &PoseFrame) -> Observation {
     Observation {
         time_ns: frame.time_ns,
         pose: frame.pose,
-        deviations: frame.deviations,
+        sigmas: frame.deviations,
         averaged: frame.averaged.into(),
         config: frame.config,
         status: frame.status,

@@ -10,7 +10,7 @@ pub struct Observation {
     /// tx, ty, tz (m), roll, pitch, yaw (rad).
     pub pose: [f64; 6],
     /// Standard uncertainty of each component, as published with the pose.
-    pub deviations: [f32; 6],
+    pub sigmas: [f32; 6],
     /// Number of samples averaged.
     pub averaged: u32,
     /// Fingerprint of geometry, calibration and frames. Poses with different fingerprints are not
@@ -50,7 +50,7 @@ impl Mean {
         self.since_ns += (look.time_ns - self.first_ns) as f64;
         for i in 0..6 {
             self.pose[i] += look.pose[i];
-            self.variance[i] += f64::from(look.deviations[i]).powi(2);
+            self.variance[i] += f64::from(look.sigmas[i]).powi(2);
         }
         self.averaged += look.averaged;
         self.status |= look.status;
@@ -62,7 +62,7 @@ impl Mean {
             time_ns: self.first_ns + (self.since_ns / n) as i64,
             pose: self.pose.map(|sum| sum / n),
             // The noise of the observations is independent.
-            deviations: self.variance.map(|sum| (sum.sqrt() / n) as f32),
+            sigmas: self.variance.map(|sum| (sum.sqrt() / n) as f32),
             averaged: self.averaged,
             config: look.config,
             status: self.status,
@@ -80,7 +80,7 @@ pub(super) mod tests {
         Observation {
             time_ns,
             pose: [x; 6],
-            deviations: [2e-6; 6],
+            sigmas: [2e-6; 6],
             averaged: 3,
             config: 9,
             status: Status::POSE_VALID,
@@ -94,7 +94,7 @@ pub(super) mod tests {
             assert_eq!((0..3).find_map(|k| mean.push(&look(10 * k, k as f64), 4)), None);
             let made = mean.push(&look(30, 3.0), 4).unwrap();
             assert_eq!((made.time_ns, made.pose, made.averaged), (15, [1.5; 6], 12));
-            assert!((made.deviations[0] - 1e-6).abs() < 1e-12);
+            assert!((made.sigmas[0] - 1e-6).abs() < 1e-12);
         }
     }
 }

@@ -88,7 +88,7 @@ pub fn write(record: &Record, to: impl Write) -> std::io::Result<()> {
         for x in look.pose {
             write!(out, ",{x:e}")?;
         }
-        for x in look.deviations {
+        for x in look.sigmas {
             write!(out, ",{x:e}")?;
         }
         let status: Vec<_> = look.status.names().collect();
@@ -158,8 +158,8 @@ fn reading(row: &Row) -> Result<Reading, Failure> {
     if !status.has(Status::POSE_VALID) {
         return Err(row.wrong("its status does not contain POSE_VALID: it is not a reading"));
     }
-    let deviations = six(&DEVIATIONS)?.map(|x| x as f32);
-    if !deviations.iter().all(|x| *x > 0.0 && x.is_finite()) {
+    let sigmas = six(&DEVIATIONS)?.map(|x| x as f32);
+    if !sigmas.iter().all(|x| *x > 0.0 && x.is_finite()) {
         return Err(row.wrong("a standard uncertainty (sd_...) is not above 0"));
     }
     Ok(Reading {
@@ -170,7 +170,7 @@ fn reading(row: &Row) -> Result<Reading, Failure> {
         look: Observation {
             time_ns: row.count("time_ns")?,
             pose: six(&POSE)?,
-            deviations,
+            sigmas,
             averaged: row.count("averaged")?,
             config: row.count("config")?,
             status,

@@ -119,7 +119,7 @@ fn still(axis: usize, times: &[f64], rest: &[&Reading], even: bool) -> Still {
     let values: Vec<f64> = values.iter().map(|x| x - mean).collect();
     Still {
         allan: if even { allan(&values) } else { Vec::new() },
-        stated: median(rest.iter().map(|r| r.look.deviations[axis].into())),
+        stated: median(rest.iter().map(|r| r.look.sigmas[axis].into())),
         drift: drift(times, &values),
         course: stretches(&values),
     }
@@ -142,7 +142,7 @@ mod tests {
         let look = |ms: i64| Observation {
             time_ns: ms * 1_000_000,
             pose: [1e-6 * (ms % 7) as f64; 6],
-            deviations: [1e-6; 6],
+            sigmas: [1e-6; 6],
             averaged: 1,
             config: 3,
             status: Status::POSE_VALID,

@@ -119,7 +119,7 @@ fn measured_axis(axis: Axis, readings: &[&Reading]) -> Result<Measured, Failure>
     let square = points.iter().map(|p| (p.means[i] - p.reference - offset).powi(2)).sum::<f64>() / n;
     let freedom: f64 = points.iter().map(|p| (p.readings - 1) as f64).sum();
     let variance = points.iter().map(|p| (p.readings - 1) as f64 * p.std * p.std).sum::<f64>() / freedom;
-    let predicted = median(readings.iter().map(|r| r.look.deviations[i].into()));
+    let predicted = median(readings.iter().map(|r| r.look.sigmas[i].into()));
     let each = points.iter().map(|p| 1.0 / p.readings as f64).sum::<f64>() / n;
     Ok(Measured {
         axis,
@@ -179,7 +179,7 @@ mod tests {
             let look = Observation {
                 time_ns: 0,
                 pose,
-                deviations: [1e-7; 6],
+                sigmas: [1e-7; 6],
                 averaged: 1,
                 config: 0,
                 status: Status::POSE_VALID,

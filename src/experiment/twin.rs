@@ -164,7 +164,7 @@ fn look(report: &PoseReport) -> Result<Observation, String> {
     Ok(Observation {
         time_ns: report.time.0,
         pose: pose.to_array(),
-        deviations: std::array::from_fn(|i| covariance[(i, i)].sqrt() as f32),
+        sigmas: std::array::from_fn(|i| covariance[(i, i)].sqrt() as f32),
         averaged: report.averaged.into(),
         config: report.config,
         status: report.status,

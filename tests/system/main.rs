@@ -10,6 +10,7 @@ mod testkit;
 
 mod board_protocol;
 mod command_line;
+mod compatibility;
 mod configuration;
 mod control;
 mod daemon;
@@ -27,3 +28,4 @@ mod simulate;
 mod stream;
 mod tables;
 mod tune;
+mod workspace;

@@ -86,6 +86,6 @@ impl<const N: usize> ErrorPropagation<N> {
 }
 
 /// Standard uncertainty of each component of a pose.
-pub fn deviations(covariance: &Matrix6<f64>) -> Vector6<f64> {
+pub fn sigmas(covariance: &Matrix6<f64>) -> Vector6<f64> {
     covariance.diagonal().map(f64::sqrt)
 }

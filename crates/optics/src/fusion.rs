@@ -18,7 +18,7 @@ pub struct BeamPosition {
     /// Point where the beam crosses the plane of the apex at rest, across the beam, metres.
     pub at: Vec2,
     /// Standard uncertainty of that position per axis, metres.
-    pub deviation: f64,
+    pub sigma: f64,
 }
 
 /// Difference between a measured beam position and the one from nine signals.
@@ -31,7 +31,7 @@ pub struct Innovation<'a> {
     spread: &'a ErrorPropagation<9>,
     /// Effect of the noise of each signal on the solved beam position, metres.
     seen: SMatrix<f64, 2, 9>,
-    deviation: f64,
+    sigma: f64,
 }
 
 /// The solution of eleven signals.
@@ -57,23 +57,23 @@ impl<'a> Innovation<'a> {
         let residual = sighting.at - optics.across(solution.pose.t) - solution.offset;
         let across = optics.to_world.fixed_columns::<2>(0).transpose();
         let seen = across * spread.0.fixed_rows::<3>(0) + spread.0.fixed_rows::<2>(6);
-        let own = Matrix2::from_diagonal_element(sighting.deviation.powi(2));
+        let own = Matrix2::from_diagonal_element(sighting.sigma.powi(2));
         let weight = (seen * seen.transpose() + own).try_inverse()?;
         let finite = residual.iter().chain(&weight).all(|x| x.is_finite());
-        finite.then_some(Self { residual, weight, spread, seen, deviation: sighting.deviation })
+        finite.then_some(Self { residual, weight, spread, seen, sigma: sighting.sigma })
     }
 
     /// Length of the residual in its own standard uncertainties (Mahalanobis distance). By chance above 5
     /// once in 270 000.
-    pub fn deviations(&self) -> f64 {
+    pub fn normalized_residual(&self) -> f64 {
         self.residual.dot(&(self.weight * self.residual)).sqrt()
     }
 
     /// Length of the mean of `count` residuals in its own standard uncertainties. The error of the beam
     /// position (a drift of the laser direction) counts as the same in all residuals, the noise of the
     /// signals as independent.
-    pub fn deviations_of_mean(&self, mean: Vec2, count: f64) -> f64 {
-        let own = Matrix2::from_diagonal_element(self.deviation.powi(2));
+    pub fn normalized_mean(&self, mean: Vec2, count: f64) -> f64 {
+        let own = Matrix2::from_diagonal_element(self.sigma.powi(2));
         let weight = (self.seen * self.seen.transpose() / count + own).try_inverse();
         weight.map_or(f64::INFINITY, |weight| mean.dot(&(weight * mean)).sqrt())
     }
@@ -85,7 +85,7 @@ impl<'a> Innovation<'a> {
         let pose = Vector6::from(solution.pose.to_array()) + update.fixed_rows::<6>(0);
         let mut spread = SMatrix::<f64, 8, 11>::zeros();
         spread.fixed_columns_mut::<9>(0).copy_from(&(self.spread.0 - gain * self.seen));
-        spread.fixed_columns_mut::<2>(9).copy_from(&(gain * self.deviation));
+        spread.fixed_columns_mut::<2>(9).copy_from(&(gain * self.sigma));
         Fused {
             pose: Pose::from_array(pose.into()),
             offset: solution.offset + update.fixed_rows::<2>(6),

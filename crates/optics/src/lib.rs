@@ -13,6 +13,24 @@
 //! The paper: *Measurement of 3-D position and orientation of rigid bodies using a 3-facet mirror*.
 //! Its printed equations 5 to 16 contain misprints (`docs/sensor-model.md`); the model here is derived
 //! from the law of reflection.
+//!
+//! ```
+//! use trifacet_optics::{Estimator, Head, Model, Noise, Optics, Pose, Signals, Vec2};
+//!
+//! let optics = Optics::new(&Head::default());
+//! let pose = Pose::from_array([10e-6, -20e-6, 30e-6, 40e-6, 50e-6, -60e-6]); // metres and radians
+//! let reading = optics.trace(Model::Gaussian, &pose, Vec2::new(2e-6, -1e-6))?; // the beam is off the apex
+//!
+//! let estimator = Estimator::new(optics, Model::Gaussian);
+//! let signals = Signals { spots: reading.spots, powers: reading.powers };
+//! let solution = estimator.solve(&signals, None)?;
+//! assert!((solution.pose.t.x - 10e-6).abs() < 1e-9);
+//!
+//! let noise = Noise { spots: [1e-6; 6], powers: reading.powers.map(|power| 1e-3 * power) };
+//! let covariance = estimator.sensitivity(&solution)?.spread(&noise).pose_covariance();
+//! assert!(covariance[(0, 0)].sqrt() < 2e-6, "standard uncertainty of x, metres");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod balance;
 pub mod beam;

@@ -12,7 +12,7 @@ use trifacet::config::{
 use trifacet::publishing::columns::rfc3339;
 use trifacet::replay::RecordingHeader;
 use trifacet_core::centering::LoopMode;
-use trifacet_optics::covariance::deviations;
+use trifacet_optics::covariance::sigmas;
 use trifacet_optics::{
     BeamPosition, Estimator, FACETS, Innovation, Model, Noise, Optics, Pose, Signals, Vec2,
 };
@@ -154,11 +154,11 @@ fn estimation(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
         powers: rest.powers.map(|power| power * estimation.power_noise / quieter),
     };
     let spread = estimator.sensitivity(&solution)?.spread(&noise);
-    let sighting = BeamPosition { at: Vec2::zeros(), deviation: config.steering.deviation_um * 1e-6 };
+    let sighting = BeamPosition { at: Vec2::zeros(), sigma: config.steering.deviation_um * 1e-6 };
     let covariance = Innovation::new(estimator.optics(), &solution, &spread, &sighting)
         .filter(|_| estimation.fuse_steering)
         .map_or(spread.pose_covariance(), |innovation| innovation.fuse(&solution).spread.pose_covariance());
-    let sigma = deviations(&covariance) * 1e6;
+    let sigma = sigmas(&covariance) * 1e6;
     lines.say(
         "uncertainties",
         format!(

@@ -61,7 +61,7 @@ fn mean<'l>(axis: usize, looks: impl Iterator<Item = &'l Observation>) -> (f64, 
     for look in looks {
         n += 1.0;
         sum += look.pose[axis];
-        square += f64::from(look.deviations[axis]).powi(2);
+        square += f64::from(look.sigmas[axis]).powi(2);
     }
     (sum / n, square.sqrt() / n)
 }
@@ -76,7 +76,7 @@ mod tests {
 
     fn look(x: f64) -> Observation {
         let status = Status::POSE_VALID;
-        Observation { time_ns: 0, pose: [x; 6], deviations: [1e-6; 6], averaged: 1, config: 1, status }
+        Observation { time_ns: 0, pose: [x; 6], sigmas: [1e-6; 6], averaged: 1, config: 1, status }
     }
 
     #[test]

@@ -35,7 +35,7 @@ fn fusion_is_the_weighted_solution_of_eleven_equations() {
             let x = Unknowns::from([p[0], p[1], p[2], p[3], p[4], p[5], offset.x, offset.y, total]);
 
             let residual = Vec2::new(draw.within(2e-6), draw.within(2e-6));
-            let sighting = BeamPosition { at: beam(&optics, &x) + residual, deviation: SIGHTING_DEVIATION };
+            let sighting = BeamPosition { at: beam(&optics, &x) + residual, sigma: SIGHTING_DEVIATION };
             let spread = estimator.sensitivity(&solution).unwrap().spread(&noise);
             let innovation = Innovation::new(&optics, &solution, &spread, &sighting).unwrap();
             let fused = innovation.fuse(&solution);
@@ -73,7 +73,7 @@ fn fusion_is_the_weighted_solution_of_eleven_equations() {
                 worst = worst.max(((fused.offset - offset)[i] - step[6 + i]).abs() / SIGHTING_DEVIATION);
             }
             let by_hand = ((rows * step - right).norm_squared()).sqrt();
-            worst = worst.max((innovation.deviations() - by_hand).abs());
+            worst = worst.max((innovation.normalized_residual() - by_hand).abs());
         }
         println!("{name}: fusion off by {worst:.1e} deviations at most");
         assert!(worst < 1e-5, "{name}: {worst:e}");

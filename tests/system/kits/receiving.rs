@@ -12,7 +12,7 @@ use trifacet_wire::message::Kind;
 use trifacet_wire::stream::{Decoder, json};
 
 use super::fixture::{daemon, datagrams, receive};
-use super::tools::{compile, python, succeeded};
+use super::tools::{compile, python, python_of, succeeded};
 use crate::testkit::{Killed, PATIENCE, Udp};
 
 /// A program of a kit that has opened its port.
@@ -164,6 +164,18 @@ fn every_frame_that_was_asked_for_arrives_over_tcp() {
     assert_eq!(told["heartbeat"]["dropped"], 0);
     let valid = told["valid"].as_u64().unwrap();
     assert!(0 < valid && valid < 200, "with and without light: {valid}");
+}
+
+#[test]
+fn the_python_kit_of_0_1_0_reads_the_stream() {
+    let mut daemon = daemon(&[]);
+    let port = daemon.address().port().to_string();
+    let mut kit = python_of("tests/fixtures/0.1.0", "tests/system/kits/receive.py");
+    let told = Receiver::start(kit.args(["tcp", &port, "200", "4"])).told();
+    assert_eq!(told["sequences"].as_array().unwrap().len(), 200);
+    assert_eq!([&told["missed"], &told["late"], &told["damaged"]].map(Value::as_u64), [Some(0); 3], "{told}");
+    assert_eq!(told["descriptor"]["stream"]["divider"], 4);
+    assert!(told["valid"].as_u64().unwrap() > 0, "{told}");
 }
 
 /// A server that expects the Python kit's line, sends these bytes and closes. Says what the kit told.

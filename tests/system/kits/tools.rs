@@ -21,9 +21,14 @@ pub(crate) fn read(path: &str) -> String {
 
 /// Python with the kit's module, and nothing but the standard library besides.
 pub(crate) fn python(script: &str) -> Command {
+    python_of("clients/python", script)
+}
+
+/// The same with the module of another folder.
+pub(crate) fn python_of(kit: &str, script: &str) -> Command {
     need("python3", "the Python kit is tested with it");
     let mut command = Command::new("python3");
-    for_python(&mut command).args(["-W", "error"]).arg(root(script));
+    for_python(&mut command).env("PYTHONPATH", root(kit)).args(["-W", "error"]).arg(root(script));
     command
 }
 

@@ -122,10 +122,9 @@ impl Estimation {
     /// one where that is larger.
     fn power(&mut self, sample: &Sample) -> Power {
         let configured = self.settings.power_noise;
-        let each =
-            (6..).zip(sample.powers).map(|(i, power)| self.memory.noise.deviation(i, configured * power));
-        let deviation = each.map(|deviation| deviation * deviation).sum::<f64>().sqrt();
-        self.memory.power_steps.push(sample.powers.iter().sum(), deviation)
+        let each = (6..).zip(sample.powers).map(|(i, power)| self.memory.noise.sigma(i, configured * power));
+        let sigma = each.map(|sigma| sigma * sigma).sum::<f64>().sqrt();
+        self.memory.power_steps.push(sample.powers.iter().sum(), sigma)
     }
 
     /// The report for a moment without samples.
@@ -204,7 +203,7 @@ impl Estimation {
     fn stated_noise(&self, mean: &Mean) -> Noise {
         let quieter = f64::from(mean.count.max(1)).sqrt();
         let Settings { spot_noise, power_noise, .. } = self.settings;
-        let live = |signal, configured| self.memory.noise.deviation(signal, configured) / quieter;
+        let live = |signal, configured| self.memory.noise.sigma(signal, configured) / quieter;
         Noise {
             spots: std::array::from_fn(|i| live(i, spot_noise)),
             powers: std::array::from_fn(|i| live(6 + i, power_noise * mean.sample.powers[i].abs())),

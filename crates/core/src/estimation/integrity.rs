@@ -21,7 +21,7 @@ const MEAN_LIMIT: f64 = 3.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Readback {
     map: BeamMap,
-    deviation: f64,
+    sigma: f64,
 }
 
 impl Default for Readback {
@@ -34,13 +34,13 @@ impl Readback {
     /// The readback of a stage with this map. `sigma` is the standard uncertainty of the resulting beam
     /// position, metres on each axis.
     pub fn new(map: BeamMap, sigma: f64) -> Self {
-        Self { map, deviation: sigma }
+        Self { map, sigma: sigma }
     }
 
     /// The beam position for a position of the stage, metres. Averaging does not reduce its standard
     /// uncertainty: drift of the laser direction does not average out.
     pub fn sighting(&self, stage: [f64; 2]) -> BeamPosition {
-        BeamPosition { at: self.map.beam(stage).into(), deviation: self.deviation }
+        BeamPosition { at: self.map.beam(stage).into(), sigma: self.sigma }
     }
 }
 
@@ -58,16 +58,16 @@ impl Integrity {
     /// Takes a residual. Returns whether the beam position may be fused: the residual fits, the mean of the
     /// last ones fits, and there have been enough of them.
     pub fn judge(&mut self, innovation: &Innovation<'_>) -> bool {
-        if !self.fits(innovation.deviations()) {
+        if !self.fits(innovation.normalized_residual()) {
             return false;
         }
         self.count = WINDOW.min(self.count + 1.0);
         self.mean += (innovation.residual - self.mean) / self.count;
-        self.count >= f64::from(ROW) && innovation.deviations_of_mean(self.mean, self.count) <= MEAN_LIMIT
+        self.count >= f64::from(ROW) && innovation.normalized_mean(self.mean, self.count) <= MEAN_LIMIT
     }
 
-    fn fits(&mut self, deviations: f64) -> bool {
-        let fits = deviations <= LIMIT;
+    fn fits(&mut self, normalized_residual: f64) -> bool {
+        let fits = normalized_residual <= LIMIT;
         self.misfits = if fits { 0 } else { self.misfits.saturating_add(1) };
         if self.inconsistent() {
             (self.mean, self.count) = (Vec2::zeros(), 0.0); // the mean starts again after a contradiction
@@ -88,8 +88,11 @@ mod tests {
     #[test]
     fn ten_in_a_row_contradict_and_one_that_fits_ends_it() {
         let mut integrity = Integrity::default();
-        let mut seen = |deviations: f64, times: usize| {
-            (0..times).map(|_| (integrity.fits(deviations), integrity.inconsistent())).last().unwrap()
+        let mut seen = |normalized_residual: f64, times: usize| {
+            (0..times)
+                .map(|_| (integrity.fits(normalized_residual), integrity.inconsistent()))
+                .last()
+                .unwrap()
         };
         assert_eq!(seen(5.1, 9), (false, false));
         assert_eq!(seen(4.9, 1), (true, false));
@@ -103,6 +106,6 @@ mod tests {
         let map = BeamMap::new([[0.0, -2.0], [0.5, 0.0]], [10e-6, 20e-6]);
         let sighting = Readback::new(map, 1.5e-6).sighting([100e-6, 30e-6]);
         assert!((sighting.at - Vec2::new(-50e-6, 70e-6)).norm() < 1e-18, "{sighting:?}");
-        assert_eq!(sighting.deviation, 1.5e-6);
+        assert_eq!(sighting.sigma, 1.5e-6);
     }
 }

@@ -55,17 +55,17 @@ impl LiveNoise {
 
     /// The standard uncertainty of a signal: the configured one, or the live one where it is significantly
     /// larger. An estimate from n second differences has a relative standard uncertainty of about 1/sqrt(n).
-    pub fn deviation(&self, signal: usize, configured: f64) -> f64 {
+    pub fn sigma(&self, signal: usize, configured: f64) -> f64 {
         let own = self.variance[signal].iter().zip(WINDOWS.map(|window| self.count.min(window)));
         let n = if signal < SPOTS { self.count.min(COMMON_WINDOW) * SPOTS as f64 } else { 0.0 };
-        let mut deviation = configured;
+        let mut sigma = configured;
         for (variance, n) in own.chain([(&self.common, n)]) {
             let live = variance.sqrt();
             if n > 0.0 && live > configured * (1.0 + SIGNIFICANT / n.sqrt()) {
-                deviation = deviation.max(live);
+                sigma = sigma.max(live);
             }
         }
-        deviation
+        sigma
     }
 }
 
@@ -90,7 +90,7 @@ mod tests {
     fn the_configured_deviation_stands_while_the_noise_is_no_larger() {
         let noise = fed(1.0, 20_000, |k| 5.0 * k);
         for signal in 0..SIGNALS {
-            assert_eq!(noise.deviation(signal, 1.0), 1.0);
+            assert_eq!(noise.sigma(signal, 1.0), 1.0);
         }
     }
 
@@ -98,7 +98,7 @@ mod tests {
     fn more_noise_raises_it_to_what_it_is() {
         let noise = fed(1.5, 20_000, |k| 5.0 * k);
         for signal in 0..SIGNALS {
-            let live = noise.deviation(signal, 1.0);
+            let live = noise.sigma(signal, 1.0);
             assert!((1.45..2.2).contains(&live), "{live}"); // sigma of the short window: an eighth
         }
     }
@@ -109,7 +109,7 @@ mod tests {
         for k in 0..64 {
             noise.push([f64::from(k % 2) * 20.0; SIGNALS]);
         }
-        assert!(noise.deviation(0, 1.0) > 8.0);
+        assert!(noise.sigma(0, 1.0) > 8.0);
     }
 
     #[test]
@@ -119,6 +119,6 @@ mod tests {
         noise.push([1e6; SIGNALS]);
         noise.push([1e6; SIGNALS]);
         noise.push([1e6; SIGNALS]);
-        assert_eq!(noise.deviation(0, 0.2), 0.2);
+        assert_eq!(noise.sigma(0, 0.2), 0.2);
     }
 }

@@ -44,13 +44,13 @@ impl PowerSteps {
     }
 
     /// Takes the total power of a sample and its standard uncertainty, in the same unit.
-    pub fn push(&mut self, total: f64, deviation: f64) -> Power {
+    pub fn push(&mut self, total: f64, sigma: f64) -> Power {
         let judge = |last: &f64| {
             let change = (total - last).abs();
-            let deviations = change / (std::f64::consts::SQRT_2 * deviation);
-            if change > LIMIT * total.min(*last) && deviations > SIGNIFICANT {
+            let ratio = change / (std::f64::consts::SQRT_2 * sigma);
+            if change > LIMIT * total.min(*last) && ratio > SIGNIFICANT {
                 Power::Step
-            } else if deviations > UNEASY {
+            } else if ratio > UNEASY {
                 Power::Uneasy
             } else {
                 Power::Steady

@@ -139,13 +139,13 @@ fn ten_reports_that_fit_are_fused_and_none_that_does_not() {
     let stages = (0..30).map(|k| read_back(k, [if k < 20 { 0.3 } else { 20.0 }, 0.0]));
     for (k, report) in reports(&mut estimation, stages).iter().enumerate() {
         let (pose, offset) = (report.pose.unwrap(), report.offset.unwrap());
-        let deviation = report.covariance.unwrap()[(0, 0)].sqrt();
+        let sigma = report.covariance.unwrap()[(0, 0)].sqrt();
         if (9..20).contains(&k) {
             // The beam is at 0.3 um along x; the correction goes to the pose, which is less certain.
             assert!((pose.t.x + offset[0] - 0.297e-6).abs() < 1e-9, "{k}: {report:?}");
-            assert!(pose.t.x > 0.25e-6 && deviation < 0.14e-6, "{k}: {report:?}");
+            assert!(pose.t.x > 0.25e-6 && sigma < 0.14e-6, "{k}: {report:?}");
         } else {
-            assert!(pose.t.x.abs() < 1e-9 && deviation > 0.9e-6, "{k}: {report:?}");
+            assert!(pose.t.x.abs() < 1e-9 && sigma > 0.9e-6, "{k}: {report:?}");
         }
         let residual = report.steering_residual.unwrap();
         assert!((residual - if k < 20 { 0.3e-6 } else { 20e-6 }).abs() < 1e-9, "of the nine signals");
@@ -163,8 +163,8 @@ fn a_step_of_the_power_leaves_the_block_without_a_pose_and_is_no_noise() {
         let spoilt: Vec<_> = reports.iter().filter(|r| r.pose.is_none()).map(|r| r.index).collect();
         assert_eq!(spoilt, if average == 1 { vec![100, 101] } else { vec![103] });
         assert!(reports.iter().all(|r| r.pose.is_some() != r.status.has(Status::POWER_STEP)));
-        let deviation = |r: &PoseReport| r.covariance.unwrap()[(0, 0)].sqrt();
-        let (first, last) = (deviation(&reports[0]), deviation(reports.last().unwrap()));
+        let sigma = |r: &PoseReport| r.covariance.unwrap()[(0, 0)].sqrt();
+        let (first, last) = (sigma(&reports[0]), sigma(reports.last().unwrap()));
         assert!((last / first - 1.0).abs() < 1e-9, "{first} {last}");
     }
 }
