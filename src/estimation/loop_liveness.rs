@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use tokio::sync::watch;
 use trifacet_core::centering::LoopState;
+use trifacet_core::steering::StagePosition;
 use trifacet_core::telemetry::heartbeat::{Heartbeats, Task};
 
 /// Number of checks without a heartbeat after which the loop counts as stalled. The interval between checks
@@ -78,7 +79,7 @@ mod tests {
 
     #[test]
     fn nothing_of_a_loop_that_stands_still_is_claimed() {
-        let locked = LoopState { lock: LockState::Locked, position: Some([1e-6, 0.0]) };
+        let locked = LoopState { lock: LockState::Locked, position: Some(StagePosition([1e-6, 0.0])) };
         let (_sender, said) = watch::channel(locked);
         let mut heard = Loop::new(said, Arc::default());
         assert_eq!(heard.now(), locked);

@@ -1,7 +1,7 @@
 //! Positions of beam and stage in a sample.
 
 use trifacet_core::signals::{PsdState, Sample};
-use trifacet_core::steering::Xy;
+use trifacet_core::steering::{BeamOffset, BeamPoint, StagePosition};
 use trifacet_core::time::Mono;
 use trifacet_optics::{Estimator, FACETS, HeadError, Model, Optics, Signals, Solution};
 
@@ -15,12 +15,12 @@ pub struct Observation {
     /// Time of the sample.
     pub time: Mono,
     /// Position of the beam relative to the apex, perpendicular to the beam, metres.
-    pub offset: Xy,
+    pub offset: BeamOffset,
     /// Position of the beam in the world, perpendicular to itself, metres. The mirror's movement has no
     /// effect on it.
-    pub beam: Xy,
+    pub beam: BeamPoint,
     /// Position of the stage by its readback, metres.
-    pub readback: Option<Xy>,
+    pub readback: Option<StagePosition>,
 }
 
 /// Evaluates samples with the Gaussian model, whatever is configured: the ray model has no beam offset.
@@ -77,19 +77,19 @@ impl Observer {
             time: sample.time,
             offset: offset.into(),
             beam: beam.into(),
-            readback: sample.steering.filter(|at| at.iter().all(|p| p.is_finite())),
+            readback: sample.steering.filter(|at| at.iter().all(|p| p.is_finite())).map(StagePosition),
         })
     }
 }
 
-/// Mean of points.
-pub fn mean(points: impl IntoIterator<Item = Xy>) -> Option<Xy> {
+/// Mean of points of one kind; `None` without any.
+pub fn mean<P: Into<[f64; 2]> + From<[f64; 2]>>(points: impl IntoIterator<Item = P>) -> Option<P> {
     let (mut sum, mut count) = ([0.0; 2], 0.0);
-    for point in points {
+    for point in points.into_iter().map(Into::<[f64; 2]>::into) {
         sum = [sum[0] + point[0], sum[1] + point[1]];
         count += 1.0;
     }
-    (count > 0.0).then(|| sum.map(|s| s / count))
+    (count > 0.0).then(|| sum.map(|s| s / count).into())
 }
 
 /// Whether no sample is missing between these.
@@ -99,15 +99,17 @@ pub fn whole(looks: &[Observation]) -> bool {
 
 /// Standard deviation of the white noise per axis, from second differences (their variance is 6 times that of
 /// the noise). Slow movement has little effect on it. `None` below three points.
-pub fn noise(points: &[Xy]) -> Option<Xy> {
-    let bend = |w: &[Xy], k: usize| (w[0][k] - 2.0 * w[1][k] + w[2][k]).powi(2) / 6.0;
+pub fn noise<P: Copy + Into<[f64; 2]>>(points: &[P]) -> Option<[f64; 2]> {
+    let points: Vec<[f64; 2]> = points.iter().map(|p| (*p).into()).collect();
+    let bend = |w: &[[f64; 2]], k: usize| (w[0][k] - 2.0 * w[1][k] + w[2][k]).powi(2) / 6.0;
     let count = points.len().checked_sub(2).filter(|n| *n > 0)? as f64;
     Some([0, 1].map(|k| (points.windows(3).map(|w| bend(w, k)).sum::<f64>() / count).sqrt()))
 }
 
 /// Rms residual from straight lines, each fitted to `samples` points, of the worse axis, metres. Contains
 /// noise and vibration.
-pub fn unrest(points: &[Xy], samples: usize) -> f64 {
+pub fn unrest<P: Copy + Into<[f64; 2]>>(points: &[P], samples: usize) -> f64 {
+    let points: Vec<[f64; 2]> = points.iter().map(|p| (*p).into()).collect();
     let mut worst: f64 = 0.0;
     for axis in 0..2 {
         let (mut squares, mut count) = (0.0, 0_usize);
@@ -139,7 +141,7 @@ mod tests {
     #[test]
     fn noise_leaves_slow_movement_out_and_unrest_leaves_in_what_shakes() {
         let mut random = rand_pcg::Pcg64::seed_from_u64(5);
-        let course = |shake: f64, random: &mut rand_pcg::Pcg64| -> Vec<Xy> {
+        let course = |shake: f64, random: &mut rand_pcg::Pcg64| -> Vec<[f64; 2]> {
             let draw = |k: i32, random: &mut rand_pcg::Pcg64| {
                 let t = f64::from(k) * 1e-3;
                 let moved = 30e-6 * t + shake * (t * 400.0).sin();

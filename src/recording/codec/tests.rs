@@ -3,6 +3,7 @@ use proptest::prelude::*;
 use trifacet_core::centering::LoopState;
 use trifacet_core::estimation::{Estimation, PoseReport};
 use trifacet_core::signals::{PsdState, Sample};
+use trifacet_core::steering::StagePosition;
 use trifacet_wire::channel::{Converter, Role, SIGNALS};
 use trifacet_wire::{LockState, PoseFrame};
 
@@ -51,7 +52,7 @@ fn known() -> impl Strategy<Value = Option<[f64; 2]>> {
 
 prop_compose! {
     fn steering()(lock in 0..LockState::ALL.len(), position in known()) -> LoopState {
-        LoopState { lock: LockState::ALL[lock], position }
+        LoopState { lock: LockState::ALL[lock], position: position.map(StagePosition) }
     }
 }
 

@@ -255,7 +255,7 @@ fn a_hand_on_one_psd_does_not_send_the_stage_away() {
     for psd in 0..3 {
         let mut rig = ClosedLoopSim::new(&demo(FaultKind::PsdDark { psd }, 0.9)).unwrap();
         while rig.step().scan.t_s < 1.5 {
-            let [x, y] = rig.centering().state().position.unwrap();
+            let [x, y] = rig.centering().state().position.unwrap().0;
             assert!(x.hypot(y) < 3e-6, "psd {psd}: {x} {y}");
         }
         assert_eq!(rig.centering().state().lock, LockState::Locked);

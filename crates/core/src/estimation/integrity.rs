@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use trifacet_optics::{BeamPosition, Innovation, Vec2};
 
-use crate::steering::BeamMap;
+use crate::steering::{BeamMap, BeamPoint, StagePosition};
 
 /// A residual of more than this many standard uncertainties does not fit. By chance one in 270 000 does.
 const LIMIT: f64 = 5.0;
@@ -40,7 +40,7 @@ impl Readback {
     /// The beam position for a position of the stage, metres. Averaging does not reduce its standard
     /// uncertainty: drift of the laser direction does not average out.
     pub fn sighting(&self, stage: [f64; 2]) -> BeamPosition {
-        BeamPosition { at: self.map.beam(stage).into(), sigma: self.sigma }
+        BeamPosition { at: self.map.beam(StagePosition(stage)).into(), sigma: self.sigma }
     }
 }
 
@@ -103,7 +103,7 @@ mod tests {
 
     #[test]
     fn a_stage_that_is_mounted_askew_tells_where_the_beam_is() {
-        let map = BeamMap::new([[0.0, -2.0], [0.5, 0.0]], [10e-6, 20e-6]);
+        let map = BeamMap::new([[0.0, -2.0], [0.5, 0.0]], BeamPoint([10e-6, 20e-6]));
         let sighting = Readback::new(map, 1.5e-6).sighting([100e-6, 30e-6]);
         assert!((sighting.at - Vec2::new(-50e-6, 70e-6)).norm() < 1e-18, "{sighting:?}");
         assert_eq!(sighting.sigma, 1.5e-6);
