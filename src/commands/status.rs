@@ -11,7 +11,9 @@ use clap::Args;
 use rustix::termios::tcgetwinsize;
 use serde_json::Value;
 use tokio::time::{Instant, MissedTickBehavior, interval_at, timeout, timeout_at};
-use trifacet::client::{Backoff, Client, Descriptor, Endpoint, Heartbeat, Message, Options, PoseFrame};
+use trifacet::client::{
+    Backoff, Client, ClientError, Descriptor, Endpoint, Heartbeat, Message, Options, PoseFrame,
+};
 use trifacet::control::{self, Command};
 use trifacet_wire::Status;
 
@@ -38,9 +40,24 @@ pub(crate) struct StatusArgs {
     socket: PathBuf,
 }
 
-fn seconds(text: &str) -> Result<f64, String> {
-    let allowed = || "allowed is 0.1 to 3600".to_owned();
-    text.parse().ok().filter(|s| (0.1..=3600.0).contains(s)).ok_or_else(allowed)
+/// An interval that is not a number of seconds in the allowed range.
+#[derive(Debug, thiserror::Error)]
+#[error("allowed is 0.1 to 3600")]
+struct IntervalError;
+
+fn seconds(text: &str) -> Result<f64, IntervalError> {
+    text.parse().ok().filter(|s| (0.1..=3600.0).contains(s)).ok_or(IntervalError)
+}
+
+/// Why there is no first frame.
+#[derive(Debug, thiserror::Error)]
+enum StreamError {
+    /// The stream ended or broke.
+    #[error(transparent)]
+    Client(#[from] ClientError),
+    /// The daemon sends no frame.
+    #[error("no frame for {} s", SILENCE.as_secs())]
+    NoFrame,
 }
 
 /// Data received from the daemon.
@@ -107,16 +124,16 @@ async fn look(args: &StatusArgs) -> Result<()> {
 
 impl Known {
     /// Waits for a frame and, if the stream has them, for the counters.
-    async fn first(&mut self, client: &mut Client) -> Result<(), String> {
+    async fn first(&mut self, client: &mut Client) -> Result<(), StreamError> {
         let end = Instant::now() + SILENCE;
         let whole =
             |known: &Self| known.frame.is_some() && (known.heartbeat.is_some() || known.descriptor.is_none());
         while !whole(self) {
             match timeout_at(end, client.next()).await {
                 Ok(Ok(message)) => self.hear(message),
-                Ok(Err(error)) => return Err(error.to_string()),
+                Ok(Err(error)) => return Err(error.into()),
                 Err(_) if self.frame.is_some() => return Ok(()),
-                Err(_) => return Err(format!("no frame for {} s", SILENCE.as_secs())),
+                Err(_) => return Err(StreamError::NoFrame),
             }
         }
         Ok(())

@@ -210,17 +210,28 @@ fn interrupted() -> io::Result<CancellationToken> {
     Ok(stop)
 }
 
-fn positive(text: &str) -> Result<f64, String> {
+/// Why the value of an option is not valid.
+#[derive(Debug, thiserror::Error)]
+enum OptionError {
+    /// A length or a time.
+    #[error("must be a number above 0, at most 1000000")]
+    Positive,
+    /// A position of the stage.
+    #[error("must be two numbers, such as -12.5,30")]
+    Position,
+}
+
+fn positive(text: &str) -> Result<f64, OptionError> {
     match text.parse() {
         Ok(number) if number > 0.0 && number <= 1e6 => Ok(number),
-        _ => Err("must be a number above 0, at most 1000000".into()),
+        _ => Err(OptionError::Positive),
     }
 }
 
-fn position(text: &str) -> Result<StagePosition, String> {
+fn position(text: &str) -> Result<StagePosition, OptionError> {
     let two = text.split_once(',').and_then(|(x, y)| x.trim().parse().ok().zip(y.trim().parse().ok()));
     match two {
         Some((x, y)) if f64::is_finite(x) && f64::is_finite(y) => Ok(StagePosition([x * 1e-6, y * 1e-6])),
-        _ => Err("must be two numbers, such as -12.5,30".into()),
+        _ => Err(OptionError::Position),
     }
 }

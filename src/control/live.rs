@@ -103,7 +103,7 @@ impl RunningConfig {
     async fn tune(&mut self, change: impl FnOnce(&mut Config)) -> Result<Value, Failure> {
         let mut next = self.running.clone();
         change(&mut next);
-        next.verify().map_err(|wrong| Failure::new(exit::USAGE, wrong))?;
+        next.verify().map_err(|wrong| Failure::new(exit::USAGE, wrong.to_string()))?;
         self.go_on_with(next, None).await?;
         Ok(json!({ "loop": self.loop_now().await? }))
     }
@@ -161,7 +161,7 @@ impl RunningConfig {
             return Err(wrong("the daemon was started without a configuration file".into()));
         };
         let file = config::load(Some(file)).map_err(|e| wrong(e.to_string()))?;
-        let mut plan = reload(&self.running, &self.taken, &file).map_err(wrong)?;
+        let mut plan = reload(&self.running, &self.taken, &file).map_err(|e| wrong(e.to_string()))?;
         // The contents of a correction table may have changed.
         let tables = Tables::read(&plan.running).map_err(|e| wrong(e.to_string()))?;
         let mut channels = None;
@@ -213,7 +213,7 @@ impl RunningConfig {
     async fn set_tare(&mut self, tare: TransformConfig, save: bool) -> Result<Value, Failure> {
         let mut next = self.running.clone();
         next.frames.tare = tare;
-        next.verify().map_err(|wrong| Failure::new(exit::DATA, wrong))?;
+        next.verify().map_err(|wrong| Failure::new(exit::DATA, wrong.to_string()))?;
         if save {
             let file = self.file_to_save()?;
             let edit = |key, values: [f64; 3]| Edit {

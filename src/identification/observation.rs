@@ -3,7 +3,7 @@
 use trifacet_core::signals::{PsdState, Sample};
 use trifacet_core::steering::{BeamOffset, BeamPoint, StagePosition};
 use trifacet_core::time::Mono;
-use trifacet_optics::{Estimator, FACETS, HeadError, Model, Optics, Signals, Solution};
+use trifacet_optics::{Estimator, FACETS, HeadError, Model, Optics, Signals, Solution, SolveError};
 
 use crate::config::Config;
 
@@ -21,6 +21,32 @@ pub struct Observation {
     pub beam: BeamPoint,
     /// Position of the stage by its readback, metres.
     pub readback: Option<StagePosition>,
+}
+
+/// Why a sample cannot be used.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum ObservationError {
+    /// No light at all.
+    #[error("no PSD sees light")]
+    NoLight,
+    /// Too little light on a PSD.
+    #[error("PSD {psd} sees too little light")]
+    LittleLight {
+        /// A, B or C.
+        psd: char,
+    },
+    /// A channel reads the limit of its range.
+    #[error("a channel of PSD {psd} is clipped")]
+    Clipped {
+        /// A, B or C.
+        psd: char,
+    },
+    /// The stage cannot move further.
+    #[error("the stage is at its own limit")]
+    StageLimit,
+    /// The signals belong to no pose.
+    #[error("no pose can be computed: {0}")]
+    NoPose(#[from] SolveError),
 }
 
 /// Evaluates samples with the Gaussian model, whatever is configured: the ray model has no beam offset.
@@ -50,25 +76,22 @@ impl Observer {
     /// # Errors
     /// The reason for which the sample cannot be used: too little light, clipping, no solution, or a stage at
     /// its own limit.
-    pub fn look(&mut self, sample: &Sample) -> Result<Observation, String> {
+    pub fn look(&mut self, sample: &Sample) -> Result<Observation, ObservationError> {
         if sample.psds.iter().all(|state| *state == PsdState::Low) {
-            return Err("no PSD sees light".into());
+            return Err(ObservationError::NoLight);
         }
         for (state, psd) in sample.psds.iter().zip(FACETS) {
             match state {
                 PsdState::Good => {}
-                PsdState::Low => return Err(format!("PSD {psd} sees too little light")),
-                PsdState::Clipped => return Err(format!("a channel of PSD {psd} is clipped")),
+                PsdState::Low => return Err(ObservationError::LittleLight { psd }),
+                PsdState::Clipped => return Err(ObservationError::Clipped { psd }),
             }
         }
         if sample.output_railed {
-            return Err("the stage is at its own limit".into());
+            return Err(ObservationError::StageLimit);
         }
         let signals = Signals { spots: sample.spots, powers: sample.powers };
-        let solution = self
-            .estimator
-            .solve(&signals, self.warm.as_ref())
-            .map_err(|error| format!("no pose can be computed: {error}"))?;
+        let solution = self.estimator.solve(&signals, self.warm.as_ref())?;
         let offset = solution.offset;
         let beam = self.estimator.optics().across(solution.pose.t) + offset;
         self.warm = Some(solution);

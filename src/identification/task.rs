@@ -279,7 +279,7 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
                 event = self.driver.next() => self.hear(event)?,
                 acquired = self.samples.recv() => match acquired {
                     Some(SampleEvent::Sample(sample, _)) => {
-                        let look = self.looker.look(&sample).map_err(refused)?;
+                        let look = self.looker.look(&sample).map_err(|e| refused(e.to_string()))?;
                         self.looks.push(look);
                         return Ok(look);
                     }

@@ -155,7 +155,7 @@ impl Guide<'_> {
                         None => return Ok(Said::Reference(reference)),
                         Some(why) => why,
                     },
-                    Err(why) => why,
+                    Err(why) => why.to_string(),
                 },
             };
             once_more(exit::DATA, &wrong)?;

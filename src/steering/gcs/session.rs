@@ -97,7 +97,7 @@ impl<'a> Session<'a> {
         let Some((asked, answer)) = self.ask_if_known(GcsQuery::Unit).await? else { return Ok(()) };
         let units = answer.words(&self.settings.axes).map_err(|error| Fault::Answer { asked, error })?;
         for (axis, name) in self.settings.axes.iter().zip(&units) {
-            unit::check(axis, name, self.settings.unit * 1e6).map_err(Fault::Unfit)?;
+            unit::check(axis, name, self.settings.unit * 1e6)?;
         }
         Ok(())
     }
