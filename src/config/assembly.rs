@@ -1,6 +1,6 @@
 //! Builds the parameters of channel map, centering and estimation from the configuration.
 //!
-//! This is the only place where the units of the file are converted to SI units.
+//! The units of the file are converted to SI units here.
 
 use std::path::{Path, PathBuf};
 
