@@ -4,7 +4,6 @@ use std::sync::Arc;
 
 use tokio::sync::watch;
 use trifacet_core::centering::LoopState;
-use trifacet_core::steering::StagePosition;
 use trifacet_core::telemetry::heartbeat::{Heartbeats, Task};
 
 /// Number of checks without a heartbeat after which the loop counts as stalled. The interval between checks
@@ -61,6 +60,8 @@ impl Pulse {
 #[cfg(test)]
 mod tests {
     use trifacet_wire::LockState;
+
+    use trifacet_core::steering::StagePosition;
 
     use super::*;
 

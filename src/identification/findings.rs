@@ -1,6 +1,6 @@
 //! Derives the keys of the configuration from a recording, with their uncertainties and plausibility.
 
-use trifacet_core::steering::{BeamMap, BeamOffset, BeamPoint, StagePosition};
+use trifacet_core::steering::{BeamOffset, BeamPoint, StagePosition};
 
 use super::observation::{self, Observation};
 use super::plan::{Plan, USED, refused, um};

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use tokio::sync::watch;
 use trifacet_core::signals::Identity;
-use trifacet_core::steering::{Command, StagePosition, codes};
+use trifacet_core::steering::{Command, codes};
 use trifacet_wire::actuator::{Ack, OutputCommand};
 
 use super::{Driver, StageEvent};
@@ -88,6 +88,8 @@ impl Driver for Outputs {
 #[cfg(test)]
 mod tests {
     use trifacet_wire::actuator::LeaseAction;
+
+    use trifacet_core::steering::StagePosition;
 
     use super::*;
     use crate::config::Config;

@@ -78,7 +78,7 @@ pub(super) fn broken(error: &ClientError, report: &mut Report) {
             report.wrong(&what, "install the same version of trifacet on both sides");
         }
         ClientError::Message(_) => {
-            report.wrong(&what, "check that the sender is trifacet in a compatible version")
+            report.wrong(&what, "check that the sender is trifacet in a compatible version");
         }
         ClientError::Closed => {
             report.wrong(&what, "the daemon may have ended (see its log), or this is another program");

@@ -294,7 +294,7 @@ impl Centering {
         }
         match *observation {
             BeamObservation::Partial { apex, .. } if !self.open_loop.arrived() => {
-                self.gave_up = Some(self.place_for(apex))
+                self.gave_up = Some(self.place_for(apex));
             }
             BeamObservation::Partial { .. } => {}
             _ => self.gave_up = None, // any light then starts a new search

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use trifacet_optics::{BeamPosition, Innovation, Vec2};
 
-use crate::steering::{BeamMap, BeamPoint, StagePosition};
+use crate::steering::{BeamMap, StagePosition};
 
 /// A residual of more than this many standard uncertainties does not fit. By chance one in 270 000 does.
 const LIMIT: f64 = 5.0;
@@ -34,7 +34,7 @@ impl Readback {
     /// The readback of a stage with this map. `sigma` is the standard uncertainty of the resulting beam
     /// position, metres on each axis.
     pub fn new(map: BeamMap, sigma: f64) -> Self {
-        Self { map, sigma: sigma }
+        Self { map, sigma }
     }
 
     /// The beam position for a position of the stage, metres. Averaging does not reduce its standard
@@ -84,6 +84,7 @@ impl Integrity {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::steering::BeamPoint;
 
     #[test]
     fn ten_in_a_row_contradict_and_one_that_fits_ends_it() {
