@@ -211,7 +211,7 @@ fn nothing_is_lost_with_the_daemon_and_a_point_can_be_taken_again() {
     let other = typed(&out, &["--connect", &at, "--resume", "--axes", "yaw"], "");
     assert_eq!(other.status.code(), Some(64));
     assert!(
-        said(&other).contains(&format!("readings.csv says \"source: tcp://{lost}\"")),
+        said(&other).contains(&format!("readings.csv contains \"source: tcp://{lost}\"")),
         "{}",
         said(&other)
     );
