@@ -175,7 +175,7 @@ impl Known {
 
 /// Form of the output.
 #[derive(Clone, Copy, PartialEq)]
-enum Form {
+enum Layout {
     /// One page.
     Page,
     /// A page that replaces the previous one.
@@ -188,7 +188,7 @@ enum Form {
 struct Screen {
     /// Endpoint of the stream.
     source: String,
-    form: Form,
+    form: Layout,
     colour: bool,
     /// Number of lines of the last page, or of all lines.
     drawn: usize,
@@ -199,21 +199,21 @@ impl Screen {
         let terminal = io::stdout().is_terminal();
         let wanted = std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
         let form = match (args.follow, terminal) {
-            (false, _) => Form::Page,
-            (true, true) => Form::Redrawn,
-            (true, false) => Form::Lines,
+            (false, _) => Layout::Page,
+            (true, true) => Layout::Redrawn,
+            (true, false) => Layout::Lines,
         };
         Self { source: args.endpoint.to_string(), form, colour: terminal && wanted, drawn: 0 }
     }
 
     fn show(&mut self, known: &Known) -> Result<()> {
         let text = match self.form {
-            Form::Lines => {
+            Layout::Lines => {
                 let header = if self.drawn == 0 { screen::header() + "\n" } else { String::new() };
                 self.drawn += 1;
                 header + &screen::line(known) + "\n"
             }
-            Form::Page | Form::Redrawn => self.page(known),
+            Layout::Page | Layout::Redrawn => self.page(known),
         };
         let mut out = io::stdout().lock();
         written(out.write_all(text.as_bytes()).and_then(|()| out.flush()))
@@ -222,7 +222,7 @@ impl Screen {
     /// The page. A redrawn page replaces the previous one.
     fn page(&mut self, known: &Known) -> String {
         let lines = screen::page(&self.source, known);
-        if self.form == Form::Page {
+        if self.form == Layout::Page {
             return lines.iter().map(|line| self.painted(line, line.len()) + "\n").collect();
         }
         let width = tcgetwinsize(io::stdout()).map_or(0, |size| usize::from(size.ws_col));

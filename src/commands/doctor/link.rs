@@ -10,7 +10,7 @@ use tokio::time::timeout;
 use trifacet::client::{ClientError, Endpoint, Losses, MessageError};
 use trifacet::config::Config;
 
-use super::frames::Seen;
+use super::frames::ReceivedFrames;
 use super::{Report, port};
 
 /// Reports why the endpoint cannot be opened.
@@ -90,7 +90,7 @@ pub(super) fn broken(error: &ClientError, report: &mut Report) {
 /// Reports why no frame arrives although the link is open.
 pub(super) async fn silent(
     endpoint: &Endpoint,
-    seen: &Seen,
+    seen: &ReceivedFrames,
     losses: Losses,
     config: &Config,
     report: &mut Report,

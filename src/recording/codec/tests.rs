@@ -198,7 +198,7 @@ fn what_has_not_changed_is_not_written_with_each_keyframe() {
     assert_eq!(again.len(), 1);
     let Entry::Keyframe(back) = decode(&mut decoder, &again) else { panic!("no keyframe") };
     assert_eq!(back.source, keyframe.source, "the earlier one is still in force");
-    assert_eq!(decode_error(&mut Decoder::default(), &again), DecodeError::Order.to_string());
+    assert_eq!(decode_error(&mut Decoder::default(), &again), DecodeError::OutOfOrder.to_string());
     let other = Keyframe { source: Some(Arc::new(Identity { rate_hz: 5.0, ..identity() })), ..keyframe };
     assert_eq!(encode(&mut encoder, &Entry::Keyframe(Box::new(other))).len(), 2);
     encoder.restart();
