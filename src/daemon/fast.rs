@@ -99,7 +99,7 @@ async fn fast<S: Source + 'static>(
     let Parts { counters, heartbeats, glance, control, stop, context, records, .. } = parts;
     let FastLink { changes, questions, orders } = control;
     let source = source().context("cannot start the source")?;
-    let (mapping, centering, estimation) = pipeline.into_stages();
+    let (mapping, centering, estimation) = pipeline.into_parts();
     let (samples_in, samples) = mpsc::channel(QUEUE);
     let (newest_in, newest) = watch::channel(None);
     let (commands_in, commands) = watch::channel(None);
@@ -192,7 +192,7 @@ async fn replayed(parts: Parts) -> anyhow::Result<()> {
         descriptor.send_modify(|now| (now.config, now.calibrated) = (context.id(), corrected));
     };
     let edges = replay::task::ReplayLinks { control, publish, means };
-    let (_, _, estimation) = pipeline.into_stages();
+    let (_, _, estimation) = pipeline.into_parts();
     let recording = replay::Recording { config: config.replay, beginning, estimation, counters };
     let task = replay::task::run(recording, SystemClock, edges, stop);
     // This task counts heartbeats for all three.

@@ -1,6 +1,8 @@
 //! The members of the workspace: what they may depend on.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
 use std::process::Command;
 
 use crate::testkit::run;
@@ -61,4 +63,53 @@ fn arrows_between_members_go_one_way() {
 fn a_program_that_only_decodes_frames_is_built_from_ten_packages() {
     let packages = packages("trifacet-wire", &[]);
     assert!(packages.len() <= 9, "with the program itself these are more than ten: {packages:?}");
+}
+
+/// The modules that a file names as `crate::name`, or in `crate::{...}`; without its unit tests.
+fn named(text: &str) -> BTreeSet<String> {
+    let code = text.split("#[cfg(test)]\nmod tests").next().unwrap();
+    let code: Vec<_> = code.lines().filter(|line| !line.trim_start().starts_with("//")).collect();
+    let word =
+        |rest: &str| rest.trim().split(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap().to_owned();
+    let after = code.join(" ");
+    let mut found = BTreeSet::new();
+    for rest in after.split("crate::").skip(1) {
+        match rest.strip_prefix('{') {
+            Some(list) => found.extend(list.split('}').next().unwrap().split(',').map(word)),
+            None => drop(found.insert(word(rest))),
+        }
+    }
+    found
+}
+
+/// The modules at the top of `src/`, and those that each of them names.
+fn dependencies(folder: &Path, module: Option<&str>, found: &mut BTreeMap<String, BTreeSet<String>>) {
+    for entry in fs::read_dir(folder).unwrap().map(Result::unwrap) {
+        let (path, name) = (entry.path(), entry.file_name().into_string().unwrap());
+        let own = module.unwrap_or_else(|| name.trim_end_matches(".rs")).to_owned();
+        if path.is_dir() {
+            dependencies(&path, Some(&own), found);
+        } else if name.ends_with(".rs") && name != "tests.rs" && own != "lib" && own != "main" {
+            let mut others = named(&fs::read_to_string(&path).unwrap());
+            others.remove(&own);
+            found.entry(own).or_default().extend(others);
+        }
+    }
+}
+
+#[test]
+fn no_module_depends_on_one_that_depends_on_it() {
+    let mut left = BTreeMap::new();
+    dependencies(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src"), None, &mut left);
+    left.remove("commands"); // of the binary: it uses the library
+    assert!(left.len() > 15 && left["daemon"].contains("config"), "{left:?}");
+    let free = |left: &BTreeMap<String, BTreeSet<String>>| {
+        left.iter()
+            .find(|(_, uses)| !uses.iter().any(|other| left.contains_key(other)))
+            .map(|(name, _)| name.clone())
+    };
+    while let Some(name) = free(&left) {
+        left.remove(&name);
+    }
+    assert!(left.is_empty(), "these depend on each other: {left:#?}");
 }

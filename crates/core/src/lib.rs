@@ -3,7 +3,7 @@
 //! - [`channels`]: a [`Scan`](signals::Scan) of raw codes to a [`Sample`](signals::Sample) in metres and watts.
 //! - [`centering`]: samples to commands for the stage that steers the laser.
 //! - [`estimation`]: samples to pose reports. [`stamp`]: reports to frames.
-//! - [`pipeline`]: the three stages together, with an example.
+//! - [`pipeline`]: mapping, centering and estimation together, with an example.
 //! - [`signals`], [`steering`], [`time`], [`utc`], [`telemetry`]: types that these parts share.
 //!
 //! Lengths are metres, angles radians, times nanoseconds of the monotonic clock ([`time`]).

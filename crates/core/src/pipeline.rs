@@ -6,8 +6,8 @@
 //!                     └─> estimation ──> report, in the user's frame
 //! ```
 //!
-//! [`Pipeline`] runs the three stages one after the other, with computing that takes no time: so simulations use it.
-//! The daemon takes it apart ([`Pipeline::into_stages`]) and runs each stage in a task of its own, in the same order.
+//! [`Pipeline`] runs the three parts one after the other, with computing that takes no time: so simulations use it.
+//! The daemon takes it apart ([`Pipeline::into_parts`]) and runs each part in a task of its own, in the same order.
 //! [`Measurement`] is the pipeline without centering: it repeats a recording, in which the loop state is given.
 //!
 //! ```
@@ -73,7 +73,7 @@ impl SilenceTimes {
     }
 }
 
-/// First stage: the scans of a source to samples.
+/// The first part: the scans of a source to samples.
 #[derive(Clone, Debug)]
 pub struct Mapping {
     channels: Channels,
@@ -81,7 +81,7 @@ pub struct Mapping {
 }
 
 impl Mapping {
-    /// A stage without a source.
+    /// A mapping without a source.
     pub fn new(channels: Channels) -> Self {
         Self { channels, source: None }
     }
@@ -156,7 +156,7 @@ impl Measurement {
     }
 }
 
-/// The three stages, run one after the other.
+/// Mapping, centering and estimation, run one after the other.
 #[derive(Clone, Debug)]
 pub struct Pipeline {
     measurement: Measurement,
@@ -187,8 +187,8 @@ impl Pipeline {
         Self { measurement, centering, pose: None, silence: None }
     }
 
-    /// The stages, for three tasks.
-    pub fn into_stages(self) -> (Mapping, Centering, Estimation) {
+    /// The three parts, for three tasks.
+    pub fn into_parts(self) -> (Mapping, Centering, Estimation) {
         let Measurement { mapping, estimation } = self.measurement;
         (mapping, self.centering, estimation)
     }
