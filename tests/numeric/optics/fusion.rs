@@ -1,4 +1,4 @@
-//! Eleven signals against weighted least squares by brute force.
+//! The fusion of eleven signals compared with a direct weighted least-squares solution.
 
 use nalgebra::{SMatrix, SVector};
 use trifacet_optics::{BeamPosition, Estimator, Innovation, Model, Noise, Optics, Pose, Vec2};
@@ -8,14 +8,15 @@ use super::slopes::{Unknowns, differences};
 
 const SIGHTING_DEVIATION: f64 = 0.1e-6;
 
-/// Where the beam crosses the plane of the apex, by its offset from a mirror there.
+/// The point at which the beam crosses the plane of the apex, from its offset.
 fn beam(optics: &Optics, x: &Unknowns) -> Vec2 {
     let pose = Pose::from_array([x[0], x[1], x[2], x[3], x[4], x[5]]);
     optics.across(pose.t) + Vec2::new(x[6], x[7])
 }
 
-/// All heads, also the oblique beam: the weighted solution of eleven equations, linearised by central
-/// differences and solved as a whole, is what the update of the nine gives.
+/// For all heads, including the oblique beam: the weighted solution of eleven equations, linearised by
+/// central
+/// differences and solved together, equals the update of the solution from nine signals.
 #[test]
 fn fusion_is_the_weighted_solution_of_eleven_equations() {
     for (name, mut head) in heads::all() {
@@ -40,7 +41,7 @@ fn fusion_is_the_weighted_solution_of_eleven_equations() {
             let innovation = Innovation::new(&optics, &solution, &spread, &sighting).unwrap();
             let fused = innovation.fuse(&solution);
 
-            // Each row in its deviations.
+            // Each row is divided by its standard uncertainty.
             let mut rows = SMatrix::<f64, 11, 9>::zeros();
             let nine = differences(&optics, Model::Gaussian, &at, total);
             for (i, deviation) in noise.spots.iter().chain(&noise.powers).enumerate() {
@@ -75,7 +76,7 @@ fn fusion_is_the_weighted_solution_of_eleven_equations() {
             let by_hand = ((rows * step - right).norm_squared()).sqrt();
             worst = worst.max((innovation.normalized_residual() - by_hand).abs());
         }
-        println!("{name}: fusion off by {worst:.1e} deviations at most");
+        println!("{name}: error of the fusion {worst:.1e} sigma at most");
         assert!(worst < 1e-5, "{name}: {worst:e}");
     }
 }
