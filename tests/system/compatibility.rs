@@ -1,5 +1,5 @@
-//! Recordings and configurations of version 0.1.0, as that version wrote or shipped them (`tests/fixtures/0.1.0`).
-//! Its Python kit is tested with the other kits.
+//! Recordings and configurations of version 0.1.0, as that version wrote or shipped them
+//! (`tests/fixtures/0.1.0`). The Python kit of that version is tested with the other kits.
 
 use std::path::{Path, PathBuf};
 

@@ -16,9 +16,9 @@ const AXES: [Axis; 6] = [Axis::Tx, Axis::Ty, Axis::Tz, Axis::Roll, Axis::Pitch, 
 
 /// Seconds until the loop reports "locked", which must then be true; `None` if that takes more than `most_s`.
 fn seconds_to_lock(config: &Config, most_s: f64) -> Option<f64> {
-    let mut rig = ClosedLoopSim::new(config).unwrap();
+    let mut sim = ClosedLoopSim::new(config).unwrap();
     loop {
-        let turn = rig.step();
+        let turn = sim.step();
         let command = turn.command.map_or([0.0; 2], |command| command.position);
         assert!(command.iter().all(|p| p.abs() <= config.steering.limit_um * 1e-6));
         if turn.state.lock == LockState::Locked {

@@ -18,8 +18,8 @@ fn offsets(change: Change, motion: &Motion, samples: usize) -> Vec<f64> {
     let mut config = bench();
     config.twin.motion.push(motion.clone());
     change(&mut config);
-    let mut rig = ClosedLoopSim::new(&config).unwrap();
-    (0..samples).map(|_| rig.step().scan.truth.offset.x * 1e6).collect()
+    let mut sim = ClosedLoopSim::new(&config).unwrap();
+    (0..samples).map(|_| sim.step().scan.truth.offset.x * 1e6).collect()
 }
 
 fn along_x(kind: MotionKind, amount_um: f64) -> Motion {
