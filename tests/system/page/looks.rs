@@ -36,7 +36,7 @@ pub(crate) const CONTRAST: &str = "(() => {
         return 0.2126 * r + 0.7152 * g + 0.0722 * b;
     };
     let worst = [99, ''];
-    for (const e of document.querySelectorAll('h1, h2, p, th, td, dt, dd, li strong, li span, label, figcaption, summary, button, #verdict span')) {
+    for (const e of document.querySelectorAll('h1, h2, p, th, td, dt, dd, li strong, li span, label, figcaption, summary, button, #headline span')) {
         if (!e.offsetParent || !e.textContent.trim()) continue;
         let behind = e;
         while (getComputedStyle(behind).backgroundColor === 'rgba(0, 0, 0, 0)' && behind.parentElement) behind = behind.parentElement;
@@ -55,7 +55,7 @@ fn the_page_fits_and_is_readable_in_two_themes_and_two_sizes() {
     );
     let mut page = page(at);
     page.until("document.querySelectorAll('.strips canvas').length >= 6");
-    page.until("document.querySelector('#faults').innerText.includes('over:')");
+    page.until("document.querySelector('#faults').innerText.includes('ended:')");
     page.until(FINE);
     page.until("document.querySelector('.strips .chart').chart?.data[0].length > 30"); // some data for the pictures
     for (size, name) in [(DESK, "1280"), ([390, 844], "390")] {

@@ -16,7 +16,7 @@ const ON: &str = "monitor.listen = \"127.0.0.1:0\"\n";
 /// A desktop screen.
 const DESK: [u32; 2] = [1280, 900];
 /// The headline of a daemon without faults.
-const FINE: &str = "document.querySelector('#verdict')?.dataset.grade === 'good' && !document.body.classList.contains('stale')";
+const FINE: &str = "document.querySelector('#headline')?.dataset.grade === 'good' && !document.body.classList.contains('stale')";
 
 /// A daemon, its stream, and the address of its page.
 fn daemon(config: &str) -> (Daemon, Stream, SocketAddr) {

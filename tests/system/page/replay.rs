@@ -24,8 +24,8 @@ fn replayed(folder: &Path, ms: u32, how: &str) -> (Daemon, Stream, Browser) {
 /// Waits for a headline.
 fn says(page: &mut Browser, text: &str) {
     let whole = format!("Replay of a.mcap, recorded 1970-01-01 00:00:00 UTC: {text}");
-    page.until(&format!("document.querySelector('#verdict .text')?.textContent === '{whole}'"));
-    assert_eq!(page.eval("document.querySelector('#verdict').dataset.grade"), "note");
+    page.until(&format!("document.querySelector('#headline .text')?.textContent === '{whole}'"));
+    assert_eq!(page.eval("document.querySelector('#headline').dataset.grade"), "note");
     assert_eq!(page.eval("document.body.classList.contains('stale')"), false, "frames arrive");
 }
 
@@ -56,7 +56,7 @@ fn the_headline_states_the_replay_and_controls_are_disabled() {
     assert_eq!(offered, 0);
     assert_eq!(
         page.eval("document.querySelector('#answer').textContent"),
-        "◆ A recording is replayed: nothing steers, and nothing about it can be changed"
+        "◆ A recording is replayed: commands are not available"
     );
     let loops = page.eval(
         "[...document.querySelectorAll('#beam-facts div, #facts div')].map((e) => e.textContent).filter((t) => t.startsWith('loop'))",
@@ -70,7 +70,7 @@ fn the_headline_states_the_replay_and_controls_are_disabled() {
 fn at_the_end_of_a_recording_the_headline_states_it() {
     let folder = tempfile::tempdir().unwrap();
     let (_daemon, _stream, mut page) = replayed(folder.path(), 2000, "");
-    says(&mut page, "it is at its end");
+    says(&mut page, "ended");
     page.until("document.querySelector('#beam-facts').innerText.includes('held')");
     fits(&mut page, "replay-end");
     assert_eq!(page.complaints(), Vec::<String>::new());

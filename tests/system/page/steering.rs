@@ -90,8 +90,7 @@ fn an_operator_with_the_token_steers_from_the_page() {
         page.eval(&say(TOKEN, command));
         page.until(&format!("document.querySelector('#answer').textContent === '● {command}: done'"));
         page.until(&format!("document.querySelector('#beam-facts').innerText.includes('{state}')"));
-        let shadow =
-            "document.querySelector('#verdict').innerText.includes('off (the loop is in the shadow)')";
+        let shadow = "document.querySelector('#headline').innerText.includes('off (loop in shadow mode)')";
         page.until(&format!("{shadow} === {}", command == "loop shadow"));
     }
     page.eval(&say(TOKEN, "loop on"));

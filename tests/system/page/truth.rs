@@ -77,7 +77,7 @@ fn the_page_loads_only_from_the_daemon_and_agrees_with_the_stream() {
 /// Records each new headline with the time of the newest frame on the page.
 const NOTES: &str = "(() => {
     window.notes = [];
-    const text = document.querySelector('#verdict .text');
+    const text = document.querySelector('#headline .text');
     new MutationObserver(() => setTimeout(() => notes.push([Number(document.querySelector('#pose').dataset.time), text.textContent]), 0))
         .observe(text, { childList: true, characterData: true, subtree: true });
 })()";
@@ -92,7 +92,7 @@ fn the_headline_states_a_blocked_beam_and_the_recovery_within_a_second() {
     // All in one evaluation, because the light returns by itself.
     page.until(
         "notes.some(([, text]) => text.includes('too little light on PSD A, B, C'))
-            && document.querySelector('#verdict').dataset.grade === 'bad'
+            && document.querySelector('#headline').dataset.grade === 'bad'
             && document.querySelector('#pose .now').textContent === '–'
             && document.querySelector('#faults').innerText.includes('PSD_B_LOW, since')",
     );
@@ -120,7 +120,7 @@ fn without_a_board_the_page_reports_no_samples_and_shows_no_values() {
     let (_daemon, _stream, at) =
         daemon("acquisition.source = 'serial'\nacquisition.serial.port = '/nowhere/board'\n");
     let mut page = Browser::open(&format!("http://{at}/"), DESK);
-    page.until("document.querySelector('#verdict')?.innerText.includes('No valid pose: no samples since')");
+    page.until("document.querySelector('#headline')?.innerText.includes('No valid pose: no samples since')");
     page.until("document.querySelectorAll('#latency dd').length >= 5");
     let told = page.eval(
         "[...document.querySelectorAll('.psd .none, #balance .none, #latency dd, #beam-facts dd')].map((e) => e.textContent)",
@@ -145,7 +145,7 @@ fn a_spectrum_without_new_data_is_marked_as_old() {
     };
     page.until(&shows("Welch", "1"));
     board.order("beam-blocked 8");
-    page.until(&shows("Old, of ", "0.35"));
+    page.until(&shows("Old, from ", "0.35"));
     page.until(&shows("Welch", "1"));
 }
 
@@ -156,11 +156,11 @@ fn a_task_that_stalls_is_named_before_the_daemon_ends() {
     page.until("document.querySelectorAll('.strips canvas').length >= 6");
     page.eval(NOTES);
     daemon.told(&["drill", "stall", "centering"]);
-    let verdict = |text: &str| format!("notes.some(([, text]) => text.startsWith('{text}'))");
-    page.until(&verdict("Pose valid, beam not locked (held): task centering stalled since "));
+    let headline = |text: &str| format!("notes.some(([, text]) => text.startsWith('{text}'))");
+    page.until(&headline("Pose valid, beam not locked (held): task centering stalled since "));
     page.until("document.querySelector('#faults li').innerText.includes('Fault: task centering stalled')");
     assert_eq!(page.eval("document.body.classList.contains('stale')"), false, "poses arrive");
-    page.until(&verdict("No connection"));
+    page.until(&headline("No connection"));
 }
 
 #[test]
@@ -168,7 +168,7 @@ fn without_a_daemon_the_page_turns_grey_and_a_new_daemon_revives_it() {
     let (first, _stream, at) = daemon("");
     let mut page = page(at);
     drop(first);
-    page.until("document.querySelector('#verdict .text').textContent.startsWith('No connection since ')");
+    page.until("document.querySelector('#headline .text').textContent.startsWith('No connection since ')");
     assert_eq!(page.eval("document.body.classList.contains('stale')"), true);
     assert_eq!(page.eval("getComputedStyle(document.querySelector('#pose')).opacity"), "0.35");
     let _second = Daemon::start(&format!("monitor.listen = \"{at}\""));
@@ -182,13 +182,13 @@ fn the_page_distinguishes_a_stopped_daemon_from_an_ended_one() {
     let mut page = page(at);
     daemon.signal(Signal::STOP);
     page.until(
-        "document.querySelector('#verdict .text').textContent.startsWith('No news from the daemon since ')",
+        "document.querySelector('#headline .text').textContent.startsWith('No updates from the daemon since ')",
     );
     assert_eq!(page.eval("document.body.classList.contains('stale')"), true);
     daemon.signal(Signal::CONT);
     page.until(FINE);
     daemon.ends_in_order(Signal::TERM);
-    page.until("document.querySelector('#verdict .text').textContent.startsWith('No connection')");
+    page.until("document.querySelector('#headline .text').textContent.startsWith('No connection')");
 }
 
 /// Number of updates made for viewers so far.
