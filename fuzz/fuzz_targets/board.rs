@@ -6,7 +6,7 @@
 use std::{fmt::Debug, sync::Arc};
 
 use libfuzzer_sys::fuzz_target;
-use trifacet::acquisition::Event;
+use trifacet::acquisition::SourceEvent;
 use trifacet::acquisition::board::{Session, Settings};
 use trifacet::core::time::Mono;
 use trifacet::core::telemetry::Counters;
@@ -65,7 +65,7 @@ fn converse(line: &[u8]) {
     for piece in line.chunks(64) {
         session.received(piece, now);
         while let Some(event) = session.event() {
-            if let Event::Scan(scan) = event {
+            if let SourceEvent::Scan(scan) = event {
                 assert!(time.is_none_or(|time| time < scan.time), "time goes back");
                 time = Some(scan.time);
             }

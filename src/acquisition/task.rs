@@ -67,10 +67,10 @@ pub async fn run<S: Source, C: Clock>(
     mapping: Mapping,
     clock: C,
     counters: Arc<Counters>,
-    edges: AcquisitionLinks,
+    links: AcquisitionLinks,
     stop: CancellationToken,
 ) {
-    let AcquisitionLinks { samples, newest, answers, mut commands, mut changes } = edges;
+    let AcquisitionLinks { samples, newest, answers, mut commands, mut changes } = links;
     let mut intake =
         Intake { mapping, counters, samples, newest, answers, up: false, dropped: 0, change: None };
     let mut heartbeat = interval(HEARTBEAT);

@@ -83,7 +83,9 @@ fn parse(word: &str, rest: &[&str]) -> Option<Command> {
         ("loop", [mode]) => Command::Loop(LoopMode::ALL.into_iter().find(|m| m.name() == *mode)?),
         ("park", []) => Command::Park,
         ("record", ["status"]) => Command::Recording,
-        ("record", [wish]) => Command::Record(RecorderCommand::ALL.into_iter().find(|w| w.name() == *wish)?),
+        ("record", [action]) => {
+            Command::Record(RecorderCommand::ALL.into_iter().find(|w| w.name() == *action)?)
+        }
         ("search", []) => Command::Search,
         ("move", [x, y]) => Command::Move([number(x)?, number(y)?]),
         ("drill", [drill, task]) => Command::Drill(
@@ -131,7 +133,7 @@ impl fmt::Display for Command {
             Command::Search => f.write_str("search"),
             Command::Drill(drill, task) => write!(f, "drill {} {task}", drill.name()),
             Command::Recording => f.write_str("record status"),
-            Command::Record(wish) => write!(f, "record {}", wish.name()),
+            Command::Record(action) => write!(f, "record {}", action.name()),
             Command::Reload => f.write_str("reload"),
         }
     }

@@ -80,9 +80,9 @@ mod tests {
     fn nothing_of_a_loop_that_stands_still_is_claimed() {
         let locked = LoopState { lock: LockState::Locked, position: Some([1e-6, 0.0]) };
         let (_sender, said) = watch::channel(locked);
-        let mut heard = Loop::new(said, Arc::default());
-        assert_eq!(heard.now(), locked);
-        (0..LOOKS).for_each(|_| heard.look());
-        assert_eq!(heard.now(), LoopState { lock: LockState::Held, position: None });
+        let mut liveness = Loop::new(said, Arc::default());
+        assert_eq!(liveness.now(), locked);
+        (0..LOOKS).for_each(|_| liveness.look());
+        assert_eq!(liveness.now(), LoopState { lock: LockState::Held, position: None });
     }
 }

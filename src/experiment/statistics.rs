@@ -211,7 +211,7 @@ mod tests {
 
     #[test]
     fn too_little_is_refused_with_its_place() {
-        for (readings, told) in [
+        for (readings, expected) in [
             (line(2, 5), "tx has readings at 2 points: at least 3"),
             (line(5, 1), "tx point 1: 1 readings, at least 2"),
             (
@@ -228,7 +228,7 @@ mod tests {
             ),
         ] {
             let error = measured(&readings, Part::Table2).unwrap_err().message;
-            assert!(error.contains(told), "{error}");
+            assert!(error.contains(expected), "{error}");
         }
         assert!(measured(&line(5, 5), Part::Beyond).unwrap().is_empty());
     }

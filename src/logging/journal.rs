@@ -224,9 +224,9 @@ mod tests {
         let mut writer = Journal::connect(&path, &mut errors).unwrap();
         let bytes = entry_of(|| tracing::info!(n = 7, "hello"));
         writer.write_all(&bytes).unwrap();
-        let mut heard = [0; 1000];
-        let n = journal.recv(&mut heard).unwrap();
-        assert_eq!(heard[..n], bytes);
+        let mut received = [0; 1000];
+        let n = journal.recv(&mut received).unwrap();
+        assert_eq!(received[..n], bytes);
         drop(journal);
         writer.write_all(&bytes).unwrap();
         assert_eq!(errors, b"<6>hello n=7\n");

@@ -161,8 +161,8 @@ mod tests {
     fn a_datagram_arrives_with_the_time_of_acquisition() {
         let receiver = UdpSocket::bind("127.0.0.1:0").unwrap();
         receiver.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
-        let nobody = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-        let mut publisher = publisher(vec![nobody, receiver.local_addr().unwrap()], None);
+        let unreachable = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        let mut publisher = publisher(vec![unreachable, receiver.local_addr().unwrap()], None);
         for sequence in 0..3 {
             publisher.publish(&PoseReport::example());
             let mut bytes = [0; 300];

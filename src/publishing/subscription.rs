@@ -224,7 +224,7 @@ mod tests {
     #[test]
     fn what_is_wrong_is_said_shortly_and_what_is_not_ours_gets_no_answer() {
         let mut all = some();
-        for (ask, told) in [
+        for (ask, expected) in [
             ("subscribe lease_s=0 divider=1", "lease_s=1 to 60"),
             ("subscribe lease_s=61", "lease_s=1 to 60"),
             ("subscribe lease_s=5 divider=0 held=on", "a divider from 1"),
@@ -233,7 +233,7 @@ mod tests {
             ("unsubscribe me please", "unsubscribe nonce=HEX"),
         ] {
             let answer = all.datagram(client(1), ask.as_bytes(), Mono(0)).answer.unwrap();
-            assert!(answer.starts_with("error: ") && answer.contains(told), "{ask}: {answer}");
+            assert!(answer.starts_with("error: ") && answer.contains(expected), "{ask}: {answer}");
         }
         for other in ["error: x", "challenge nonce=1", "ok", "", "SUBSCRIBE lease_s=1", "\u{e9}"] {
             assert_eq!(all.datagram(client(1), other.as_bytes(), Mono(0)).answer, None, "{other}");

@@ -24,7 +24,7 @@ pub struct Output {
     pub since: Mono,
     written: Arc<AtomicU64>,
     failed: Arc<AtomicBool>,
-    told: AtomicU64,
+    reported: AtomicU64,
     /// Bytes up to the last complete chunk, and bytes before the first message.
     whole: u64,
     head: u64,
@@ -94,7 +94,7 @@ impl Output {
             since,
             written,
             failed,
-            told: AtomicU64::new(0),
+            reported: AtomicU64::new(0),
             whole,
             head: whole,
             torn: 0,
@@ -107,7 +107,7 @@ impl Output {
     /// Bytes written since the last call.
     pub fn news(&self) -> u64 {
         let bytes = self.bytes();
-        bytes - self.told.swap(bytes, Ordering::Relaxed)
+        bytes - self.reported.swap(bytes, Ordering::Relaxed)
     }
 
     /// Bytes written so far.

@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn who_makes_no_turns_is_named_and_nobody_is_fed() {
+    fn a_stalled_task_is_named_and_stops_the_watchdog_notifications() {
         let heartbeats = Heartbeats::default();
         let mut watch = Watch::default();
         for _ in 0..3 {

@@ -48,7 +48,7 @@ impl Outputs {
     fn news(&mut self) -> Option<StageEvent> {
         let answers = self.answers.borrow_and_update();
         if let Some(source) = &answers.source
-            && !self.source.as_ref().is_some_and(|told| Arc::ptr_eq(told, source))
+            && !self.source.as_ref().is_some_and(|known| Arc::ptr_eq(known, source))
         {
             self.source = Some(Arc::clone(source));
             return Some(StageEvent::Up);

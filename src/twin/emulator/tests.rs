@@ -124,7 +124,7 @@ fn faults_of_the_link_use_up_numbers() {
 }
 
 #[test]
-fn what_it_does_not_understand_it_says_and_what_nobody_takes_it_drops() {
+fn corrupted_messages_are_answered_and_unsent_scans_are_dropped() {
     let mut bench = Bench::started();
     bench.board.received(&[0, 3, 9, 9, 0], bench.now);
     let corrupted = Answer::Error { reason: ErrorReason::Corrupted, kind: 0 };

@@ -6,7 +6,7 @@ use trifacet_optics::{BeamPosition, Estimator, Innovation, Model, Noise, Optics,
 use super::heads::{self, Draw};
 use super::slopes::{Unknowns, differences};
 
-const SIGHTING_DEVIATION: f64 = 0.1e-6;
+const BEAM_SIGMA: f64 = 0.1e-6;
 
 /// The point at which the beam crosses the plane of the apex, from its offset.
 fn beam(optics: &Optics, x: &Unknowns) -> Vec2 {
@@ -36,9 +36,9 @@ fn fusion_is_the_weighted_solution_of_eleven_equations() {
             let x = Unknowns::from([p[0], p[1], p[2], p[3], p[4], p[5], offset.x, offset.y, total]);
 
             let residual = Vec2::new(draw.within(2e-6), draw.within(2e-6));
-            let sighting = BeamPosition { at: beam(&optics, &x) + residual, sigma: SIGHTING_DEVIATION };
+            let beam_position = BeamPosition { at: beam(&optics, &x) + residual, sigma: BEAM_SIGMA };
             let spread = estimator.sensitivity(&solution).unwrap().spread(&noise);
-            let innovation = Innovation::new(&optics, &solution, &spread, &sighting).unwrap();
+            let innovation = Innovation::new(&optics, &solution, &spread, &beam_position).unwrap();
             let fused = innovation.fuse(&solution);
 
             // Each row is divided by its standard uncertainty.
@@ -50,11 +50,11 @@ fn fusion_is_the_weighted_solution_of_eleven_equations() {
             for k in 0..9 {
                 let mut moved = x;
                 moved[k] += 1e-3;
-                let slope = (beam(&optics, &moved) - beam(&optics, &x)) / 1e-3 / SIGHTING_DEVIATION;
+                let slope = (beam(&optics, &moved) - beam(&optics, &x)) / 1e-3 / BEAM_SIGMA;
                 (rows[(9, k)], rows[(10, k)]) = (slope.x, slope.y);
             }
             let mut right = SVector::<f64, 11>::zeros();
-            right.fixed_rows_mut::<2>(9).copy_from(&(residual / SIGHTING_DEVIATION));
+            right.fixed_rows_mut::<2>(9).copy_from(&(residual / BEAM_SIGMA));
             let qr = rows.qr();
             let step = qr.r().solve_upper_triangular(&(qr.q().transpose() * right)).unwrap();
             let root = qr.r().try_inverse().unwrap();
@@ -71,7 +71,7 @@ fn fusion_is_the_weighted_solution_of_eleven_equations() {
                 }
             }
             for i in 0..2 {
-                worst = worst.max(((fused.offset - offset)[i] - step[6 + i]).abs() / SIGHTING_DEVIATION);
+                worst = worst.max(((fused.offset - offset)[i] - step[6 + i]).abs() / BEAM_SIGMA);
             }
             let by_hand = ((rows * step - right).norm_squared()).sqrt();
             worst = worst.max((innovation.normalized_residual() - by_hand).abs());

@@ -34,12 +34,12 @@ impl Readback {
     /// The readback of a stage with this map. `sigma` is the standard uncertainty of the resulting beam
     /// position, metres on each axis.
     pub fn new(map: BeamMap, sigma: f64) -> Self {
-        Self { map, sigma: sigma }
+        Self { map, sigma }
     }
 
     /// The beam position for a position of the stage, metres. Averaging does not reduce its standard
     /// uncertainty: drift of the laser direction does not average out.
-    pub fn sighting(&self, stage: [f64; 2]) -> BeamPosition {
+    pub fn beam_position(&self, stage: [f64; 2]) -> BeamPosition {
         BeamPosition { at: self.map.beam(stage).into(), sigma: self.sigma }
     }
 }
@@ -104,8 +104,8 @@ mod tests {
     #[test]
     fn a_stage_that_is_mounted_askew_tells_where_the_beam_is() {
         let map = BeamMap::new([[0.0, -2.0], [0.5, 0.0]], [10e-6, 20e-6]);
-        let sighting = Readback::new(map, 1.5e-6).sighting([100e-6, 30e-6]);
-        assert!((sighting.at - Vec2::new(-50e-6, 70e-6)).norm() < 1e-18, "{sighting:?}");
-        assert_eq!(sighting.sigma, 1.5e-6);
+        let beam_position = Readback::new(map, 1.5e-6).beam_position([100e-6, 30e-6]);
+        assert!((beam_position.at - Vec2::new(-50e-6, 70e-6)).norm() < 1e-18, "{beam_position:?}");
+        assert_eq!(beam_position.sigma, 1.5e-6);
     }
 }

@@ -13,7 +13,7 @@ const LIMIT: f64 = 0.05 / 3.0;
 const SIGNIFICANT: f64 = 5.0;
 /// A change beyond this many standard uncertainties makes the power unsteady, even without a step: by chance
 /// 12 times in 100 000.
-const UNEASY: f64 = 4.0;
+const UNSTEADY: f64 = 4.0;
 /// A step affects at most this many samples: two that show a part of it (the channel map interpolates every
 /// channel to the time of its scan with the previous scan), and two more that are compared with those.
 const LONGEST: u32 = 4;
@@ -25,7 +25,7 @@ pub enum Power {
     #[default]
     Steady,
     /// The power changes by more than its noise; the ratios may be wrong by as much.
-    Uneasy,
+    Unsteady,
     /// The power steps; the ratios may be wrong by more than can be stated.
     Step,
 }
@@ -50,8 +50,8 @@ impl PowerSteps {
             let ratio = change / (std::f64::consts::SQRT_2 * sigma);
             if change > LIMIT * total.min(*last) && ratio > SIGNIFICANT {
                 Power::Step
-            } else if ratio > UNEASY {
-                Power::Uneasy
+            } else if ratio > UNSTEADY {
+                Power::Unsteady
             } else {
                 Power::Steady
             }
@@ -100,8 +100,8 @@ mod tests {
         let mut steps = PowerSteps::default();
         assert!(![1.0, 1.05, 0.98].into_iter().any(|total| steps.push(total, 0.011) == Power::Step));
         steps.interrupt();
-        let uneasy = [1.0, 1.03, 1.07].map(|total| steps.push(total, 0.01));
-        assert_eq!(uneasy, [Power::Steady, Power::Steady, Power::Uneasy]);
+        let states = [1.0, 1.03, 1.07].map(|total| steps.push(total, 0.01));
+        assert_eq!(states, [Power::Steady, Power::Steady, Power::Unsteady]);
     }
 
     #[test]

@@ -126,8 +126,8 @@ fn the_residual_is_of_the_beam_by_matrix_and_origin() {
     assert!(fits.iter().all(|r| r.steering_residual.unwrap() < 1e-9));
     let off = reports(&mut estimation, (20..40).map(|k| read_back(k, [-40.0, 20.0])));
     assert!(off.iter().all(|r| (r.steering_residual.unwrap() - 30e-6).abs() < 1e-9));
-    let told: Vec<_> = off.iter().map(|r| r.status.has(Status::INCONSISTENT)).collect();
-    assert_eq!(told, (0..20).map(|k| k >= 9).collect::<Vec<_>>());
+    let flags: Vec<_> = off.iter().map(|r| r.status.has(Status::INCONSISTENT)).collect();
+    assert_eq!(flags, (0..20).map(|k| k >= 9).collect::<Vec<_>>());
     let back = reports(&mut estimation, [sample(40), read_back(41, [-40.0, 5.0])].into_iter());
     assert!(back.iter().all(|r| !r.status.has(Status::INCONSISTENT)));
 }

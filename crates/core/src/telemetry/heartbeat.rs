@@ -92,7 +92,7 @@ impl Heartbeats {
 #[derive(Debug, Default)]
 pub struct Heartbeat {
     /// Counts the starts and ends of polls: odd within a poll.
-    edges: AtomicU64,
+    transitions: AtomicU64,
     ended: AtomicBool,
     /// Set by the task that monitors the heartbeats.
     stalled: AtomicBool,
@@ -102,12 +102,12 @@ pub struct Heartbeat {
 impl Heartbeat {
     /// Heartbeats begun so far.
     pub fn count(&self) -> u64 {
-        self.edges.load(Relaxed).div_ceil(2)
+        self.transitions.load(Relaxed).div_ceil(2)
     }
 
     /// Whether the task is within a poll.
     pub fn inside(&self) -> bool {
-        self.edges.load(Relaxed) % 2 == 1
+        self.transitions.load(Relaxed) % 2 == 1
     }
 
     /// Whether the task has ended.
@@ -133,7 +133,7 @@ impl Heartbeat {
 
     fn edge(&self) {
         // Only the task itself writes.
-        self.edges.store(self.edges.load(Relaxed) + 1, Relaxed);
+        self.transitions.store(self.transitions.load(Relaxed) + 1, Relaxed);
     }
 }
 

@@ -221,7 +221,9 @@ fn a_board_that_cannot_be_used_is_told_why() {
         bench.session.connected(bench.now);
         bench.start(board);
         match bench.session.event() {
-            Some(SourceEvent::Down(SourceError::Unfit(told))) => assert!(told.contains(reason), "{told}"),
+            Some(SourceEvent::Down(SourceError::Unfit(message))) => {
+                assert!(message.contains(reason), "{message}")
+            }
             other => panic!("{reason}: {other:?}"),
         }
         bench.wait(NS_PER_S);
