@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn no_sample_overtakes_a_change_and_none_is_lost_uncounted() {
+    fn no_sample_overtakes_a_change_and_every_loss_is_counted() {
         let config = Config::default();
         let mapping = Mapping::new(config.read_channels().unwrap());
         let (samples, mut estimation) = mpsc::channel(3);

@@ -144,7 +144,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_said_is_understood() {
+    fn commands_survive_a_round_trip() {
         let commands = [
             Command::Status,
             Command::Tare { poses: None, save: false },
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_command_is_refused_with_what_is_one() {
+    fn invalid_commands_are_refused_with_the_allowed_ones() {
         let bad = [
             "",
             "statuss",

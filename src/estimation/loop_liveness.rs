@@ -64,7 +64,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_makes_turns_is_believed() {
+    fn the_state_of_a_running_loop_is_reported() {
         let mut pulse = Pulse::default();
         for heartbeats in [1, 1, 1, 2, 2, 2, 900] {
             pulse.look(heartbeats);
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_of_a_loop_that_stands_still_is_claimed() {
+    fn the_state_of_a_stalled_loop_is_not_reported() {
         let locked = LoopState { lock: LockState::Locked, position: Some([1e-6, 0.0]) };
         let (_sender, said) = watch::channel(locked);
         let mut liveness = Loop::new(said, Arc::default());

@@ -70,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn errors_are_named() {
         for (rows, expected) in [
             ("", "no readings"),
             ("1,tx,0,urad\n", ":2: unit is \"urad\": allowed is one of um, nm, mm, m for tx"),

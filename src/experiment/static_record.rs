@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_even_record_has_no_allan_deviation() {
+    fn an_uneven_record_has_no_allan_deviation() {
         let even: Vec<i64> = (0..1000).map(|k| 10 * k).collect();
         assert_eq!((rest(&even).period_s, rest(&even).uneven), (0.01, None));
         let dropped: Vec<i64> = even.iter().copied().filter(|ms| *ms != 500).collect();

@@ -321,7 +321,7 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         }
     }
 
-    /// Sends the last command and waits for its acknowledgement. Returns the reason for a missing acknowledgement.
+    /// Sends the last command and waits for its acknowledgement. Returns the reason if it does not arrive.
     async fn finish(&mut self, end: Xy) -> Option<String> {
         self.commanded?;
         self.send(end);

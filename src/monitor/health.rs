@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn each_check_says_since_when_and_why() {
+    fn each_check_has_its_time_and_its_reason() {
         let [good, held, lost] = frames();
         let mut checks = Checks::default();
         checks.frame(&good);
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_stays_green_when_no_frame_comes() {
+    fn no_check_stays_green_without_frames() {
         let [good, held, _] = frames();
         let mut checks = Checks::default();
         assert_eq!(checks_of(&checks.readiness(None, None)), [(false, "", "no frame has been made yet"); 3]);

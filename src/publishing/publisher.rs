@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn each_target_gets_the_frames_that_it_wants_in_its_form() {
+    fn each_target_gets_its_frames_in_its_format() {
         let receivers = [(); 3].map(|()| {
             let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
             socket.set_nonblocking(true).unwrap();
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_network_does_not_take_is_counted() {
+    fn datagrams_that_cannot_be_sent_are_counted() {
         let no_port = SocketAddr::from(([127, 0, 0, 1], 0));
         let mut publisher = publisher(vec![no_port], None);
         publisher.publish(&PoseReport::example());

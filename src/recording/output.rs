@@ -214,7 +214,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_the_keyframes_rest_on_stands_in_it_again_now_and_then() {
+    fn parts_that_keyframes_depend_on_are_repeated_periodically() {
         let dir = tempfile::tempdir().unwrap();
         let mut output = Output::begin(&Folder(dir.path().to_owned()), 0, Mono(0), None).unwrap();
         let mut put = |topic| output.put(Encoded { topic, time_ns: 0, data: &[0; 20] }).unwrap();

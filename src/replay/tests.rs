@@ -52,7 +52,7 @@ const EVERYTHING: &str = "
 ";
 
 #[test]
-fn every_frame_comes_out_as_it_was() {
+fn every_frame_is_computed_again_identically() {
     let fused = "estimation.fuse_steering = true\ntwin.steering.readback_noise_um = 0.1\n";
     for text in [
         "",

@@ -112,7 +112,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_told_is_told_once_and_a_reload_only_of_what_is_ready() {
+    fn notifications_are_sent_once_and_a_reload_only_after_ready() {
         let name = format!("trifacet-notify-{}", std::process::id());
         let systemd = UnixDatagram::bind_addr(&SocketAddr::from_abstract_name(&name).unwrap()).unwrap();
         systemd.set_nonblocking(true).unwrap();

@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn of_all_that_wait_the_one_within_a_turn_is_to_blame() {
+    fn the_task_that_is_inside_a_beat_is_named() {
         let heartbeats = Heartbeats::default();
         let watch = RefCell::new(Watch::default());
         let within = std::pin::pin!(counted(

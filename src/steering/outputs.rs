@@ -94,7 +94,7 @@ mod tests {
     use crate::twin::Twin;
 
     #[tokio::test]
-    async fn commands_become_codes_within_range_and_only_news_is_told() {
+    async fn commands_become_codes_within_range_and_only_changes_are_reported() {
         let (commands, sent) = watch::channel(None);
         let (answers, answered) = watch::channel(Answers::default());
         let mut outputs = Outputs::new(500e-6, commands, answered);

@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn it_comes_up_and_delivers_every_scan_with_its_scheduled_time() {
+    async fn the_source_delivers_every_scan_with_its_scheduled_time() {
         let mut bench = bench(&[]);
         let start = bench.clock.now();
         assert!(
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_stall_is_told_once_and_ends_with_a_gap() {
+    async fn a_stall_is_reported_once_and_ends_with_a_gap() {
         let mut bench = bench(&[Fault { at_s: 0.1, for_s: Some(0.1), kind: FaultKind::Stalled }]);
         let events = bench.run(250).await;
         let silence = SourceEvent::Down(SourceError::Stalled { silence_ms: 20 });

@@ -76,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn there_and_back() {
+    fn the_beam_map_and_its_inverse_agree() {
         let map = BeamMap::new([[0.0, -2.0], [0.5, 0.1]], [30e-6, -10e-6]);
         let close = |a: Xy, b: Xy| assert!((0..2).all(|i| (a[i] - b[i]).abs() < 1e-15), "{a:?} {b:?}");
         close(map.beam([1e-6, 0.0]), [30e-6, -9.5e-6]);

@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_shows_nothing() {
+    fn invalid_spots_give_no_offset() {
         for spot in [[f64::NAN, 0.0], [0.0, f64::INFINITY]] {
             assert_eq!(optics().facet_offset(0, spot, &Pose::default()), None);
         }

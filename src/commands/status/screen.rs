@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_stand_under_each_other_also_with_long_numbers() {
+    fn columns_are_aligned_also_with_long_numbers() {
         let known = Known { frame: Some(frame()), ..Known::default() };
         let page = page("tcp://here:1", &known);
         let lengths: Vec<_> = page[2..5].iter().map(|line| line.find(" um   ").unwrap()).collect();
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_news_are_told_with_their_reason() {
+    fn faults_are_shown_with_their_reason() {
         let mut known = Known { frame: Some(frame()), ..Known::default() };
         known.between = Status::POWER_STEP;
         let counters = [("scans_lost".to_owned(), 7), ("scans".to_owned(), 9)].into();

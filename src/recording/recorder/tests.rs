@@ -64,7 +64,7 @@ fn content(path: &Path) -> (usize, Vec<(u64, String)>, usize) {
 }
 
 #[test]
-fn what_does_not_fit_into_the_queue_is_counted_and_told_where_it_is_missing() {
+fn entries_lost_at_a_full_queue_are_counted_and_recorded_as_a_gap() {
     for mode in [RecordingMode::Always, RecordingMode::OnFault] {
         let folder = tempfile::tempdir().unwrap();
         let (mut recorder, mut fast, _) = recorder(folder.path(), mode);
@@ -96,7 +96,7 @@ fn what_does_not_fit_into_the_queue_is_counted_and_told_where_it_is_missing() {
 }
 
 #[test]
-fn a_failed_end_of_an_old_file_is_told_and_the_new_one_goes_on() {
+fn a_failure_to_finish_an_old_file_is_reported_and_the_new_one_continues() {
     let folder = tempfile::tempdir().unwrap();
     let (mut recorder, mut fast, _) = recorder(folder.path(), RecordingMode::Always);
     recorder.drain();
@@ -116,7 +116,7 @@ fn a_failed_end_of_an_old_file_is_told_and_the_new_one_goes_on() {
 }
 
 #[test]
-fn a_stop_waits_for_the_disk_and_a_fault_that_overtakes_it_is_recorded() {
+fn a_stop_waits_for_the_disk_and_a_fault_before_it_is_recorded() {
     let folder = tempfile::tempdir().unwrap();
     let (mut recorder, mut fast, requests) = recorder(folder.path(), RecordingMode::OnFault);
     let stop = |recorder: &mut Recorder| {

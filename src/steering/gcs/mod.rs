@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_is_new_is_told_once_in_order_and_commands_need_a_stage() {
+    async fn changes_are_reported_once_in_order_and_commands_need_a_stage() {
         let text = "steering.kind = 'gcs'\nsteering.gcs.address = 'stage:50000'\ntwin.steering.readback_noise_um = 'off'";
         let config = config::parse(text, None).unwrap();
         let (_steering_in, steering) = watch::channel(config.steering.clone());

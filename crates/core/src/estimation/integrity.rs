@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ten_in_a_row_contradict_and_one_that_fits_ends_it() {
+    fn ten_contradictions_in_sequence_are_reported_and_one_agreement_ends_the_report() {
         let mut integrity = Integrity::default();
         let mut seen = |normalized_residual: f64, times: usize| {
             (0..times)
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stage_that_is_mounted_askew_tells_where_the_beam_is() {
+    fn a_rotated_stage_gives_the_beam_position() {
         let map = BeamMap::new([[0.0, -2.0], [0.5, 0.0]], [10e-6, 20e-6]);
         let beam_position = Readback::new(map, 1.5e-6).beam_position([100e-6, 30e-6]);
         assert!((beam_position.at - Vec2::new(-50e-6, 70e-6)).norm() < 1e-18, "{beam_position:?}");

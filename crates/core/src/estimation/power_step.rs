@@ -79,14 +79,14 @@ mod tests {
     }
 
     #[test]
-    fn a_step_between_two_scans_spoils_the_two_after_it() {
+    fn a_step_between_two_scans_affects_the_two_after_it() {
         for to in [0.5, 0.94, 1.06, 2.0] {
             assert_eq!(beside(&[1.0, 1.0, to, to, to]), [false, false, true, true, false], "{to}");
         }
     }
 
     #[test]
-    fn a_step_within_a_scan_shows_in_parts() {
+    fn a_step_within_a_scan_is_detected_in_parts() {
         for part in [1.02, 1.04] {
             let expected = [false, false, true, true, true, false];
             assert_eq!(beside(&[1.0, 1.0, part, 1.06, 1.06, 1.06]), expected, "{part}");
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_slow_or_small_or_noise_is_no_step() {
+    fn slow_or_small_changes_and_noise_are_not_steps() {
         assert!(!beside(&[1.0, 1.016, 1.0]).contains(&true));
         assert!(!beside(&std::array::from_fn::<_, 50, _>(|k| 1.0 + 0.008 * k as f64)).contains(&true));
         let mut steps = PowerSteps::default();
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn after_an_interruption_there_is_nothing_to_compare_with() {
+    fn after_an_interruption_the_first_sample_is_not_compared() {
         let mut steps = PowerSteps::default();
         steps.push(1.0, 1e-6);
         steps.interrupt();
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_end_is_unsteady() {
+    fn a_lasting_change_is_unsteady() {
         let mut steps = PowerSteps::default();
         let unsteady =
             [1.0, 1.1, 1.0, 1.1, 1.0, 1.1].map(|total| (steps.push(total, 1e-6), steps.unsteady()));

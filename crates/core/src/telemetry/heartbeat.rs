@@ -164,7 +164,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn every_poll_is_a_turn_until_the_end() {
+    async fn every_poll_is_a_beat_until_the_end() {
         let heartbeats = Heartbeats::default();
         let turn = heartbeats.of(Task::Centering);
         let task = async {
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_drill_ends_a_task_or_its_turns() {
+    async fn a_drill_ends_a_task_or_its_beats() {
         let turn = Heartbeat::default();
         turn.drill(Drill::End);
         counted(std::future::pending(), &turn).await;

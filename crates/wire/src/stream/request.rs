@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn commands_are_understood_whatever_their_case() {
+    fn commands_are_case_insensitive() {
         assert_eq!(parse("pose?"), Ok(ClientCommand::Pose));
         assert_eq!(parse("  BYE "), Ok(ClientCommand::Bye));
         assert_eq!(parse("Stream"), Ok(ClientCommand::Stream(StreamRequest::default())));
@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_say_what_is_allowed() {
+    fn errors_state_the_allowed_values() {
         for (line, found, allowed) in [
             ("pose", "\"pose\" is not a command", "pose?"),
             ("pose? now", "\"now\" after pose?", "nothing"),
@@ -339,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_end_with_or_without_cr_and_are_not_endless() {
+    fn lines_end_with_or_without_cr_and_have_a_limited_length() {
         let mut lines = Lines::default();
         lines.push(b"pose?\r\nsta");
         assert_eq!(lines.next_line(), Some(Ok(b"pose?".to_vec())));
@@ -358,7 +358,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_line_gets_one_line_back(line in prop::collection::vec(any::<u8>(), 0..=MAX_LINE)) {
+        fn any_line_gets_a_one_line_answer(line in prop::collection::vec(any::<u8>(), 0..=MAX_LINE)) {
             if let Err(error) = ClientCommand::parse(&line) {
                 let text = error.to_string();
                 prop_assert!(text.is_ascii() && !text.contains(['\n', '\r']), "{}", text);
@@ -366,7 +366,7 @@ mod tests {
         }
 
         #[test]
-        fn what_a_client_asks_is_what_is_understood(
+        fn requests_survive_a_round_trip(
             format in prop::sample::select(vec![Format::Binary, Format::Json, Format::Csv]),
             pace in prop_oneof![(1..=MAX_DIVIDER).prop_map(Pace::Divider), (1e-3..1e6).prop_map(Pace::RateHz)],
             held: bool,
