@@ -77,7 +77,7 @@ fn measure(record: Option<&str>) -> io::Result<bool> {
             .spawn()?,
     );
     let expected = (RATE_HZ * SECONDS) as u64;
-    let mut seen = Seen::default();
+    let mut seen = Received::default();
     while seen.last_index() + 1 < expected {
         let mut bytes = [0; 256];
         let n = socket.recv(&mut bytes)?;
@@ -134,7 +134,7 @@ fn recorded(folder: &Path, cpu_s: f64) -> io::Result<bool> {
 
 /// Statistics of the received frames.
 #[derive(Default)]
-struct Seen {
+struct Received {
     first: Option<PoseFrame>,
     last: Option<PoseFrame>,
     received: u64,
@@ -149,7 +149,7 @@ struct Seen {
     sent_ns: Vec<u32>,
 }
 
-impl Seen {
+impl Received {
     fn last_index(&self) -> u64 {
         self.last.map_or(0, |frame| frame.sample_index)
     }

@@ -12,7 +12,7 @@ use trifacet_core::centering::lock::Transition;
 use trifacet_core::centering::{LoopParams, LoopRefusal, LoopState, LoopView, TimedPose};
 use trifacet_core::estimation::PoseReport;
 use trifacet_core::signals::Sample;
-use trifacet_core::steering::{Command, Xy};
+use trifacet_core::steering::{Command, StagePosition};
 use trifacet_core::telemetry::Counters;
 use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::actuator::Ack;
@@ -48,7 +48,7 @@ pub enum CenteringRequest {
     /// Changes the parameters; the reply confirms that they are in effect.
     Retune(Box<LoopParams>, oneshot::Sender<()>),
     /// Sends the stage to a position, metres; the reply may be a refusal.
-    Move(Xy, oneshot::Sender<Result<(), LoopRefusal>>),
+    Move(StagePosition, oneshot::Sender<Result<(), LoopRefusal>>),
     /// Starts a search for the apex.
     Search(oneshot::Sender<Result<(), LoopRefusal>>),
     /// Asks for the state of the loop.

@@ -22,7 +22,7 @@ use crate::exit::{self, Failure};
 /// Largest number of lines that wait to be written. Further lines are dropped.
 const QUEUE: usize = 10_000;
 
-type Refilter = dyn Fn(EnvFilter) -> Result<(), String> + Send + Sync;
+type Refilter = dyn Fn(EnvFilter) -> Result<(), reload::Error> + Send + Sync;
 
 /// The log of the process. Dropping it writes the queued lines.
 pub struct Logging {
@@ -63,7 +63,7 @@ pub fn start(config: &LogConfig) -> Result<Logging, Failure> {
     };
     let all = tracing_subscriber::registry().with(lines).with(entries).with(limiter.clone()).with(filter);
     all.try_init().map_err(|e| failed(&e))?;
-    let refilter: Box<Refilter> = Box::new(move |filter| handle.reload(filter).map_err(|e| e.to_string()));
+    let refilter: Box<Refilter> = Box::new(move |filter| handle.reload(filter));
     Ok(Logging { refilter, limiter, _written_at_the_end: guard })
 }
 

@@ -5,11 +5,22 @@
 use rustix::mm::{MlockAllFlags, mlockall};
 use rustix::thread::{CpuSet, sched_setaffinity};
 use thread_priority::{
-    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy, set_thread_priority_and_policy,
-    thread_native_id,
+    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
+    set_thread_priority_and_policy, thread_native_id,
 };
 
 use crate::config::RealtimeConfig;
+
+/// Why the thread does not get a real-time priority.
+#[derive(Debug, thiserror::Error)]
+enum PriorityError {
+    /// The priority is outside the range of the system.
+    #[error("The value is not in the range of [{}; {}]", ThreadPriorityValue::MIN, ThreadPriorityValue::MAX)]
+    Range,
+    /// The system refuses the priority.
+    #[error("{0:?}")]
+    Refused(thread_priority::Error),
+}
 
 /// Applies the settings to the calling thread (the memory lock: to the whole process).
 pub fn apply(config: &RealtimeConfig) {
@@ -30,15 +41,16 @@ pub fn apply(config: &RealtimeConfig) {
     {
         let priority = config.priority;
         tracing::warn!(
-            error,
+            error = error.to_string(),
             priority,
             "the fast thread has no real-time priority (realtime.priority): LimitRTPRIO is too low"
         );
     }
 }
 
-fn fifo(priority: u8) -> Result<(), String> {
-    let priority = ThreadPriority::Crossplatform(priority.try_into()?);
+fn fifo(priority: u8) -> Result<(), PriorityError> {
+    let priority = priority.try_into().map_err(|_| PriorityError::Range)?;
+    let priority = ThreadPriority::Crossplatform(priority);
     let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
-    set_thread_priority_and_policy(thread_native_id(), priority, policy).map_err(|e| format!("{e:?}"))
+    set_thread_priority_and_policy(thread_native_id(), priority, policy).map_err(PriorityError::Refused)
 }

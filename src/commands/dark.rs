@@ -81,7 +81,7 @@ async fn average(mut source: impl Source, config: &Config, samples: u32) -> anyh
         };
         match event {
             SourceEvent::Up(identity) => {
-                darkness = Some(DarkOffsetEstimator::new(&identity).map_err(refuse)?)
+                darkness = Some(DarkOffsetEstimator::new(&identity).map_err(refuse)?);
             }
             SourceEvent::Down(down) => why = down.to_string(),
             SourceEvent::Ack(_) => {}

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use anyhow::Result;
 use clap::Args;
-use frames::Seen;
+use frames::ReceivedFrames;
 use tokio::time::{Instant, timeout, timeout_at};
 use trifacet::client::{Client, ClientError, Endpoint, Message, Options};
 use trifacet::clock::SystemClock;
@@ -128,7 +128,7 @@ async fn look(endpoint: &Endpoint, interface: Option<String>, config: &Config, r
         Endpoint::Udp(_) => "the local port is open",
         Endpoint::Subscribe(_) => "subscribed",
     });
-    let mut seen = Seen::default();
+    let mut seen = ReceivedFrames::default();
     match collect(&mut client, &mut seen).await {
         Ok(()) if seen.frames() > 0 => seen.tell(client.losses(), report),
         Ok(()) => link::silent(endpoint, &seen, client.losses(), config, report).await,
@@ -137,7 +137,7 @@ async fn look(endpoint: &Endpoint, interface: Option<String>, config: &Config, r
 }
 
 /// Collects messages until enough frames for the checks have arrived.
-async fn collect(client: &mut Client, seen: &mut Seen) -> Result<(), ClientError> {
+async fn collect(client: &mut Client, seen: &mut ReceivedFrames) -> Result<(), ClientError> {
     let mut utc = Utc::system();
     let mut end = Instant::now() + ANSWER_TIMEOUT;
     while let Ok(message) = timeout_at(end, client.next()).await {

@@ -107,7 +107,7 @@ impl Bench {
                     refuse(&error.to_string());
                 }
             }
-            Err(error) => refuse(&error),
+            Err(error) => refuse(&error.to_string()),
         }
         Ok(())
     }

@@ -13,7 +13,7 @@ use trifacet::control;
 use trifacet::exit::{self, Failure};
 use trifacet::steering::{Driver, StageEvent, gcs};
 use trifacet_core::centering::OnExit;
-use trifacet_core::steering::{Command, Xy, codes};
+use trifacet_core::steering::{Command, StagePosition, codes};
 use trifacet_core::telemetry::Counters;
 use trifacet_core::time::Clock;
 use trifacet_wire::actuator::{LeaseAction, OutputCommand};
@@ -77,7 +77,7 @@ pub(crate) fn park(args: &ParkArgs) -> anyhow::Result<()> {
 }
 
 /// Parks with the outputs of the board.
-async fn outputs(mut source: impl Source, config: &Config) -> Result<Xy, Failure> {
+async fn outputs(mut source: impl Source, config: &Config) -> Result<StagePosition, Failure> {
     let steering = &config.steering;
     let position = steering.park_um.map(|um| um * 1e-6);
     let mut why = "the board does not answer".to_owned();
@@ -90,7 +90,7 @@ async fn outputs(mut source: impl Source, config: &Config) -> Result<Xy, Failure
                 // The first scan shows that the board has started and accepts commands.
                 SourceEvent::Scan(_) if !sent => {
                     let Some(bits) = bits else { continue };
-                    let codes = codes(position, steering.full_scale_um * 1e-6, bits);
+                    let codes = codes(StagePosition(position), steering.full_scale_um * 1e-6, bits);
                     let lease_ms = steering.lease_ms;
                     let command = OutputCommand { id: 1, codes, lease_ms, on_expiry: LeaseAction::Hold };
                     source.steer(command, SystemClock.now());
@@ -103,18 +103,22 @@ async fn outputs(mut source: impl Source, config: &Config) -> Result<Xy, Failure
     })
     .await;
     source.close().await;
-    answered(parked.ok(), &why, steering.park_um)
+    answered(parked.ok(), &why, StagePosition(steering.park_um))
 }
 
 /// Parks a stage that has its own controller.
-async fn stage(config: &Config, counters: &Counters) -> Result<Xy, Failure> {
+async fn stage(config: &Config, counters: &Counters) -> Result<StagePosition, Failure> {
     let (_limits, limits) = watch::channel(config.steering.clone());
     let Some((mut driver, task)) = gcs::pair(config, limits) else {
         return Err(Failure::new(exit::SOFTWARE, "the stage has no driver"));
     };
     let position = config.steering.park_um.map(|um| um * 1e-6);
-    let command =
-        Command { id: 1, position, lease_ms: config.steering.lease_ms, on_expiry: LeaseAction::Hold };
+    let command = Command {
+        id: 1,
+        position: StagePosition(position),
+        lease_ms: config.steering.lease_ms,
+        on_expiry: LeaseAction::Hold,
+    };
     let mut why = "the controller does not answer".to_owned();
     let talk = async {
         loop {
@@ -130,10 +134,10 @@ async fn stage(config: &Config, counters: &Counters) -> Result<Xy, Failure> {
         parked = timeout(PARK_TIMEOUT, talk) => parked.ok(),
         () = task.run(counters) => None,
     };
-    answered(parked, &why, config.steering.park_um)
+    answered(parked, &why, StagePosition(config.steering.park_um))
 }
 
-fn answered(accepted: Option<bool>, why: &str, park_um: Xy) -> Result<Xy, Failure> {
+fn answered(accepted: Option<bool>, why: &str, park_um: StagePosition) -> Result<StagePosition, Failure> {
     let failed = |why: &str| Err(Failure::new(exit::UNAVAILABLE, format!("not parked: {why}")));
     match accepted {
         Some(true) => Ok(park_um),

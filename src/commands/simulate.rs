@@ -124,7 +124,7 @@ fn closed_loop(mut sim: ClosedLoopSim, samples: u64, out: impl Write) -> io::Res
     for _ in 0..samples {
         let SimStep { scan, sample: Some(sample), command, report, state, .. } = sim.step() else { continue };
         row(&scan, &sample, &mut out)?;
-        let stage = command.map_or([f64::NAN; 2], |command| command.position);
+        let stage = command.map_or([f64::NAN; 2], |command| command.position.0);
         let pose = report.and_then(|report| report.pose).map_or([f64::NAN; 6], Pose::to_array);
         for value in stage.iter().chain(&pose) {
             write!(out, ",{}", digits(*value))?;

@@ -11,7 +11,9 @@ use clap::Args;
 use rustix::termios::tcgetwinsize;
 use serde_json::Value;
 use tokio::time::{Instant, MissedTickBehavior, interval_at, timeout, timeout_at};
-use trifacet::client::{Backoff, Client, Descriptor, Endpoint, Heartbeat, Message, Options, PoseFrame};
+use trifacet::client::{
+    Backoff, Client, ClientError, Descriptor, Endpoint, Heartbeat, Message, Options, PoseFrame,
+};
 use trifacet::control::{self, Command};
 use trifacet_wire::Status;
 
@@ -38,9 +40,24 @@ pub(crate) struct StatusArgs {
     socket: PathBuf,
 }
 
-fn seconds(text: &str) -> Result<f64, String> {
-    let allowed = || "allowed is 0.1 to 3600".to_owned();
-    text.parse().ok().filter(|s| (0.1..=3600.0).contains(s)).ok_or_else(allowed)
+/// An interval that is not a number of seconds in the allowed range.
+#[derive(Debug, thiserror::Error)]
+#[error("allowed is 0.1 to 3600")]
+struct IntervalError;
+
+fn seconds(text: &str) -> Result<f64, IntervalError> {
+    text.parse().ok().filter(|s| (0.1..=3600.0).contains(s)).ok_or(IntervalError)
+}
+
+/// Why there is no first frame.
+#[derive(Debug, thiserror::Error)]
+enum StreamError {
+    /// The stream ended or broke.
+    #[error(transparent)]
+    Client(#[from] ClientError),
+    /// The daemon sends no frame.
+    #[error("no frame for {} s", SILENCE.as_secs())]
+    NoFrame,
 }
 
 /// Data received from the daemon.
@@ -107,16 +124,16 @@ async fn look(args: &StatusArgs) -> Result<()> {
 
 impl Known {
     /// Waits for a frame and, if the stream has them, for the counters.
-    async fn first(&mut self, client: &mut Client) -> Result<(), String> {
+    async fn first(&mut self, client: &mut Client) -> Result<(), StreamError> {
         let end = Instant::now() + SILENCE;
         let whole =
             |known: &Self| known.frame.is_some() && (known.heartbeat.is_some() || known.descriptor.is_none());
         while !whole(self) {
             match timeout_at(end, client.next()).await {
                 Ok(Ok(message)) => self.hear(message),
-                Ok(Err(error)) => return Err(error.to_string()),
+                Ok(Err(error)) => return Err(error.into()),
                 Err(_) if self.frame.is_some() => return Ok(()),
-                Err(_) => return Err(format!("no frame for {} s", SILENCE.as_secs())),
+                Err(_) => return Err(StreamError::NoFrame),
             }
         }
         Ok(())
@@ -158,7 +175,7 @@ impl Known {
 
 /// Form of the output.
 #[derive(Clone, Copy, PartialEq)]
-enum Form {
+enum Layout {
     /// One page.
     Page,
     /// A page that replaces the previous one.
@@ -171,7 +188,7 @@ enum Form {
 struct Screen {
     /// Endpoint of the stream.
     source: String,
-    form: Form,
+    form: Layout,
     colour: bool,
     /// Number of lines of the last page, or of all lines.
     drawn: usize,
@@ -182,21 +199,21 @@ impl Screen {
         let terminal = io::stdout().is_terminal();
         let wanted = std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
         let form = match (args.follow, terminal) {
-            (false, _) => Form::Page,
-            (true, true) => Form::Redrawn,
-            (true, false) => Form::Lines,
+            (false, _) => Layout::Page,
+            (true, true) => Layout::Redrawn,
+            (true, false) => Layout::Lines,
         };
         Self { source: args.endpoint.to_string(), form, colour: terminal && wanted, drawn: 0 }
     }
 
     fn show(&mut self, known: &Known) -> Result<()> {
         let text = match self.form {
-            Form::Lines => {
+            Layout::Lines => {
                 let header = if self.drawn == 0 { screen::header() + "\n" } else { String::new() };
                 self.drawn += 1;
                 header + &screen::line(known) + "\n"
             }
-            Form::Page | Form::Redrawn => self.page(known),
+            Layout::Page | Layout::Redrawn => self.page(known),
         };
         let mut out = io::stdout().lock();
         written(out.write_all(text.as_bytes()).and_then(|()| out.flush()))
@@ -205,7 +222,7 @@ impl Screen {
     /// The page. A redrawn page replaces the previous one.
     fn page(&mut self, known: &Known) -> String {
         let lines = screen::page(&self.source, known);
-        if self.form == Form::Page {
+        if self.form == Layout::Page {
             return lines.iter().map(|line| self.painted(line, line.len()) + "\n").collect();
         }
         let width = tcgetwinsize(io::stdout()).map_or(0, |size| usize::from(size.ws_col));

@@ -27,8 +27,19 @@ pub(crate) struct Row {
     pub(crate) problem: Option<String>,
 }
 
+/// Why a row does not consist of numbers.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum RowError {
+    /// The row has more or fewer fields than the header.
+    #[error("{found} fields where the header has {expected}")]
+    Width { found: usize, expected: usize },
+    /// A field is not a finite number.
+    #[error("{column} is {text:?}, not a finite number")]
+    NotFinite { column: &'static str, text: String },
+}
+
 /// The numbers of a row in the order of the columns, or the error of the row.
-pub(crate) type Numbers = Result<Vec<f64>, String>;
+pub(crate) type Numbers = Result<Vec<f64>, RowError>;
 
 /// Formats a number with seventeen significant digits, which reproduce it exactly.
 pub(crate) fn digits(number: f64) -> String {
@@ -149,7 +160,7 @@ impl<'c> Table<'c> {
 
     fn numbers(&self) -> Numbers {
         if self.record.len() != self.width {
-            return Err(format!("{} fields where the header has {}", self.record.len(), self.width));
+            return Err(RowError::Width { found: self.record.len(), expected: self.width });
         }
         let number = |(column, place): (&Column, &Option<usize>)| {
             let Some(field) = place.and_then(|place| self.record.get(place)) else {
@@ -157,7 +168,7 @@ impl<'c> Table<'c> {
             };
             let text = String::from_utf8_lossy(field);
             let number = text.parse().ok().filter(|x: &f64| x.is_finite());
-            number.ok_or_else(|| format!("{} is {text:?}, not a finite number", column.name))
+            number.ok_or_else(|| RowError::NotFinite { column: column.name, text: text.into_owned() })
         };
         self.columns.iter().zip(&self.places).map(number).collect()
     }

@@ -44,7 +44,7 @@ pub(crate) fn trace(args: &TableArgs) -> anyhow::Result<()> {
     let with_powers: &[&str] = if model == Model::Gaussian { &POWERS } else { &[] };
     let header = [&SPOTS, with_powers].concat();
     convert(args.input.as_deref(), &columns, &header, |numbers| {
-        let signals = numbers.and_then(|n| {
+        let signals = numbers.map_err(|e| e.to_string()).and_then(|n| {
             let pose = Pose::from_array([n[0], n[1], n[2], n[3], n[4], n[5]]);
             optics.trace(model, &pose, Vec2::new(n[6], n[7])).map_err(|e| e.to_string())
         });
@@ -66,7 +66,7 @@ pub(crate) fn solve(args: &TableArgs) -> anyhow::Result<()> {
     let header = [&POSE, offset, &["iterations", "status"]].concat();
     let count = POSE.len() + offset.len();
     convert(args.input.as_deref(), &columns, &header, |numbers| {
-        let solution = numbers.map_err(|reason| (reason, 0)).and_then(|n| {
+        let solution = numbers.map_err(|e| (e.to_string(), 0)).and_then(|n| {
             let power = |i: usize| n.get(6 + i).copied().unwrap_or(f64::NAN);
             let spots = [n[0], n[1], n[2], n[3], n[4], n[5]];
             // Rows are independent: a result does not depend on the neighbouring rows.

@@ -30,7 +30,7 @@ use trifacet::steering::{Outputs, StageDriver, gcs};
 use trifacet::twin::{Twin, TwinSource};
 use trifacet::{acquisition, realtime};
 use trifacet_core::pipeline::Mapping;
-use trifacet_core::steering::Xy;
+use trifacet_core::steering::StagePosition;
 use trifacet_core::telemetry::Counters;
 
 use super::{ConfigArg, written};
@@ -55,7 +55,7 @@ pub(crate) struct TuneArgs {
     dwell: Option<f64>,
     /// Position of a stage without readback; the stage is sent there first
     #[arg(long, value_name = "X_UM,Y_UM", value_parser = position, allow_hyphen_values = true)]
-    at: Option<Xy>,
+    at: Option<StagePosition>,
     /// Draw the response to the steps into a file
     #[arg(long, value_name = "FILE.svg")]
     plot: Option<PathBuf>,
@@ -210,17 +210,28 @@ fn interrupted() -> io::Result<CancellationToken> {
     Ok(stop)
 }
 
-fn positive(text: &str) -> Result<f64, String> {
+/// Why the value of an option is not valid.
+#[derive(Debug, thiserror::Error)]
+enum OptionError {
+    /// A length or a time.
+    #[error("must be a number above 0, at most 1000000")]
+    Positive,
+    /// A position of the stage.
+    #[error("must be two numbers, such as -12.5,30")]
+    Position,
+}
+
+fn positive(text: &str) -> Result<f64, OptionError> {
     match text.parse() {
         Ok(number) if number > 0.0 && number <= 1e6 => Ok(number),
-        _ => Err("must be a number above 0, at most 1000000".into()),
+        _ => Err(OptionError::Positive),
     }
 }
 
-fn position(text: &str) -> Result<Xy, String> {
+fn position(text: &str) -> Result<StagePosition, OptionError> {
     let two = text.split_once(',').and_then(|(x, y)| x.trim().parse().ok().zip(y.trim().parse().ok()));
     match two {
-        Some((x, y)) if f64::is_finite(x) && f64::is_finite(y) => Ok([x * 1e-6, y * 1e-6]),
-        _ => Err("must be two numbers, such as -12.5,30".into()),
+        Some((x, y)) if f64::is_finite(x) && f64::is_finite(y) => Ok(StagePosition([x * 1e-6, y * 1e-6])),
+        _ => Err(OptionError::Position),
     }
 }

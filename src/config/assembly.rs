@@ -1,6 +1,6 @@
 //! Builds the parameters of channel map, centering and estimation from the configuration.
 //!
-//! This is the only place where the units of the file are converted to SI units.
+//! The units of the file are converted to SI units here.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use trifacet_core::channels::{Channels, PsdChannels};
 use trifacet_core::estimation::integrity::Readback;
 use trifacet_core::estimation::{Estimation, Frames, Settings};
 use trifacet_core::pipeline::{Mapping, Measurement, Pipeline};
-use trifacet_core::steering::BeamMap;
+use trifacet_core::steering::{BeamMap, BeamOffset, BeamPoint, StagePosition};
 use trifacet_optics::{Estimator, FACETS, HeadError, Optics};
 use trifacet_wire::Status;
 
@@ -104,7 +104,7 @@ impl Config {
         LoopParams {
             mode: centering.mode,
             target: centering.target,
-            setpoint: centering.setpoint_um.map(|um| um * 1e-6),
+            setpoint: BeamOffset(centering.setpoint_um.map(|um| um * 1e-6)),
             map: steering.beam_map(),
             controller: Controller {
                 kp: gains.kp,
@@ -118,7 +118,7 @@ impl Config {
             loop_delay_s: centering.loop_delay_s(rate_hz),
             lag_s: centering.lag_ms * 1e-3,
             period_s: 1.0 / rate_hz,
-            park: steering.park_um.map(|um| um * 1e-6),
+            park: StagePosition(steering.park_um.map(|um| um * 1e-6)),
             on_exit: steering.on_exit,
             on_lease: steering.on_lease.into(),
             lease_ms: steering.lease_ms,
@@ -179,7 +179,7 @@ impl Config {
 impl SteeringConfig {
     /// The map from stage position to beam position, metres.
     pub fn beam_map(&self) -> BeamMap {
-        BeamMap::new(self.matrix, self.origin_um.map(|um| um * 1e-6))
+        BeamMap::new(self.matrix, BeamPoint(self.origin_um.map(|um| um * 1e-6)))
     }
 }
 

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 
+use super::check::Finding;
 use super::locate::Place;
 
 /// Why a configuration could not be loaded.
@@ -55,3 +56,19 @@ impl fmt::Display for ConfigError {
 }
 
 impl std::error::Error for ConfigError {}
+
+/// Values that are not allowed, in a configuration that was not parsed from a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct InvalidValues(pub(super) Vec<Finding>);
+
+impl fmt::Display for InvalidValues {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (i, Finding { keys, found, allowed }) in self.0.iter().enumerate() {
+            let start = if i == 0 { "" } else { "; " };
+            write!(f, "{start}{} = {found}: allowed is {allowed}", keys[0])?;
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for InvalidValues {}

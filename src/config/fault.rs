@@ -93,10 +93,27 @@ enum KindName {
     LaserBump,
 }
 
-impl TryFrom<FaultKeys> for Fault {
-    type Error = String;
+/// The keys of a fault do not suit its kind.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FaultKeyError {
+    /// A required key is absent.
+    #[error("this kind of fault needs the key `{key}`")]
+    Missing {
+        /// Name of the key.
+        key: &'static str,
+    },
+    /// The key belongs to another kind.
+    #[error("`{key}` does not belong to this kind of fault")]
+    Stray {
+        /// Name of the key.
+        key: &'static str,
+    },
+}
 
-    fn try_from(mut keys: FaultKeys) -> Result<Self, String> {
+impl TryFrom<FaultKeys> for Fault {
+    type Error = FaultKeyError;
+
+    fn try_from(mut keys: FaultKeys) -> Result<Self, FaultKeyError> {
         let kind = match keys.kind {
             KindName::BeamBlocked => FaultKind::BeamBlocked,
             KindName::PsdDark => FaultKind::PsdDark { psd: needed(keys.psd.take(), "psd")? },
@@ -120,15 +137,15 @@ impl TryFrom<FaultKeys> for Fault {
             ("factor", keys.factor.is_some()),
             ("shift_um", keys.shift_um.is_some()),
         ];
-        match stray.iter().find(|(_, is_there)| *is_there) {
-            Some((key, _)) => Err(format!("`{key}` does not belong to this kind of fault")),
+        match stray.into_iter().find(|(_, is_there)| *is_there) {
+            Some((key, _)) => Err(FaultKeyError::Stray { key }),
             None => Ok(Self { at_s: keys.at_s, for_s: keys.for_s, kind }),
         }
     }
 }
 
-fn needed<T>(value: Option<T>, key: &str) -> Result<T, String> {
-    value.ok_or_else(|| format!("this kind of fault needs the key `{key}`"))
+fn needed<T>(value: Option<T>, key: &'static str) -> Result<T, FaultKeyError> {
+    value.ok_or(FaultKeyError::Missing { key })
 }
 
 impl Fault {

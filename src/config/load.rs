@@ -6,7 +6,7 @@ use serde::Deserialize;
 use toml::de::{DeTable, DeValue};
 
 use super::check::{Checker, Finding, Report, without_index};
-use super::error::{ConfigError, Problem};
+use super::error::{ConfigError, InvalidValues, Problem};
 use super::locate::{Found, find, path_at, place};
 use super::{Config, Fault, FaultKind, Token};
 
@@ -57,12 +57,10 @@ impl Config {
     ///
     /// # Errors
     /// Fails with all problems: keys, values, and what is allowed.
-    pub fn verify(&self) -> Result<(), String> {
+    pub fn verify(&self) -> Result<(), InvalidValues> {
         let mut report = Report::default();
         self.check(&mut Checker::root(&mut report));
-        let wrong = |f: &Finding| format!("{} = {}: allowed is {}", f.keys[0], f.found, f.allowed);
-        let wrong: Vec<_> = report.findings.iter().map(wrong).collect();
-        if wrong.is_empty() { Ok(()) } else { Err(wrong.join("; ")) }
+        if report.findings.is_empty() { Ok(()) } else { Err(InvalidValues(report.findings)) }
     }
 }
 

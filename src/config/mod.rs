@@ -45,9 +45,9 @@ pub use calibration_context::{CalibrationContext, TableError, Tables};
 pub use centering::{CenteringConfig, Gains};
 pub use channels::{ChannelsConfig, PsdChannelsConfig};
 pub use control::ControlConfig;
-pub use error::{ConfigError, Problem};
+pub use error::{ConfigError, InvalidValues, Problem};
 pub use estimation::{EstimationConfig, Model};
-pub use fault::{Fault, FaultKind};
+pub use fault::{Fault, FaultKeyError, FaultKind};
 pub use frames::{FramesConfig, TransformConfig};
 pub use gcs::GcsConfig;
 pub use head::{FacetConfig, HeadConfig};
@@ -56,13 +56,13 @@ pub use locate::Place;
 pub use log::{LogConfig, LogFormat};
 pub use monitor::{MonitorConfig, Token};
 pub use motion::{Axis, Motion, MotionKind};
-pub use network::Network;
+pub use network::{Network, NetworkError};
 pub use publishing::{PublishingConfig, UdpTarget};
 pub use realtime::RealtimeConfig;
 pub use recording::{Compression, RecordingConfig, RecordingMode};
 pub use replay::ReplayConfig;
 use serde::{Deserialize, Serialize};
-pub use steering::{NO_TILT, SteeringConfig, SteeringKind};
+pub use steering::{NO_TILT, SteeringConfig, SteeringKind, SteeringKindError};
 pub use twin::{TwinConfig, TwinSteering};
 
 /// The whole configuration.

@@ -59,24 +59,38 @@ impl Network {
     }
 }
 
-impl FromStr for Network {
-    type Err = String;
+/// Why a text is not a network.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NetworkError {
+    /// The address or the length of the prefix is invalid.
+    #[error("allowed is {ALLOWED}")]
+    Form,
+    /// The address is not the first one of the network.
+    #[error("{text} is not a network: its first address is {first}; a single address has no /")]
+    NotFirst {
+        /// The text.
+        text: String,
+        /// The network that contains the address.
+        first: Network,
+    },
+}
 
-    fn from_str(text: &str) -> Result<Self, String> {
-        let bad = || format!("allowed is {ALLOWED}");
+impl FromStr for Network {
+    type Err = NetworkError;
+
+    fn from_str(text: &str) -> Result<Self, NetworkError> {
         let (address, bits) = text.split_once('/').map_or((text, None), |(a, b)| (a, Some(b)));
-        let address: IpAddr = address.parse().map_err(|_| bad())?;
+        let address: IpAddr = address.parse().map_err(|_| NetworkError::Form)?;
         let most = if address.is_ipv4() { 32 } else { 128 };
-        let bits = bits.map_or(Ok(most), str::parse).map_err(|_| bad())?;
+        let bits = bits.map_or(Ok(most), str::parse).map_err(|_| NetworkError::Form)?;
         if bits > most {
-            return Err(bad());
+            return Err(NetworkError::Form);
         }
         let network = Self { address, bits };
         let base = network.base();
         if address != base {
-            return Err(format!(
-                "{text} is not a network: its first address is {base}/{bits}; a single address has no /"
-            ));
+            let first = Self { address: base, bits };
+            return Err(NetworkError::NotFirst { text: text.to_owned(), first });
         }
         Ok(network)
     }
@@ -135,12 +149,12 @@ mod tests {
     #[test]
     fn invalid_networks_are_refused() {
         for bad in ["", "10.0.0.0/33", "::/129", "10.0.0/8", "10.0.0.0/", "10.0.0.0/-1", "lab", "1.2.3.4:5"] {
-            assert!(bad.parse::<Network>().unwrap_err().contains("192.168.1.0/24"), "{bad}");
+            assert!(bad.parse::<Network>().unwrap_err().to_string().contains("192.168.1.0/24"), "{bad}");
         }
         for (bad, first) in
             [("10.1.2.3/16", "10.1.0.0/16"), ("1.1.1.1/0", "0.0.0.0/0"), ("fd00::1/8", "fd00::/8")]
         {
-            assert!(bad.parse::<Network>().unwrap_err().contains(first), "{bad}");
+            assert!(bad.parse::<Network>().unwrap_err().to_string().contains(first), "{bad}");
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::Config;
+use super::{Config, InvalidValues};
 
 macro_rules! live {
     ($($($field:ident).+),* $(,)?) => {
@@ -65,12 +65,23 @@ pub struct Reload {
     pub refused: Vec<String>,
 }
 
+/// Why a file cannot be taken over.
+#[derive(Debug, thiserror::Error)]
+pub enum ReloadError {
+    /// The configurations cannot be compared.
+    #[error("cannot compare: {0}")]
+    Compare(#[from] serde_json::Error),
+    /// Old and new values conflict.
+    #[error(transparent)]
+    Conflict(#[from] InvalidValues),
+}
+
 /// Compares a file with the state that was last taken over from it, and applies the differences to the
 /// running configuration. Values that were changed by command, and not in the file, are kept.
 ///
 /// # Errors
 /// Fails if old and new values conflict.
-pub fn reload(running: &Config, taken: &Config, file: &Config) -> Result<Reload, String> {
+pub fn reload(running: &Config, taken: &Config, file: &Config) -> Result<Reload, ReloadError> {
     let (changed, refused) = differences(taken, file)?.into_iter().partition(|key| is_live(key));
     let (mut running, mut now_taken) = (running.clone(), taken.clone());
     take_over(&mut running, taken, file);
@@ -87,10 +98,9 @@ fn is_live(key: &str) -> bool {
 }
 
 /// The dotted keys whose values differ, in order.
-fn differences(old: &Config, new: &Config) -> Result<Vec<String>, String> {
-    let tree = |config| serde_json::to_value(config).map_err(|e| format!("cannot compare: {e}"));
+fn differences(old: &Config, new: &Config) -> Result<Vec<String>, serde_json::Error> {
     let mut keys = Vec::new();
-    compare("", &tree(old)?, &tree(new)?, &mut keys);
+    compare("", &serde_json::to_value(old)?, &serde_json::to_value(new)?, &mut keys);
     if old.monitor.token != new.monitor.token && !keys.iter().any(|key| key == "monitor.token") {
         keys.push("monitor.token".into()); // the serialised trees do not show the token
     }
@@ -176,7 +186,7 @@ mod tests {
     fn values_that_are_inconsistent_with_fixed_ones_are_refused() {
         let old = config("");
         let file = config("head.psd_size_mm = 20\nestimation.edge_margin_mm = 8");
-        let error = reload(&old, &old, &file).unwrap_err();
+        let error = reload(&old, &old, &file).unwrap_err().to_string();
         assert!(error.contains("estimation.edge_margin_mm = 8") && error.contains("6.5"), "{error}");
     }
 }

@@ -21,15 +21,26 @@ pub const NO_TILT: &str = "the model assumes a laser that is translated; a tilti
                            (100 um over 1 m are 100 urad, which would appear as 12.5 um and 50 urad of pose); \
                            until the model includes the beam's direction, such stages are not supported";
 
-impl TryFrom<String> for SteeringKind {
-    type Error = String;
+/// A kind of stage that is not supported.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SteeringKindError {
+    /// A stage that tilts the beam.
+    #[error("allowed is `outputs` or `gcs`: {NO_TILT}")]
+    Tilt,
+    /// An unknown kind.
+    #[error("allowed is `outputs` or `gcs`")]
+    Unknown,
+}
 
-    fn try_from(name: String) -> Result<Self, String> {
+impl TryFrom<String> for SteeringKind {
+    type Error = SteeringKindError;
+
+    fn try_from(name: String) -> Result<Self, SteeringKindError> {
         match name.as_str() {
             "outputs" => Ok(Self::Outputs),
             "gcs" => Ok(Self::Gcs),
-            "tilt" => Err(format!("allowed is `outputs` or `gcs`: {NO_TILT}")),
-            _ => Err("allowed is `outputs` or `gcs`".into()),
+            "tilt" => Err(SteeringKindError::Tilt),
+            _ => Err(SteeringKindError::Unknown),
         }
     }
 }

@@ -9,7 +9,7 @@ use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::timeout;
 use trifacet_core::centering::{LoopMode, LoopRefusal};
 use trifacet_core::channels::Channels;
-use trifacet_core::steering::Xy;
+use trifacet_core::steering::StagePosition;
 use trifacet_core::telemetry::Counters;
 use trifacet_core::telemetry::heartbeat::{Drill, Heartbeats, Task};
 use trifacet_core::time::{Clock, Mono};
@@ -103,18 +103,18 @@ impl RunningConfig {
     async fn tune(&mut self, change: impl FnOnce(&mut Config)) -> Result<Value, Failure> {
         let mut next = self.running.clone();
         change(&mut next);
-        next.verify().map_err(|wrong| Failure::new(exit::USAGE, wrong))?;
+        next.verify().map_err(|wrong| Failure::new(exit::USAGE, wrong.to_string()))?;
         self.go_on_with(next, None).await?;
         Ok(json!({ "loop": self.loop_now().await? }))
     }
 
-    async fn move_to(&mut self, um: Xy) -> Result<Value, Failure> {
+    async fn move_to(&mut self, um: [f64; 2]) -> Result<Value, Failure> {
         let limit = self.running.steering.limit_um;
         if let Some(beyond) = um.iter().find(|p| p.abs() > limit) {
             let why = format!("{beyond}: allowed is -{limit} to {limit}, steering.limit_um");
             return Err(Failure::new(exit::USAGE, why));
         }
-        self.order(|reply| CenteringRequest::Move(um.map(|um| um * 1e-6), reply)).await
+        self.order(|reply| CenteringRequest::Move(StagePosition(um.map(|um| um * 1e-6)), reply)).await
     }
 
     async fn park(&mut self) -> Result<Value, Failure> {
@@ -161,7 +161,7 @@ impl RunningConfig {
             return Err(wrong("the daemon was started without a configuration file".into()));
         };
         let file = config::load(Some(file)).map_err(|e| wrong(e.to_string()))?;
-        let mut plan = reload(&self.running, &self.taken, &file).map_err(wrong)?;
+        let mut plan = reload(&self.running, &self.taken, &file).map_err(|e| wrong(e.to_string()))?;
         // The contents of a correction table may have changed.
         let tables = Tables::read(&plan.running).map_err(|e| wrong(e.to_string()))?;
         let mut channels = None;
@@ -213,7 +213,7 @@ impl RunningConfig {
     async fn set_tare(&mut self, tare: TransformConfig, save: bool) -> Result<Value, Failure> {
         let mut next = self.running.clone();
         next.frames.tare = tare;
-        next.verify().map_err(|wrong| Failure::new(exit::DATA, wrong))?;
+        next.verify().map_err(|wrong| Failure::new(exit::DATA, wrong.to_string()))?;
         if save {
             let file = self.file_to_save()?;
             let edit = |key, values: [f64; 3]| Edit {
@@ -354,18 +354,18 @@ impl RunningConfig {
 
     async fn loop_now(&self) -> Result<Value, Failure> {
         let view = ask(&self.fast.orders, FAST_SIDE_TIMEOUT, CenteringRequest::View).await?;
-        let um = |xy: Xy| xy.map(|m| m * 1e6);
+        let um = |metres: &[f64; 2]| metres.map(|m| m * 1e6);
         let centering = &self.running.centering;
         let gains = centering.gains(self.running.acquisition.rate_hz);
         Ok(json!({
             "mode": view.mode.name(),
             "lock": view.lock.name(),
-            "offset_um": view.offset.map(um),
+            "offset_um": view.offset.as_deref().map(um),
             "setpoint_um": centering.setpoint_um,
-            "commanded_um": view.commanded.map(um),
-            "apex_velocity_um_per_s": view.velocity.map(um),
+            "commanded_um": view.commanded.as_deref().map(um),
+            "apex_velocity_um_per_s": view.velocity.as_deref().map(um),
             "searches_in_vain": view.attempts,
-            "shadow": view.shadow.map(|(at, to)| json!({ "stands_at_um": um(at), "would_go_to_um": um(to) })),
+            "shadow": view.shadow.map(|(at, to)| json!({ "stands_at_um": um(&at), "would_go_to_um": um(&to) })),
             "kp": gains.kp,
             "ki_per_s": gains.ki_per_s,
         }))

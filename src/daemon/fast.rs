@@ -107,7 +107,7 @@ async fn fast<S: Source + 'static>(
     let outputs = || Outputs::new(config.steering.full_scale_um * 1e-6, commands_in, answers);
     let driver = gcs.map_or_else(|| StageDriver::Outputs(outputs()), StageDriver::Gcs);
     let (state_in, steering) = watch::channel(centering.state());
-    let steering = estimation::loop_liveness::Loop::new(steering, Arc::clone(&heartbeats));
+    let steering = estimation::loop_liveness::LoopLiveness::new(steering, Arc::clone(&heartbeats));
     let (poses_in, poses) = watch::channel(None);
     let stop_acquisition = CancellationToken::new();
 

@@ -15,7 +15,7 @@ use trifacet_wire::Status;
 use trifacet_wire::channel::Role;
 
 use crate::acquisition::task::SampleEvent;
-use crate::estimation::loop_liveness::Loop;
+use crate::estimation::loop_liveness::LoopLiveness;
 use crate::recording::EstimationRecorder;
 
 /// Channels of the task.
@@ -26,7 +26,7 @@ pub struct EstimationLinks<Publish> {
     /// Requests from outside the fast side.
     pub questions: mpsc::Receiver<EstimationRequest>,
     /// State of the loop, from centering.
-    pub steering: Loop,
+    pub steering: LoopLiveness,
     /// The newest report, in the world frame of the head, to centering.
     pub newest: watch::Sender<Option<PoseReport>>,
     /// Every report, in the user's frame, to publishing.

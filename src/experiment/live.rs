@@ -7,7 +7,7 @@ use trifacet_wire::{LockState, Status};
 
 use super::observation::{Mean, Observation, at_rest};
 use super::static_record::parted;
-use super::twin::why_not;
+use super::twin::UnusablePose;
 use crate::client::{Client, ClientError, Endpoint, Message, PoseFrame};
 
 /// The daemon sends a message at least once a second. After this time without one, the link has failed.
@@ -26,7 +26,7 @@ pub enum Trouble {
     Lost(String),
     /// The daemon sends frames, but their poses are not usable.
     #[error("no usable pose for 5 s: {0}")]
-    NoPose(String),
+    NoPose(UnusablePose),
     /// The readings do not belong together: a gap, or a change of the configuration.
     #[error("{0}")]
     Parted(String),
@@ -142,9 +142,9 @@ impl DaemonStream {
 }
 
 /// Why a frame is not usable. `None`: it is usable.
-fn objection(frame: &PoseFrame) -> Option<String> {
+fn objection(frame: &PoseFrame) -> Option<UnusablePose> {
     let counts = frame.status.has(Status::POSE_VALID) && frame.lock == LockState::Locked;
-    (!counts).then(|| why_not(frame.status, frame.lock))
+    (!counts).then_some(UnusablePose { status: frame.status, lock: frame.lock })
 }
 
 fn look(frame: &PoseFrame) -> Observation {

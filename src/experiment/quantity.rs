@@ -33,25 +33,42 @@ pub fn plain(number: &str) -> String {
     number.replace('\u{2212}', "-")
 }
 
+/// Why a text is not a length or an angle.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum QuantityError {
+    /// The number is invalid.
+    #[error(
+        "\"{text}\" is not a number in {}, such as -14.40; another unit can follow the number: {}",
+        axis.micro_unit(), allowed(*axis)
+    )]
+    Number {
+        /// The axis.
+        axis: Axis,
+        /// The text.
+        text: String,
+    },
+    /// The unit is not one for the axis.
+    #[error("\"{unit}\" is not a unit for {}: allowed are {}", axis.name(), allowed(*axis))]
+    Unit {
+        /// The axis.
+        axis: Axis,
+        /// The unit.
+        unit: String,
+    },
+}
+
 /// Parses "-14.40", which is in um or urad, or "-0.0144 mm". Returns metres or radians.
 ///
 /// # Errors
 /// Fails if the number or the unit is not valid. The message states what is allowed.
-pub fn parse(axis: Axis, text: &str) -> Result<f64, String> {
+pub fn parse(axis: Axis, text: &str) -> Result<f64, QuantityError> {
     let text = text.trim();
     let end = text.rfind(|c: char| c.is_ascii_digit() || c == '.').map_or(0, |last| last + 1);
     let (number, name) = (text[..end].trim(), text[end..].trim());
-    let value = plain(number).parse::<f64>().ok().filter(|x| x.is_finite()).ok_or_else(|| {
-        format!(
-            "\"{text}\" is not a number in {0}, such as -14.40; another unit can follow the number: {1}",
-            axis.micro_unit(),
-            allowed(axis)
-        )
-    })?;
+    let value = plain(number).parse().ok().filter(|x: &f64| x.is_finite());
+    let value = value.ok_or_else(|| QuantityError::Number { axis, text: text.to_owned() })?;
     let name = if name.is_empty() { axis.micro_unit() } else { name };
-    let si = unit(axis, name).ok_or_else(|| {
-        format!("\"{name}\" is not a unit for {}: allowed are {}", axis.name(), allowed(axis))
-    })?;
+    let si = unit(axis, name).ok_or_else(|| QuantityError::Unit { axis, unit: name.to_owned() })?;
     Ok(value * si)
 }
 
@@ -61,7 +78,7 @@ mod tests {
 
     #[test]
     fn numbers_have_the_axis_unit_or_their_own() {
-        let near = |a: Result<f64, String>, b: f64| assert!((a.unwrap() - b).abs() < 1e-18);
+        let near = |a: Result<f64, QuantityError>, b: f64| assert!((a.unwrap() - b).abs() < 1e-18);
         near(parse(Axis::Tx, " -14.40\n"), -14.4e-6);
         near(parse(Axis::Tx, "0.5 mm"), 0.5e-3);
         near(parse(Axis::Tz, "12µm"), 12e-6);
@@ -75,7 +92,7 @@ mod tests {
             (Axis::Tx, "3 urad", "allowed are um, nm, mm, m"),
             (Axis::Roll, "3 um", "not a unit for roll"),
         ] {
-            let error = parse(axis, bad).unwrap_err();
+            let error = parse(axis, bad).unwrap_err().to_string();
             assert!(error.contains(expected), "{error}");
         }
     }

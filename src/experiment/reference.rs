@@ -13,6 +13,17 @@ use crate::exit::{self, Failure};
 /// Columns of the file. `unit` is that of `reference`; `point` counts from 1.
 pub const COLUMNS: [&str; 4] = ["axis", "unit", "point", "reference"];
 
+/// Why a file does not contain the points of an axis.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+enum PointsError {
+    /// There is no point of any axis.
+    #[error("the file contains no readings")]
+    Empty,
+    /// A point is missing before another one.
+    #[error("point {missing} of {} is missing, but point {found} exists", axis.name())]
+    Gap { axis: Axis, missing: u32, found: u32 },
+}
+
 /// Reads the points of each axis, in the order of a pose, metres or radians.
 ///
 /// # Errors
@@ -30,21 +41,24 @@ pub fn read(file: &Path) -> Result<Vec<Course>, Failure> {
             return Err(row.wrong(&format!("point {point} of {} occurs twice", axis.name())));
         }
     }
-    let courses = Axis::ALL.into_iter().map(|axis| course(axis, &found));
-    let courses: Result<Vec<_>, String> =
-        courses.filter(|c| !matches!(c, Ok(c) if c.points.is_empty())).collect();
-    let courses =
-        courses.and_then(|c| if c.is_empty() { Err("the file contains no readings".into()) } else { Ok(c) });
-    courses.map_err(|what| Failure::new(exit::DATA, format!("{}: {what}", file.display())))
+    courses(&found).map_err(|what| Failure::new(exit::DATA, format!("{}: {what}", file.display())))
 }
 
-fn course(axis: Axis, found: &BTreeMap<(usize, u32), f64>) -> Result<Course, String> {
+/// The courses of all axes that have points.
+fn courses(found: &BTreeMap<(usize, u32), f64>) -> Result<Vec<Course>, PointsError> {
+    let courses = Axis::ALL.into_iter().map(|axis| course(axis, found));
+    let courses: Vec<_> =
+        courses.filter(|c| !matches!(c, Ok(c) if c.points.is_empty())).collect::<Result<_, _>>()?;
+    if courses.is_empty() { Err(PointsError::Empty) } else { Ok(courses) }
+}
+
+fn course(axis: Axis, found: &BTreeMap<(usize, u32), f64>) -> Result<Course, PointsError> {
     let own = found.range((axis as usize, 0)..=(axis as usize, u32::MAX));
     let mut points = Vec::new();
     for ((_, point), reference) in own {
-        let due = points.len() as u32 + 1;
-        if *point != due {
-            return Err(format!("point {due} of {} is missing, but point {point} exists", axis.name()));
+        let missing = points.len() as u32 + 1;
+        if *point != missing {
+            return Err(PointsError::Gap { axis, missing, found: *point });
         }
         points.push(*reference);
     }

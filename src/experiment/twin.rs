@@ -1,6 +1,8 @@
 //! Runs the experiment on the digital twin: the daemon's code in lockstep, with the loop closed and the
 //! true position as reference.
 
+use std::fmt::Display;
+
 use trifacet_core::estimation::PoseReport;
 use trifacet_optics::Pose;
 use trifacet_wire::{LockState, Status};
@@ -18,6 +20,38 @@ const POSE_TIMEOUT_S: f64 = 5.0;
 /// Number of samples in which the mirror moves to the next point. A jump could be taken for noise.
 const WAY: u32 = 64;
 
+/// Why a pose is not usable: the pose is invalid, or the loop is not locked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "the pose is {}, the loop is {} ({})",
+    if status.has(Status::POSE_VALID) { "valid" } else { "invalid" }, lock.name(), causes(*status)
+)]
+pub struct UnusablePose {
+    /// Status bits of the pose.
+    pub status: Status,
+    /// State of the loop.
+    pub lock: LockState,
+}
+
+/// The names of the status bits, without those that do not make a pose unusable.
+fn causes(status: Status) -> String {
+    let names = status.names().filter(|name| *name != "SIMULATED" && *name != "UNCALIBRATED");
+    names.collect::<Vec<_>>().join(" ")
+}
+
+/// There was no usable pose in time.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("no usable pose for {POSE_TIMEOUT_S} s: {}", reason(*last))]
+struct PoseTimeout {
+    /// Why the last pose was not usable.
+    last: Option<UnusablePose>,
+}
+
+/// Why a pose was not usable. Empty: there was no such pose.
+fn reason(unusable: Option<UnusablePose>) -> String {
+    unusable.as_ref().map_or_else(String::new, UnusablePose::to_string)
+}
+
 /// The bench of the paper as a twin.
 pub struct Bench {
     sim: ClosedLoopSim,
@@ -32,7 +66,7 @@ pub struct Bench {
     rate_hz: f64,
     average: u32,
     /// Why the last pose was not usable.
-    why: String,
+    unusable: Option<UnusablePose>,
 }
 
 /// The configuration beyond the paper: an 18-bit converter, less spot noise, means of a hundred samples.
@@ -60,7 +94,7 @@ impl Bench {
         // Blocks that began before the movement are discarded, and the loop must have locked again.
         let settle = (config.centering.lock_time_ms * 1e-3 * rate_hz).ceil() as u64 + u64::from(average);
         let patience = (POSE_TIMEOUT_S * rate_hz).ceil() as u64 + 2 * settle;
-        Ok(Self { sim, at: [0.0; 6], settle, calm: 0, patience, rate_hz, average, why: String::new() })
+        Ok(Self { sim, at: [0.0; 6], settle, calm: 0, patience, rate_hz, average, unusable: None })
     }
 
     /// Takes all readings of a protocol. `taken` is called after every reading.
@@ -104,14 +138,16 @@ impl Bench {
         let mut mean = Mean::default();
         let mut readings = Vec::new();
         let period_s = f64::from(self.average) / self.rate_hz;
-        let failed =
-            |why| Failure::new(exit::UNAVAILABLE, format!("at rest: {why}; --rest 0 omits this record"));
+        let failed = |why: &dyn Display| {
+            Failure::new(exit::UNAVAILABLE, format!("at rest: {why}; --rest 0 omits this record"))
+        };
         let mut last: Option<Observation> = None;
         for _ in 0..poses {
-            let look = self.look().map_err(failed)?;
+            let look = self.look().map_err(|error| failed(&error))?;
             if let Some(why) = last.and_then(|last| static_record::parted(&last, &look, period_s)) {
                 let at_s = look.time_ns as f64 * 1e-9;
-                return Err(failed(format!("{why}, at {at_s:.3} s; last reason: {}", self.why)));
+                let last = reason(self.unusable);
+                return Err(failed(&format_args!("{why}, at {at_s:.3} s; last reason: {last}")));
             }
             last = Some(look);
             if let Some(look) = mean.push(&look, of) {
@@ -136,7 +172,7 @@ impl Bench {
     }
 
     /// The next usable pose: valid and locked, like all poses since the mirror settled.
-    fn look(&mut self) -> Result<Observation, String> {
+    fn look(&mut self) -> Result<Observation, PoseTimeout> {
         for _ in 0..self.patience {
             let Some(report) = self.sim.step().report else { continue };
             match look(&report) {
@@ -146,20 +182,19 @@ impl Bench {
                         return Ok(look);
                     }
                 }
-                Err(why) => (self.calm, self.why) = (0, why),
+                Err(unusable) => (self.calm, self.unusable) = (0, Some(unusable)),
             }
         }
-        Err(format!("no usable pose for {POSE_TIMEOUT_S} s: {}", self.why))
+        Err(PoseTimeout { last: self.unusable })
     }
 }
 
 /// Converts a report to an observation, or returns why it is not usable.
-fn look(report: &PoseReport) -> Result<Observation, String> {
-    let (Some(pose), Some(covariance)) = (report.pose, report.covariance) else {
-        return Err(why_not(report.status, report.lock));
-    };
+fn look(report: &PoseReport) -> Result<Observation, UnusablePose> {
+    let unusable = UnusablePose { status: report.status, lock: report.lock };
+    let (pose, covariance) = report.pose.zip(report.covariance).ok_or(unusable)?;
     if report.lock != LockState::Locked {
-        return Err(why_not(report.status, report.lock));
+        return Err(unusable);
     }
     Ok(Observation {
         time_ns: report.time.0,
@@ -169,11 +204,4 @@ fn look(report: &PoseReport) -> Result<Observation, String> {
         config: report.config,
         status: report.status,
     })
-}
-
-/// Why a pose is not usable, as text.
-pub(super) fn why_not(status: Status, lock: LockState) -> String {
-    let names: Vec<_> = status.names().filter(|n| *n != "SIMULATED" && *n != "UNCALIBRATED").collect();
-    let pose = if status.has(Status::POSE_VALID) { "the pose is valid" } else { "the pose is invalid" };
-    format!("{pose}, the loop is {} ({})", lock.name(), names.join(" "))
 }

@@ -1,6 +1,6 @@
 //! Derives the keys of the configuration from a recording, with their uncertainties and plausibility.
 
-use trifacet_core::steering::Xy;
+use trifacet_core::steering::{BeamOffset, BeamPoint, StagePosition};
 
 use super::observation::{self, Observation};
 use super::plan::{Plan, USED, refused, um};
@@ -61,7 +61,7 @@ pub struct Findings {
     /// Time from a sample to its command, which is part of the delay: median and maximum, seconds.
     pub computed: [f64; 2],
     /// Standard deviation of the white noise of the offset at rest, metres.
-    pub noise: Xy,
+    pub noise: BeamOffset,
     /// Readback per axis, if the stage has one.
     pub readback: Option<[Readback; 2]>,
     /// Response to each axis.
@@ -311,7 +311,7 @@ fn origin(recording: &Recording, matrix: &[[Measured; 2]; 2]) -> [Measured; 2] {
         for look in settled(recording, step) {
             let q = look.readback.unwrap_or(step.to);
             let moved = matrix.map(|[a, b]| a.value * q[0] + b.value * q[1]);
-            at_zero.push([look.beam[0] - moved[0], look.beam[1] - moved[1]]);
+            at_zero.push(BeamPoint([look.beam[0] - moved[0], look.beam[1] - moved[1]]));
             stands = [stands[0].max(q[0].abs()), stands[1].max(q[1].abs())];
         }
     }
@@ -326,7 +326,7 @@ fn origin(recording: &Recording, matrix: &[[Measured; 2]; 2]) -> [Measured; 2] {
 
 /// The readback relative to the commands.
 fn readback(recording: &Recording) -> Option<[Readback; 2]> {
-    let rest: Vec<Xy> =
+    let rest: Vec<StagePosition> =
         recording.looks.get(..recording.rest)?.iter().filter_map(|look| look.readback).collect();
     let noise = observation::noise(&rest)?;
     let of = |axis: usize| {

@@ -2,7 +2,7 @@
 //! the noise.
 
 use trifacet_core::centering::OnExit;
-use trifacet_core::steering::Xy;
+use trifacet_core::steering::{BeamOffset, StagePosition};
 use trifacet_wire::actuator::LeaseAction;
 
 use super::observation::{self, Observation};
@@ -35,7 +35,7 @@ pub struct Choices {
     /// Dwell time after each step, seconds; by default derived from the configured delay and lag.
     pub dwell: Option<f64>,
     /// Position of a stage without readback, metres.
-    pub at: Option<Xy>,
+    pub at: Option<StagePosition>,
 }
 
 /// Settings from the configuration and the options.
@@ -51,7 +51,7 @@ pub struct Settings {
     beam_sigma: f64,
     limit: f64,
     slew: f64,
-    park: Option<Xy>,
+    park: Option<StagePosition>,
     /// Lease of every command, milliseconds.
     pub lease_ms: u16,
     /// Action when the lease expires.
@@ -62,9 +62,9 @@ pub struct Settings {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
     /// Initial position of the stage, metres.
-    pub found: Xy,
+    pub found: StagePosition,
     /// Final position of the stage, metres.
-    pub end: Xy,
+    pub end: StagePosition,
     /// Length of a step, metres. Each axis moves half of it to either side.
     pub step: f64,
     /// Steps per axis.
@@ -80,9 +80,9 @@ pub struct Plan {
     /// Largest permitted distance of the beam from the apex, metres.
     pub reach: f64,
     /// Mean offset of the beam at rest, metres.
-    pub offset: Xy,
+    pub offset: BeamOffset,
     /// Standard deviation of the white noise of the offset at rest, metres.
-    pub noise: Xy,
+    pub noise: BeamOffset,
 }
 
 impl Settings {
@@ -101,7 +101,9 @@ impl Settings {
             beam_sigma,
             limit: steering.limit_um * 1e-6,
             slew: steering.slew_mm_per_s * 1e-3,
-            park: (steering.on_exit == OnExit::Park).then(|| steering.park_um.map(|um| um * 1e-6)),
+            park: (steering.on_exit == OnExit::Park)
+                .then(|| steering.park_um.map(|um| um * 1e-6))
+                .map(StagePosition),
             lease_ms: steering.lease_ms,
             on_expiry: match steering.on_lease {
                 OnExit::Hold => LeaseAction::Hold,
@@ -114,8 +116,8 @@ impl Settings {
     ///
     /// # Errors
     /// [`exit::DATA`] with the reason if no safe step exists: limits, position, noise or lost samples.
-    pub fn plan(&self, rest: &[Observation], at: Option<Xy>) -> Result<Plan, Failure> {
-        let offsets: Vec<Xy> = rest.iter().map(|look| look.offset).collect();
+    pub fn plan(&self, rest: &[Observation], at: Option<StagePosition>) -> Result<Plan, Failure> {
+        let offsets: Vec<BeamOffset> = rest.iter().map(|look| look.offset).collect();
         let (Some(offset), Some(noise)) =
             (observation::mean(offsets.iter().copied()), observation::noise(&offsets))
         else {
@@ -174,7 +176,7 @@ impl Settings {
             limit: self.limit,
             reach: FAR * self.beam_sigma,
             offset,
-            noise,
+            noise: BeamOffset(noise),
         })
     }
 
@@ -211,7 +213,7 @@ impl Settings {
     }
 
     /// Position of the stage: by its readback, as it reported it, or by the option `--at`.
-    fn found(&self, rest: &[Observation], said: Option<Xy>) -> Result<Xy, Failure> {
+    fn found(&self, rest: &[Observation], said: Option<StagePosition>) -> Result<StagePosition, Failure> {
         let read = observation::mean(rest.iter().filter_map(|look| look.readback)).or(said);
         match (read, self.choices.at) {
             (Some(_), Some(_)) => {

@@ -4,7 +4,7 @@
 //! attributed to the next step, in the opposite direction: the gain would have the wrong sign, and the delay
 //! would be too short. Nothing is measured before this is ruled out.
 
-use trifacet_core::steering::Xy;
+use trifacet_core::steering::BeamPoint;
 use trifacet_core::time::Mono;
 
 use super::observation::{self, Observation};
@@ -54,7 +54,8 @@ impl Probe<'_> {
             return Err(self.still(size, unrest));
         }
         // The movement over time as a fraction of its final value, averaged over blocks.
-        let part = |at: Xy| ((at[0] - start[0]) * moved[0] + (at[1] - start[1]) * moved[1]) / (size * size);
+        let part =
+            |at: BeamPoint| ((at[0] - start[0]) * moved[0] + (at[1] - start[1]) * moved[1]) / (size * size);
         let course: Vec<f64> = self.after.windows(block).filter_map(|w| Some(part(middle(w)?))).collect();
         let allowed = MISSING.max(DISTURBS * unrest / size);
         // After a jump, this many samples of a block change its mean by the allowed amount.
@@ -107,7 +108,7 @@ impl Probe<'_> {
     }
 }
 
-fn middle(looks: &[Observation]) -> Option<Xy> {
+fn middle(looks: &[Observation]) -> Option<BeamPoint> {
     observation::mean(looks.iter().map(|look| look.beam))
 }
 

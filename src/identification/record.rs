@@ -1,6 +1,6 @@
 //! What a measurement has recorded: steps and observations.
 
-use trifacet_core::steering::Xy;
+use trifacet_core::steering::StagePosition;
 
 use super::observation::Observation;
 use super::plan::Plan;
@@ -16,7 +16,7 @@ pub struct Step {
     /// Positive direction.
     pub forth: bool,
     /// Target position, metres.
-    pub to: Xy,
+    pub to: StagePosition,
     /// Index of the observation on which the step was commanded.
     pub on: usize,
     /// Time from the sample to its command, seconds.

@@ -7,7 +7,7 @@ use tokio::sync::mpsc;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 use trifacet_core::signals::Identity;
-use trifacet_core::steering::{Command, Xy};
+use trifacet_core::steering::{Command, StagePosition};
 use trifacet_core::time::Clock;
 use trifacet_wire::actuator::Ack;
 
@@ -50,7 +50,7 @@ pub trait Audience {
     fn progress(&mut self, made: u32, of: u32);
 
     /// The stage was returned to this position. `complaint` is the reason if it has not acknowledged this.
-    fn back(&mut self, position: Xy, complaint: Option<&str>);
+    fn back(&mut self, position: StagePosition, complaint: Option<&str>);
 }
 
 /// Measures. Returns `None` if `audience` declines the plan.
@@ -112,8 +112,8 @@ struct Tuner<D, C> {
     /// Why the stage does not accept commands, if known.
     unready: String,
     /// Last position that the stage reported.
-    said: Option<Xy>,
-    commanded: Option<Xy>,
+    said: Option<StagePosition>,
+    commanded: Option<StagePosition>,
     commands: u32,
     looks: Vec<Observation>,
     /// Number of observations before the first movement.
@@ -150,7 +150,7 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         for axis in 0..2 {
             let place = |forth: bool| {
                 let mut to = plan.found;
-                to[axis] += if forth { plan.step / 2.0 } else { -plan.step / 2.0 };
+                to.0[axis] += if forth { plan.step / 2.0 } else { -plan.step / 2.0 };
                 to
             };
             self.go(place(false), plan).await?;
@@ -195,7 +195,7 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
     async fn probe(&mut self, axis: usize, plan: &Plan) -> Result<(), Failure> {
         let before = self.looks.len() - plan.dwell;
         let mut to = plan.found;
-        to[axis] -= plan.step / 2.0;
+        to.0[axis] -= plan.step / 2.0;
         self.go(to, plan).await?;
         let on = self.looks.len() - 1;
         self.dwell(plan.watch, plan).await?;
@@ -214,7 +214,7 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
 
     /// Commands a position on the next sample that is no older than [`Tuner::fresh`]. Returns the time from
     /// the sample to the command, seconds.
-    async fn go(&mut self, to: Xy, plan: &Plan) -> Result<f64, Failure> {
+    async fn go(&mut self, to: StagePosition, plan: &Plan) -> Result<f64, Failure> {
         for _ in 0..BEHIND * plan.dwell {
             let look = self.watch(plan).await?;
             let age = self.clock.now().seconds_since(look.time);
@@ -253,9 +253,9 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         Ok(look)
     }
 
-    fn send(&mut self, position: Xy) {
+    fn send(&mut self, position: StagePosition) {
         let limit = self.settings.limit();
-        let position = position.map(|p| p.clamp(-limit, limit));
+        let position = StagePosition(position.map(|p| p.clamp(-limit, limit)));
         self.commands = self.commands.wrapping_add(1);
         self.commanded = Some(position);
         let Settings { lease_ms, on_expiry, .. } = self.settings;
@@ -279,7 +279,7 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
                 event = self.driver.next() => self.hear(event)?,
                 acquired = self.samples.recv() => match acquired {
                     Some(SampleEvent::Sample(sample, _)) => {
-                        let look = self.observer.look(&sample).map_err(refused)?;
+                        let look = self.observer.look(&sample).map_err(|e| refused(e.to_string()))?;
                         self.looks.push(look);
                         return Ok(look);
                     }
@@ -322,7 +322,7 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
     }
 
     /// Sends the last command and waits for its acknowledgement. Returns the reason if it does not arrive.
-    async fn finish(&mut self, end: Xy) -> Option<String> {
+    async fn finish(&mut self, end: StagePosition) -> Option<String> {
         self.commanded?;
         self.send(end);
         let last = self.commands;

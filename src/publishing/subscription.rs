@@ -79,7 +79,7 @@ impl Subscriptions {
         let allowed = self.allow.iter().any(|network| network.contains(from.ip()));
         let mut outcome = match ask {
             _ if !allowed => refusal("address not in [publishing] allow"),
-            Err(why) => refusal(&why),
+            Err(why) => refusal(&why.to_string()),
             Ok(ask) => {
                 let (SubscriptionRequest::Subscribe { nonce: Some(said), .. }
                 | SubscriptionRequest::Unsubscribe { nonce: said }) = ask

@@ -64,7 +64,7 @@ pub enum DecodeError {
     Config(ConfigError),
     /// A keyframe without a configuration before it.
     #[error("a keyframe comes before its configuration")]
-    Order,
+    OutOfOrder,
     /// The state was written by another version. Configuration and source in the decoder stay valid.
     #[error("the state was recorded by version {0}, and this is {VERSION}")]
     Version(String),
@@ -294,7 +294,7 @@ impl Decoder {
     }
 
     fn keyframe(&self, message: message::Keyframe) -> Result<Keyframe, DecodeError> {
-        let context = self.context.clone().ok_or(DecodeError::Order)?;
+        let context = self.context.clone().ok_or(DecodeError::OutOfOrder)?;
         let source = self.source.clone().filter(|_| message.source);
         if message.version != VERSION {
             return Err(DecodeError::Version(message.version));

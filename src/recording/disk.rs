@@ -13,6 +13,33 @@ enum Job {
     Close(Arc<File>, PathBuf),
 }
 
+/// Why a job of the disk thread failed.
+#[derive(Debug, thiserror::Error)]
+pub enum DiskError {
+    /// The data cannot be synchronized.
+    #[error("cannot sync {} to disk: {source}", file.display())]
+    Sync {
+        /// Path of the file.
+        file: PathBuf,
+        /// The error of the system.
+        source: io::Error,
+    },
+    /// The path does not lead to the file any more.
+    #[error("{} is missing: the file or its folder was moved or deleted", file.display())]
+    Missing {
+        /// Path of the file.
+        file: PathBuf,
+    },
+    /// The file cannot be renamed to its finished name.
+    #[error("cannot finish {}: {source}", file.display())]
+    Finish {
+        /// Path of the file.
+        file: PathBuf,
+        /// The error of the system.
+        source: io::Error,
+    },
+}
+
 /// Result of a job.
 pub struct Done {
     /// Path of the file when the job was submitted.
@@ -20,7 +47,7 @@ pub struct Done {
     /// The job was to finish the file. Otherwise it was to synchronize it.
     pub close: bool,
     /// The path now and the size in bytes, or the reason for the failure.
-    pub result: Result<(PathBuf, u64), String>,
+    pub result: Result<(PathBuf, u64), DiskError>,
 }
 
 /// The disk thread and its queue.
@@ -116,23 +143,23 @@ fn work(job: Job) -> Done {
 }
 
 /// Synchronizes the data, and checks that `path` still leads to the file. Returns its size in bytes.
-fn sync(file: &File, path: &Path) -> Result<u64, String> {
-    let failed = |e: io::Error| format!("cannot sync {} to disk: {e}", path.display());
+fn sync(file: &File, path: &Path) -> Result<u64, DiskError> {
+    let failed = |source| DiskError::Sync { file: path.to_owned(), source };
     file.sync_data().map_err(failed)?;
     if !leads_to(path, file).map_err(failed)? {
-        return Err(format!("{} is missing: the file or its folder was moved or deleted", path.display()));
+        return Err(DiskError::Missing { file: path.to_owned() });
     }
     file.metadata().map(|it| it.len()).map_err(failed)
 }
 
 /// Synchronizes the data first, then gives the file the name that marks it as complete.
-fn close(file: &File, path: &Path) -> Result<(PathBuf, u64), String> {
+fn close(file: &File, path: &Path) -> Result<(PathBuf, u64), DiskError> {
     let bytes = sync(file, path)?;
     let finished = path.with_extension("");
     let folder = path.parent().unwrap_or(Path::new("."));
     fs::rename(path, &finished)
         .and_then(|()| File::open(folder)?.sync_all())
-        .map_err(|e| format!("cannot finish {}: {e}", path.display()))?;
+        .map_err(|source| DiskError::Finish { file: path.to_owned(), source })?;
     Ok((finished, bytes))
 }
 
@@ -171,7 +198,7 @@ mod tests {
         let path = Path::new("/dev/null");
         disk.sync(&Arc::new(File::open(path).unwrap()), path);
         let done = wait(&mut disk);
-        let reason = done.result.unwrap_err();
+        let reason = done.result.unwrap_err().to_string();
         assert!(!done.close && done.path == path && reason.contains("cannot sync /dev/null"), "{reason}");
     }
 
@@ -186,7 +213,7 @@ mod tests {
         File::create(&path).unwrap(); // a different file of the same name
         disk.close(Arc::clone(&file), path.clone());
         assert!(disk.closing());
-        let reason = wait(&mut disk).result.unwrap_err();
+        let reason = wait(&mut disk).result.unwrap_err().to_string();
         assert!(!disk.closing() && path.exists() && reason.contains("is missing"), "{reason}");
         fs::rename(&away, &path).unwrap();
         disk.close(file, path.clone());

@@ -39,6 +39,31 @@ impl Recording {
     }
 }
 
+/// Why recordings cannot be written to a folder.
+#[derive(Debug, thiserror::Error)]
+pub enum UnusableFolder {
+    /// The path leads to something else.
+    #[error("it is not a folder")]
+    NotFolder,
+    /// The path cannot be examined.
+    #[error("{0}")]
+    Unreadable(io::Error),
+    /// The folder does not exist, and cannot be created in its parent.
+    #[error("folder {} does not exist, and only the last folder of the path is created", parent.display())]
+    NoParent {
+        /// The parent.
+        parent: PathBuf,
+    },
+    /// The user has no permission to write.
+    #[error("cannot write to {}: {source}", folder.display())]
+    NoPermission {
+        /// The folder, or its parent if the folder does not exist.
+        folder: PathBuf,
+        /// The error of the system.
+        source: io::Error,
+    },
+}
+
 impl Folder {
     /// Creates the folder if it does not exist. Its parent must exist.
     ///
@@ -54,24 +79,21 @@ impl Folder {
     /// Checks whether recordings can be written here, without creating anything.
     ///
     /// # Errors
-    /// A description of what prevents it: not a folder, no parent, or no permission.
-    pub fn usable(&self) -> Result<(), String> {
+    /// The path is not a folder, its parent does not exist, or there is no permission to write.
+    pub fn usable(&self) -> Result<(), UnusableFolder> {
         let parent = self.0.parent().filter(|parent| !parent.as_os_str().is_empty());
         let parent = parent.unwrap_or(Path::new("."));
         let there = match fs::metadata(&self.0) {
             Ok(it) if it.is_dir() => &self.0,
-            Ok(_) => return Err("it is not a folder".into()),
-            Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e.to_string()),
+            Ok(_) => return Err(UnusableFolder::NotFolder),
+            Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(UnusableFolder::Unreadable(e)),
             Err(_) if !parent.is_dir() => {
-                return Err(format!(
-                    "folder {} does not exist, and only the last folder of the path is created",
-                    parent.display()
-                ));
+                return Err(UnusableFolder::NoParent { parent: parent.to_owned() });
             }
             Err(_) => parent,
         };
         let may = access(there, Access::WRITE_OK | Access::EXEC_OK);
-        may.map_err(|e| format!("cannot write to {}: {}", there.display(), io::Error::from(e)))
+        may.map_err(|e| UnusableFolder::NoPermission { folder: there.to_owned(), source: e.into() })
     }
 
     /// Creates the file of a recording that begins at this time, UTC. The file is locked while it is open, so

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 use trifacet_core::centering::LoopState;
 use trifacet_core::signals::{Identity, PsdState, Sample as Taken, Scan};
+use trifacet_core::steering::StagePosition;
 use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_optics::Pose;
 use trifacet_wire::channel::{Converter, Role};
@@ -163,7 +164,7 @@ impl Sample {
             powers: sample.powers,
             psds: sample.psds.map(|psd| psd as u8),
             steering: pair(sample.steering),
-            commanded: pair(steering.position),
+            commanded: pair(steering.position.map(Into::into)),
         }
     }
 
@@ -198,7 +199,8 @@ impl Sample {
             steering: known(self.steering),
             output_railed: scan.output_railed,
         };
-        let steering = LoopState { lock: lock(self.lock)?, position: known(self.commanded) };
+        let steering =
+            LoopState { lock: lock(self.lock)?, position: known(self.commanded).map(StagePosition) };
         Ok((scan, sample, steering))
     }
 }
@@ -216,7 +218,7 @@ pub struct Silence {
 impl Silence {
     /// The message of a report that there are no samples.
     pub fn new(stamp: Time, time: Mono, steering: &LoopState, why: Option<&str>) -> Self {
-        let commanded = pair(steering.position);
+        let commanded = pair(steering.position.map(Into::into));
         let why = why.unwrap_or_default().to_owned();
         Self { stamp, monotonic_ns: time.0, lock: steering.lock as u8, commanded, why }
     }
@@ -226,7 +228,8 @@ impl Silence {
     /// # Errors
     /// The lock state is not a valid number.
     pub fn read(self) -> Result<(Mono, LoopState, Option<String>), Unknown> {
-        let steering = LoopState { lock: lock(self.lock)?, position: known(self.commanded) };
+        let steering =
+            LoopState { lock: lock(self.lock)?, position: known(self.commanded).map(StagePosition) };
         Ok((Mono(self.monotonic_ns), steering, Some(self.why).filter(|why| !why.is_empty())))
     }
 }

@@ -13,6 +13,7 @@
 //! loss is reported in the log, in every frame (RECORDING_FAULT), and in the next file.
 
 mod commands;
+mod fault_reason;
 mod faults;
 mod files;
 #[cfg(test)]
@@ -24,6 +25,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use commands::Stopping;
+use fault_reason::FaultReason;
 use faults::Fault;
 pub use thread::{Thread, start};
 use tokio::sync::mpsc::error::TryRecvError;
@@ -78,7 +80,7 @@ struct Recorder {
     stopping: Option<Stopping>,
     fault: Option<Fault>,
     /// An error of a finished file or of the queue, and the time until which frames report it.
-    mishap: Option<(Mono, String)>,
+    mishap: Option<(Mono, Arc<FaultReason>)>,
     /// Entries that did not fit into the queue so far.
     overflows: u64,
     /// Missing entries that no file reports yet, and the reason.
@@ -203,7 +205,7 @@ impl Recorder {
             Ok(())
         });
         if let Err(e) = done {
-            self.fail(&e);
+            self.fail(e);
         }
     }
 
@@ -225,7 +227,7 @@ impl Recorder {
         if now - self.flushed >= FLUSH_NS {
             self.flushed = now;
             if let Some(Err(e)) = self.output.as_mut().map(Output::flush) {
-                self.fail(&e);
+                self.fail(e);
             }
         }
         if now - self.synced >= SECOND_NS {

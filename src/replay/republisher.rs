@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use trifacet_core::centering::{LoopMode, LoopState, LoopView};
 use trifacet_core::estimation::PoseReport;
+use trifacet_core::steering::BeamOffset;
 use trifacet_core::telemetry::Counters;
 use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::{PoseFrame, Status};
@@ -80,7 +81,7 @@ impl<C: Clock, Publish: FnMut(&Republished)> Republisher<C, Publish> {
         LoopView {
             mode: LoopMode::Off,
             lock: self.last.map_or(steering.lock, |report| report.lock),
-            offset: sampled.and_then(|report| report.offset),
+            offset: sampled.and_then(|report| report.offset).map(BeamOffset),
             velocity: None,
             commanded: sampled.and(steering.position),
             shadow: None,

@@ -14,7 +14,7 @@ use std::future::Future;
 
 pub use gcs::Gcs;
 pub use outputs::Outputs;
-use trifacet_core::steering::{Command, Xy};
+use trifacet_core::steering::{Command, StagePosition};
 use trifacet_wire::actuator::Ack;
 
 /// Events of a driver.
@@ -25,7 +25,7 @@ pub enum StageEvent {
     /// Acknowledgement of a command.
     Ack(Ack),
     /// Position that the stage reports, metres. Not used by stages whose position is part of the samples.
-    At(Xy),
+    At(StagePosition),
     /// The stage does not take commands, for this reason. The driver keeps trying on its own.
     Down(String),
 }

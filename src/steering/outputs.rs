@@ -89,6 +89,8 @@ impl Driver for Outputs {
 mod tests {
     use trifacet_wire::actuator::LeaseAction;
 
+    use trifacet_core::steering::StagePosition;
+
     use super::*;
     use crate::config::Config;
     use crate::twin::Twin;
@@ -99,14 +101,14 @@ mod tests {
         let (answers, answered) = watch::channel(Answers::default());
         let mut outputs = Outputs::new(500e-6, commands, answered);
         let command = |position| Command { id: 7, position, lease_ms: 200, on_expiry: LeaseAction::Park };
-        outputs.steer(command([1e-6, 0.0]));
+        outputs.steer(command(StagePosition([1e-6, 0.0])));
         assert_eq!(*sent.borrow(), None, "no source yet");
 
         let identity = Arc::new(Twin::new(&Config::default()).unwrap().identity().clone());
         answers.send_modify(|a| a.source = Some(identity));
         assert_eq!(outputs.next().await, StageEvent::Up);
         for (position, codes) in [([250e-6, -125e-6], [16384, -8192]), ([500e-6, -1.0], [32767, -32768])] {
-            outputs.steer(command(position));
+            outputs.steer(command(StagePosition(position)));
             assert_eq!(sent.borrow().unwrap().codes, codes);
         }
         let ack = Ack { id: 7, accepted: true };

@@ -1,7 +1,7 @@
 //! Eleven signals: the nine of the PSDs and the beam position from another instrument.
 //!
-//! A steering stage with a readback gives the point where its beam crosses the plane of the apex: `across(t)
-//! + offset = s`. The nine signals determine the nine unknowns exactly, so their solution has no residuals.
+//! A steering stage with a readback gives the point where its beam crosses the plane of the apex:
+//! `across(t) + offset = s`. The nine signals determine the nine unknowns exactly, so their solution has no residuals.
 //! The weighted least-squares solution of all eleven equations is therefore one linear update of that
 //! solution: a Kalman update, with the solution as the prediction and `s` as the measurement. The neglected
 //! non-linearity is of the order of the squared update over the distance of the PSDs: 0.04 um for an update

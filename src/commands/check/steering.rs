@@ -5,6 +5,7 @@ use std::path::Path;
 use trifacet::config::{Config, GcsConfig, SourceKind, SteeringKind};
 use trifacet_core::centering::search::Spiral;
 use trifacet_core::centering::{LoopMode, OnExit, Target};
+use trifacet_core::steering::StagePosition;
 
 use super::Lines;
 
@@ -53,7 +54,8 @@ fn search(config: &Config) -> String {
     if !centering.search {
         return "no search after the light is lost".into();
     }
-    let spiral = Spiral::of(&config.loop_params(), [0.0; 2], config.head.beam_diameter_mm * 0.5e-3);
+    let spiral =
+        Spiral::of(&config.loop_params(), StagePosition([0.0; 2]), config.head.beam_diameter_mm * 0.5e-3);
     format!(
         "a search after the light is lost, within the limits: {:.2} s from their middle, at most {} times",
         spiral.duration(1.0 / config.acquisition.rate_hz),

@@ -11,7 +11,7 @@ const CLOCKS_S: f64 = 0.1;
 
 /// The messages received.
 #[derive(Default)]
-pub(super) struct Seen {
+pub(super) struct ReceivedFrames {
     pub(super) descriptor: Option<Box<Descriptor>>,
     pub(super) heartbeat: Option<Heartbeat>,
     last: Option<PoseFrame>,
@@ -24,7 +24,7 @@ pub(super) struct Seen {
     way_ns: Option<i64>,
 }
 
-impl Seen {
+impl ReceivedFrames {
     pub(super) fn frames(&self) -> u64 {
         self.frames
     }

@@ -10,7 +10,7 @@ use tokio::time::timeout;
 use trifacet::client::{ClientError, Endpoint, Losses, MessageError};
 use trifacet::config::Config;
 
-use super::frames::Seen;
+use super::frames::ReceivedFrames;
 use super::{Report, port};
 
 /// Reports why the endpoint cannot be opened.
@@ -78,7 +78,7 @@ pub(super) fn broken(error: &ClientError, report: &mut Report) {
             report.wrong(&what, "install the same version of trifacet on both sides");
         }
         ClientError::Message(_) => {
-            report.wrong(&what, "check that the sender is trifacet in a compatible version")
+            report.wrong(&what, "check that the sender is trifacet in a compatible version");
         }
         ClientError::Closed => {
             report.wrong(&what, "the daemon may have ended (see its log), or this is another program");
@@ -90,7 +90,7 @@ pub(super) fn broken(error: &ClientError, report: &mut Report) {
 /// Reports why no frame arrives although the link is open.
 pub(super) async fn silent(
     endpoint: &Endpoint,
-    seen: &Seen,
+    seen: &ReceivedFrames,
     losses: Losses,
     config: &Config,
     report: &mut Report,

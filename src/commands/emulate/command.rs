@@ -40,14 +40,21 @@ pub(super) enum EmulatorCommand {
     Status,
 }
 
-impl FromStr for EmulatorCommand {
-    type Err = String;
+/// A line that is not a command.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[error("not a command: `{line}`; {ALLOWED}")]
+pub(super) struct UnknownCommand {
+    line: String,
+}
 
-    fn from_str(line: &str) -> Result<Self, String> {
+impl FromStr for EmulatorCommand {
+    type Err = UnknownCommand;
+
+    fn from_str(line: &str) -> Result<Self, UnknownCommand> {
         let mut words = line.split_whitespace();
         parse(&mut words)
             .filter(|_| words.next().is_none())
-            .ok_or_else(|| format!("not a command: `{}`; {ALLOWED}", line.trim()))
+            .ok_or_else(|| UnknownCommand { line: line.trim().to_owned() })
     }
 }
 
@@ -134,7 +141,7 @@ mod tests {
             "laser-bump 1",
             "laser-bump 1 nan",
         ] {
-            let error = line.parse::<EmulatorCommand>().unwrap_err();
+            let error = line.parse::<EmulatorCommand>().unwrap_err().to_string();
             assert!(error.contains(&format!("`{line}`")) && error.contains("steering-stuck [S]"), "{error}");
         }
     }

@@ -4,7 +4,8 @@ use trifacet::client::Endpoint;
 use trifacet::config::Axis;
 use trifacet::exit::{self, Failure};
 use trifacet::experiment::protocol::{Course, Protocol, printed};
-use trifacet::experiment::{quantity, reference};
+use trifacet::experiment::quantity::{self, QuantityError};
+use trifacet::experiment::reference;
 
 use super::ExperimentArgs;
 
@@ -49,34 +50,57 @@ fn course(args: &ExperimentArgs, axis: Axis) -> Course {
     Course::even(axis, own.unwrap_or(printed(axis).interval * 1e-6), args.points)
 }
 
+/// Why the value of an option is not valid.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum OptionError {
+    /// Not the name of an axis.
+    #[error("allowed are tx, ty, tz, roll, pitch, yaw")]
+    Axis,
+    /// Not an axis with an interval.
+    #[error("must be AXIS=X, such as tx=1.44")]
+    Interval,
+    /// The interval is not a length or an angle.
+    #[error(transparent)]
+    Quantity(#[from] QuantityError),
+    /// The interval is out of range for the axis.
+    #[error("must be above 0 and at most 1000 {}", .0.micro_unit())]
+    Range(Axis),
+    /// Not the address of a TCP server.
+    #[error("must be HOST:PORT, the TCP server of a daemon, such as 127.0.0.1:7361")]
+    Endpoint,
+    /// Not a duration in the allowed range.
+    #[error("must be a number of seconds from 0 to 86400")]
+    Seconds,
+}
+
 /// Parses the name of an axis.
-pub(super) fn axis(text: &str) -> Result<Axis, String> {
+pub(super) fn axis(text: &str) -> Result<Axis, OptionError> {
     let found = Axis::ALL.into_iter().find(|axis| axis.name() == text);
-    found.ok_or_else(|| "allowed are tx, ty, tz, roll, pitch, yaw".into())
+    found.ok_or(OptionError::Axis)
 }
 
 /// Parses `AXIS=X`, with X in um or urad, or with a unit.
-pub(super) fn interval(text: &str) -> Result<(Axis, f64), String> {
-    let (name, quantity) = text.split_once('=').ok_or("must be AXIS=X, such as tx=1.44")?;
+pub(super) fn interval(text: &str) -> Result<(Axis, f64), OptionError> {
+    let (name, quantity) = text.split_once('=').ok_or(OptionError::Interval)?;
     let axis = axis(name)?;
     let interval = quantity::parse(axis, quantity)?;
     if interval > 0.0 && interval <= MOST {
         return Ok((axis, interval));
     }
-    Err(format!("must be above 0 and at most 1000 {}", axis.micro_unit()))
+    Err(OptionError::Range(axis))
 }
 
 /// Parses the address of the daemon's TCP server.
-pub(super) fn endpoint(text: &str) -> Result<Endpoint, String> {
+pub(super) fn endpoint(text: &str) -> Result<Endpoint, OptionError> {
     let full = if text.contains("://") { text.to_owned() } else { format!("tcp://{text}") };
     match full.parse() {
         Ok(endpoint @ Endpoint::Tcp(_)) => Ok(endpoint),
-        _ => Err("must be HOST:PORT, the TCP server of a daemon, such as 127.0.0.1:7361".into()),
+        _ => Err(OptionError::Endpoint),
     }
 }
 
 /// Parses the duration of the record at rest.
-pub(super) fn seconds(text: &str) -> Result<f64, String> {
+pub(super) fn seconds(text: &str) -> Result<f64, OptionError> {
     let seconds = text.parse().ok().filter(|s| (0.0..=86_400.0).contains(s));
-    seconds.ok_or_else(|| "must be a number of seconds from 0 to 86400".into())
+    seconds.ok_or(OptionError::Seconds)
 }

@@ -36,7 +36,7 @@ enum Said {
     Stop,
 }
 
-struct Guide<'a> {
+struct GuidedSession<'a> {
     args: &'a ExperimentArgs,
     feed: DaemonStream,
     lines: mpsc::UnboundedReceiver<String>,
@@ -68,15 +68,15 @@ pub(super) fn guided(
     runtime.block_on(async {
         let feed = DaemonStream::connect(endpoint).await.map_err(|e| opening_failed(endpoint, &e))?;
         let kept = record.readings.len();
-        let mut guide = Guide { args, feed, lines: typed(), record, kept };
+        let mut session = GuidedSession { args, feed, lines: typed(), record, kept };
         eprintln!("connected to {endpoint}; at each point: b repeats the previous point, q stops; continue later with --resume");
         if args.rest > 0.0 {
-            let poses = guide.feed.poses(args.rest).await.map_err(|why| lost(&why))?;
+            let poses = session.feed.poses(args.rest).await.map_err(|why| lost(&why))?;
             long_enough(args.rest, poses as f64)?;
         }
-        let done = guide.all(&steps).await;
-        done.map_err(|e| guide.kept(&e))?;
-        Ok(guide.record)
+        let done = session.all(&steps).await;
+        done.map_err(|e| session.kept(&e))?;
+        Ok(session.record)
     })
 }
 
@@ -105,7 +105,7 @@ fn typed() -> mpsc::UnboundedReceiver<String> {
     lines
 }
 
-impl Guide<'_> {
+impl GuidedSession<'_> {
     async fn all(&mut self, steps: &[Step]) -> anyhow::Result<()> {
         let mut next = steps.iter().take_while(|s| self.record.readings.iter().any(|r| s.took(r))).count();
         loop {
@@ -155,7 +155,7 @@ impl Guide<'_> {
                         None => return Ok(Said::Reference(reference)),
                         Some(why) => why,
                     },
-                    Err(why) => why,
+                    Err(why) => why.to_string(),
                 },
             };
             once_more(exit::DATA, &wrong)?;

@@ -33,7 +33,7 @@ pub(super) fn row(scan: &Scan, sample: &Sample, steering: &LoopState) -> Row {
     row.extend(numbers(&POWERS, &sample.powers));
     row.extend(PSDS.into_iter().zip(sample.psds.map(|psd| Value::Text(name(psd).into()))));
     row.extend(numbers(&STEERING, &known(sample.steering)));
-    row.extend(numbers(&COMMANDED, &known(steering.position)));
+    row.extend(numbers(&COMMANDED, &known(steering.position.map(Into::into))));
     row
 }
 

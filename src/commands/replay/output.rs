@@ -23,10 +23,10 @@ const HELD: usize = 20_000;
 pub(super) struct Output {
     path: PathBuf,
     new: NewFile,
-    form: Form,
+    form: OutputFormat,
 }
 
-enum Form {
+enum OutputFormat {
     Csv { to: BufWriter<File>, begun: bool },
     Mcap(Box<Mcap>),
 }
@@ -56,10 +56,14 @@ impl Output {
         let new = NewFile::create(path, source)?;
         let to = BufWriter::new(new.writer()?);
         let form = if extension == Some("csv") {
-            Form::Csv { to, begun: false }
+            OutputFormat::Csv { to, begun: false }
         } else {
             let writer = cannot_write(Writer::new(to, Some(mcap::Compression::Zstd)), path)?;
-            Form::Mcap(Box::new(Mcap { writer, encoder: Encoder::new((Mono(0), 0)), held: Vec::new() }))
+            OutputFormat::Mcap(Box::new(Mcap {
+                writer,
+                encoder: Encoder::new((Mono(0), 0)),
+                held: Vec::new(),
+            }))
         };
         Ok(Self { path: path.to_owned(), new, form })
     }
@@ -72,7 +76,7 @@ impl Output {
         engine: &Engine,
     ) -> anyhow::Result<()> {
         match &mut self.form {
-            Form::Csv { to, begun } => {
+            OutputFormat::Csv { to, begun } => {
                 let Some(pair) = pair else { return Ok(()) };
                 let columns = Columns::of(&pair.now);
                 if !std::mem::replace(begun, true) {
@@ -80,7 +84,7 @@ impl Output {
                 }
                 cannot_write(writeln!(to, "{}", columns.csv_line()), &self.path)
             }
-            Form::Mcap(mcap) => match now(entry, pair, engine) {
+            OutputFormat::Mcap(mcap) => match now(entry, pair, engine) {
                 Some(now) => cannot_write(mcap.take(now), &self.path),
                 None => Ok(()),
             },
@@ -89,7 +93,7 @@ impl Output {
 
     /// Records a gap.
     pub(super) fn gap(&mut self, gap: Gap) {
-        if let Form::Mcap(mcap) = &mut self.form {
+        if let OutputFormat::Mcap(mcap) = &mut self.form {
             mcap.held.push(Held::Gap(gap));
         }
     }
@@ -97,8 +101,8 @@ impl Output {
     /// Completes the file.
     pub(super) fn finish(self) -> anyhow::Result<()> {
         let mut to = match self.form {
-            Form::Csv { to, .. } => to,
-            Form::Mcap(mut mcap) => {
+            OutputFormat::Csv { to, .. } => to,
+            OutputFormat::Mcap(mut mcap) => {
                 cannot_write(mcap.flush(), &self.path)?;
                 cannot_write(mcap.writer.finish(), &self.path)?
             }

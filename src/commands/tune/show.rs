@@ -4,7 +4,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use trifacet::identification::plan::{Plan, um};
 use trifacet::identification::task::Audience;
 use trifacet_core::signals::Identity;
-use trifacet_core::steering::Xy;
+use trifacet_core::steering::StagePosition;
 
 /// Writes to standard error. The progress bar is shown only on a terminal.
 pub(super) struct Show {
@@ -29,10 +29,10 @@ impl Show {
 
 impl Audience for Show {
     fn plan(&mut self, plan: &Plan, source: &Identity) -> bool {
-        let um = |at: Xy| format!("{} {} um", um(at[0]), um(at[1]));
+        let um = |at: &[f64; 2]| format!("{} {} um", um(at[0]), um(at[1]));
         let half = plan.step / 2.0 * 1e6;
         eprintln!("source: {}", source.name);
-        eprintln!("the stage is at {}, the beam is {} off the apex", um(plan.found), um(plan.offset));
+        eprintln!("the stage is at {}, the beam is {} off the apex", um(&plan.found), um(&plan.offset));
         eprintln!(
             "each axis moves {half:.3} um to either side of that, {} steps of {:.3} um, within +-{:.1} um; \
              this takes {:.0} s",
@@ -41,7 +41,7 @@ impl Audience for Show {
             plan.limit * 1e6,
             plan.duration
         );
-        eprintln!("then the stage is left at {}; Ctrl-C moves it there at any time", um(plan.end));
+        eprintln!("then the stage is left at {}; Ctrl-C moves it there at any time", um(&plan.end));
         if !self.dry {
             let style = ProgressStyle::with_template("{bar:40} {pos}/{len} steps, {eta} left");
             let bar = ProgressBar::new(u64::from(2 * plan.steps));
@@ -56,7 +56,7 @@ impl Audience for Show {
         }
     }
 
-    fn back(&mut self, position: Xy, complaint: Option<&str>) {
+    fn back(&mut self, position: StagePosition, complaint: Option<&str>) {
         self.end();
         let at = format!("{} {} um", um(position[0]), um(position[1]));
         match complaint {

@@ -1,7 +1,6 @@
 //! Least-squares fit of a response to the mean of windows, with its uncertainties.
 
 use nalgebra::{Matrix4, Vector4};
-use trifacet_core::steering::Xy;
 
 use super::numeric::{Line, golden, least, middle, middle_and_spread};
 use super::{Response, Windows, shape};
@@ -20,11 +19,11 @@ pub(super) struct Fit {
     period: f64,
     step: f64,
     /// The windows without their drift, metres.
-    windows: Vec<Vec<Xy>>,
-    mean: Vec<Xy>,
+    windows: Vec<Vec<[f64; 2]>>,
+    mean: Vec<[f64; 2]>,
     /// Variance of a single value, metres squared.
     noise: f64,
-    pub(super) movement: Xy,
+    pub(super) movement: [f64; 2],
     delay: f64,
     lag: f64,
 }
@@ -39,7 +38,7 @@ impl Fit {
         let line = Line::new(&from.times);
         let windows: Vec<_> = which.iter().map(|i| line.taken_out(&from.offsets[*i])).collect();
         let at = |i: usize, k: usize| center(windows.iter().map(|window| window[i][k]).collect());
-        let mean: Vec<Xy> = (0..n).map(|i| [at(i, 0), at(i, 1)]).collect();
+        let mean: Vec<[f64; 2]> = (0..n).map(|i| [at(i, 0), at(i, 1)]).collect();
         // The median: a few deviating windows must not affect the estimate of the noise.
         let scatter = middle(windows.iter().map(|w| distance(w, &mean)).collect());
         let noise = scatter / (2 * (n - 2)) as f64;
@@ -68,7 +67,7 @@ impl Fit {
     }
 
     /// Sum of squared residuals of the mean, and the movement that minimizes it.
-    fn cost(&self, delay: f64, lag: f64) -> (f64, Xy) {
+    fn cost(&self, delay: f64, lag: f64) -> (f64, [f64; 2]) {
         let model = self.model(delay, lag);
         let size: f64 = model.iter().map(|m| m * m).sum();
         let (mut dot, mut all) = ([0.0; 2], 0.0);
@@ -116,9 +115,9 @@ impl Fit {
     }
 
     /// Residuals of a window, or of the mean.
-    fn residual(&self, window: &[Xy]) -> Vec<Xy> {
+    fn residual(&self, window: &[[f64; 2]]) -> Vec<[f64; 2]> {
         let model = self.model(self.delay, self.lag);
-        let left = |(m, y): (&f64, &Xy)| [0, 1].map(|k| y[k] - self.movement[k] * m);
+        let left = |(m, y): (&f64, &[f64; 2])| [0, 1].map(|k| y[k] - self.movement[k] * m);
         model.iter().zip(window).map(left).collect()
     }
 
@@ -134,7 +133,7 @@ impl Fit {
     pub(super) fn delays(&self) -> Vec<f64> {
         let [x, y] = self.movement;
         let scale = self.period_over_area() / (x * x + y * y);
-        let of = |window: &Vec<Xy>| {
+        let of = |window: &Vec<[f64; 2]>| {
             let left = self.residual(window);
             self.moving().map(|j| -(left[j][0] * x + left[j][1] * y)).sum::<f64>() * scale
         };
@@ -224,6 +223,6 @@ impl Fit {
     }
 }
 
-fn distance(a: &[Xy], b: &[Xy]) -> f64 {
+fn distance(a: &[[f64; 2]], b: &[[f64; 2]]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)).sum()
 }

@@ -15,7 +15,6 @@ mod tests;
 
 use fit::Fit;
 use numeric::{mean, middle, middle_and_spread};
-use trifacet_core::steering::Xy;
 
 /// Windows whose delay differs by more than this many standard deviations are left out: the machine was late.
 const OUTLIER: f64 = 5.0;
@@ -28,7 +27,7 @@ pub struct Windows {
     /// Times of the samples of a window relative to the sample on which the step was commanded, seconds.
     pub times: Vec<f64>,
     /// Offsets of the beam at these times, metres, with reversed sign for steps in negative direction.
-    pub offsets: Vec<Vec<Xy>>,
+    pub offsets: Vec<Vec<[f64; 2]>>,
     /// Sample period, seconds.
     pub period: f64,
     /// Length of the steps, metres.
@@ -39,9 +38,9 @@ pub struct Windows {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Response {
     /// Movement of the beam, x and y, per movement of the axis.
-    pub gain: Xy,
+    pub gain: [f64; 2],
     /// Standard uncertainty of the gain.
-    pub gain_sigma: Xy,
+    pub gain_sigma: [f64; 2],
     /// Time from the sample on which a command is computed to the beginning of its effect, seconds.
     pub delay: f64,
     /// Standard uncertainty of the delay, seconds.
@@ -62,9 +61,9 @@ pub struct Response {
     /// Steps that the beam did not follow, or followed only in part.
     pub unfollowed: usize,
     /// Movement of the beam per step, metres.
-    pub movement: Xy,
+    pub movement: [f64; 2],
     /// The mean over all steps without drift: time in seconds, movement of the beam per step in metres.
-    pub mean: Vec<(f64, Xy)>,
+    pub mean: Vec<(f64, [f64; 2])>,
 }
 
 impl Response {
@@ -89,10 +88,10 @@ pub fn fit(windows: &Windows) -> Option<Response> {
 }
 
 /// Number of steps that the beam has not followed by the end of the window, or only in part.
-fn unfollowed(windows: &Windows, movement: Xy) -> usize {
+fn unfollowed(windows: &Windows, movement: [f64; 2]) -> usize {
     let usual = movement[0].powi(2) + movement[1].powi(2);
     let last = windows.times.last().copied().unwrap_or_default();
-    let part = |window: &Vec<Xy>, which: &dyn Fn(f64) -> bool| {
+    let part = |window: &Vec<[f64; 2]>, which: &dyn Fn(f64) -> bool| {
         let (mut sum, mut count) = (0.0, 0.0_f64);
         for (_, v) in windows.times.iter().zip(window).filter(|(t, _)| which(**t)) {
             sum += v[0] * movement[0] + v[1] * movement[1];
@@ -100,7 +99,7 @@ fn unfollowed(windows: &Windows, movement: Xy) -> usize {
         }
         sum / count.max(1.0)
     };
-    let moved = |w: &&Vec<Xy>| part(w, &|t| t > last / 2.0) - part(w, &|t| t <= 0.0) < FOLLOWED * usual;
+    let moved = |w: &&Vec<[f64; 2]>| part(w, &|t| t > last / 2.0) - part(w, &|t| t <= 0.0) < FOLLOWED * usual;
     windows.offsets.iter().filter(moved).count()
 }
 

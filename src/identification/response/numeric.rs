@@ -1,7 +1,5 @@
 //! Straight lines, averages, and minima of functions.
 
-use trifacet_core::steering::Xy;
-
 /// Orthonormal basis of the straight lines over the times of a window.
 pub(super) struct Line {
     constant: Vec<f64>,
@@ -32,7 +30,7 @@ impl Line {
         y.iter().zip(self.nearest(y)).map(|(y, line)| y - line).collect()
     }
 
-    pub(super) fn taken_out(&self, window: &[Xy]) -> Vec<Xy> {
+    pub(super) fn taken_out(&self, window: &[[f64; 2]]) -> Vec<[f64; 2]> {
         let [x, y] = [0, 1].map(|k| self.taken_out_of(&window.iter().map(|v| v[k]).collect::<Vec<_>>()));
         x.into_iter().zip(y).map(|(x, y)| [x, y]).collect()
     }

@@ -10,7 +10,7 @@ const STEP: f64 = 20e-6;
 /// Parameters of a loop, for a recording at 1 kHz of 60 steps.
 #[derive(Clone, Copy, Debug)]
 struct Truth {
-    gain: Xy,
+    gain: [f64; 2],
     delay: f64,
     lag: f64,
     noise: f64,

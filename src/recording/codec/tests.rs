@@ -3,6 +3,7 @@ use proptest::prelude::*;
 use trifacet_core::centering::LoopState;
 use trifacet_core::estimation::{Estimation, PoseReport};
 use trifacet_core::signals::{PsdState, Sample};
+use trifacet_core::steering::StagePosition;
 use trifacet_wire::channel::{Converter, Role, SIGNALS};
 use trifacet_wire::{LockState, PoseFrame};
 
@@ -51,7 +52,7 @@ fn known() -> impl Strategy<Value = Option<[f64; 2]>> {
 
 prop_compose! {
     fn steering()(lock in 0..LockState::ALL.len(), position in known()) -> LoopState {
-        LoopState { lock: LockState::ALL[lock], position }
+        LoopState { lock: LockState::ALL[lock], position: position.map(StagePosition) }
     }
 }
 
@@ -197,7 +198,7 @@ fn unchanged_parts_are_not_written_with_each_keyframe() {
     assert_eq!(again.len(), 1);
     let Entry::Keyframe(back) = decode(&mut decoder, &again) else { panic!("no keyframe") };
     assert_eq!(back.source, keyframe.source, "the earlier one is still in force");
-    assert_eq!(decode_error(&mut Decoder::default(), &again), DecodeError::Order.to_string());
+    assert_eq!(decode_error(&mut Decoder::default(), &again), DecodeError::OutOfOrder.to_string());
     let other = Keyframe { source: Some(Arc::new(Identity { rate_hz: 5.0, ..identity() })), ..keyframe };
     assert_eq!(encode(&mut encoder, &Entry::Keyframe(Box::new(other))).len(), 2);
     encoder.restart();

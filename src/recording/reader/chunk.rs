@@ -1,6 +1,6 @@
 //! Chunks: compressed messages with a checksum.
 
-use std::io::Read;
+use std::io::{self, Read};
 
 use super::bytes::Bytes;
 
@@ -52,6 +52,23 @@ impl Header {
     }
 }
 
+/// Why the records of a chunk cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum ChunkError {
+    /// The compressed data are invalid.
+    #[error("a chunk cannot be decompressed: {0}")]
+    Decompression(#[from] io::Error),
+    /// The size differs from that in the header, bytes.
+    #[error("a chunk has {found} bytes instead of {stated}")]
+    Size { found: usize, stated: usize },
+    /// The header contains no checksum.
+    #[error("a chunk has no checksum")]
+    NoChecksum,
+    /// The checksum differs from that in the header.
+    #[error("the checksum of a chunk is {found:08x} instead of {stated:08x}")]
+    Checksum { found: u32, stated: u32 },
+}
+
 /// The decompressed records of a chunk.
 #[derive(Debug)]
 pub struct Chunk(Vec<u8>);
@@ -59,23 +76,22 @@ pub struct Chunk(Vec<u8>);
 impl Chunk {
     /// Decompresses a chunk. Uses no more memory than the header states; the caller has checked that it is at
     /// most [`MOST`].
-    pub(super) fn unpack(header: &Header, compressed: Vec<u8>) -> Result<Self, String> {
+    pub(super) fn unpack(header: &Header, compressed: Vec<u8>) -> Result<Self, ChunkError> {
         let size = header.uncompressed as usize;
         let bytes = match header.compression {
             Compression::None => compressed,
             Compression::Lz4 => lz4(&compressed, size)?,
-            Compression::Zstd => zstd::bulk::decompress(&compressed, size)
-                .map_err(|e| format!("a chunk cannot be decompressed: {e}"))?,
+            Compression::Zstd => zstd::bulk::decompress(&compressed, size)?,
         };
         if bytes.len() != size {
-            return Err(format!("a chunk has {} bytes instead of {size}", bytes.len()));
+            return Err(ChunkError::Size { found: bytes.len(), stated: size });
         }
         let crc = crc32fast::hash(&bytes);
         if header.crc == 0 {
-            return Err("a chunk has no checksum".into());
+            return Err(ChunkError::NoChecksum);
         }
         if crc != header.crc {
-            return Err(format!("the checksum of a chunk is {crc:08x} instead of {:08x}", header.crc));
+            return Err(ChunkError::Checksum { found: crc, stated: header.crc });
         }
         Ok(Self(bytes))
     }
@@ -90,11 +106,10 @@ impl Chunk {
     }
 }
 
-fn lz4(compressed: &[u8], size: usize) -> Result<Vec<u8>, String> {
-    let wrong = |e: std::io::Error| format!("a chunk cannot be decompressed: {e}");
+fn lz4(compressed: &[u8], size: usize) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::with_capacity(size);
     // One byte more, so that a chunk that is too long is detected.
-    let decoder = lz4::Decoder::new(compressed).map_err(wrong)?;
-    decoder.take(size as u64 + 1).read_to_end(&mut bytes).map_err(wrong)?;
+    let decoder = lz4::Decoder::new(compressed)?;
+    decoder.take(size as u64 + 1).read_to_end(&mut bytes)?;
     Ok(bytes)
 }

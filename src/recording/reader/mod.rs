@@ -259,13 +259,13 @@ impl MessageSink {
             }
             Ok(None) => {}
             Err(error @ DecodeError::Version(_)) => {
-                let context = self.decoder.context().cloned().ok_or(DecodeError::Order)?;
+                let context = self.decoder.context().cloned().ok_or(DecodeError::OutOfOrder)?;
                 let source = self.decoder.source().cloned();
                 self.tally.config(&context);
                 self.ready.push_back(Read::Foreign { context, source, why: error.to_string() });
             }
             // The configuration was in a part already reported as damaged; this part is intact.
-            Err(DecodeError::Order) if self.tally.incomplete() => self.tally.unfounded += 1,
+            Err(DecodeError::OutOfOrder) if self.tally.incomplete() => self.tally.unfounded += 1,
             Err(error) => return Err(error),
         }
         Ok(())

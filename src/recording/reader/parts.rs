@@ -161,7 +161,7 @@ impl Parts {
         let compressed = self.read(body, header.compressed)?;
         Ok(Some(match Chunk::unpack(&header, compressed) {
             Ok(chunk) => Part::Chunk(chunk),
-            Err(what) => Part::Damage(Damage { at, bytes: PREFIX + length, what }),
+            Err(error) => Part::Damage(Damage { at, bytes: PREFIX + length, what: error.to_string() }),
         }))
     }
 

@@ -1,8 +1,11 @@
 //! Executes commands to the recorder, and reacts to faults.
 
+use std::sync::Arc;
+
 use tokio::sync::oneshot;
 use trifacet_core::time::{Clock, Mono, NS_PER_S};
 
+use super::fault_reason::FaultReason;
 use super::{Recorder, SECOND_NS};
 use crate::clock::SystemClock;
 use crate::exit::{self, Failure};
@@ -16,7 +19,7 @@ pub(super) struct Stopping {
     reply: oneshot::Sender<Result<(), Failure>>,
     deadline: Mono,
     /// Why the file could not be finished.
-    pub failed: Option<String>,
+    pub failed: Option<Arc<FaultReason>>,
 }
 
 impl Recorder {
@@ -25,9 +28,9 @@ impl Recorder {
         while self.stopping.is_none()
             && let Ok((command, reply)) = self.asked.try_recv()
         {
-            let cannot = |why| Failure::new(exit::IO, why);
+            let cannot = |why: &FaultReason| Failure::new(exit::IO, why.to_string());
             let done = match command {
-                RecorderCommand::Start => self.begin(None).map_err(cannot),
+                RecorderCommand::Start => self.begin(None).map_err(|why| cannot(&why)),
                 RecorderCommand::Stop if self.wanted => {
                     self.until = Some(self.latest);
                     let deadline = SystemClock.now() + CLOSE_TIMEOUT_NS;
@@ -36,7 +39,7 @@ impl Recorder {
                 }
                 RecorderCommand::Stop => Ok(()),
                 RecorderCommand::Trigger if self.trigger.is_some() => {
-                    self.triggered("requested").map_err(cannot)
+                    self.triggered("requested").map_err(|why| cannot(&why))
                 }
                 RecorderCommand::Trigger => {
                     let why = "this needs recording.mode = \"on-fault\"; to record from now on: record start";
@@ -54,7 +57,7 @@ impl Recorder {
         let goes_on = self.until.is_some_and(|until| until > self.latest);
         let done = match &stopping.failed {
             None if !self.wanted && !self.disk.closing() => Ok(()),
-            Some(why) if !self.wanted => Err(Failure::new(exit::IO, why)),
+            Some(why) if !self.wanted => Err(Failure::new(exit::IO, why.to_string())),
             _ if goes_on => {
                 let why =
                     "a fault has just begun and is recorded for recording.after_s; stop again to end this";
@@ -72,7 +75,7 @@ impl Recorder {
     }
 
     /// Starts a recording, until the given time if there is one.
-    pub(super) fn begin(&mut self, until: Option<Mono>) -> Result<(), String> {
+    pub(super) fn begin(&mut self, until: Option<Mono>) -> Result<(), FaultReason> {
         if self.output.is_none() {
             self.resume()?;
         }
@@ -81,19 +84,19 @@ impl Recorder {
     }
 
     /// Handles a fault: records until `recording.after_s` after it.
-    pub(super) fn triggered(&mut self, why: &str) -> Result<(), String> {
+    pub(super) fn triggered(&mut self, why: &str) -> Result<(), Arc<FaultReason>> {
         let until = SystemClock.now() + (self.config.after_s * NS_PER_S as f64) as i64;
         if self.wanted {
             tracing::debug!(why, "already recording");
             self.until = self.until.map(|_| until);
-            return self.fault.as_ref().map_or(Ok(()), |fault| Err(fault.reason.clone()));
+            return self.fault.as_ref().map_or(Ok(()), |fault| Err(Arc::clone(&fault.reason)));
         }
         tracing::info!(why, "recording started, with the data before the trigger");
-        let begun = self.begin(Some(until));
+        let begun = self.begin(Some(until)).map_err(Arc::new);
         if let Err(reason) = &begun {
             // Retried until the end of the recording.
             (self.wanted, self.until) = (true, Some(until));
-            self.suffer(reason.clone());
+            self.suffer(Arc::clone(reason));
         }
         begun
     }

@@ -1,14 +1,17 @@
 //! Handles failures of the recording: state, counters and log.
 
+use std::sync::Arc;
+
 use trifacet_core::time::{Clock, Mono};
 
+use super::fault_reason::FaultReason;
 use super::{Recorder, SECOND_NS};
 use crate::clock::SystemClock;
 use crate::recording::writer::RecordError;
 
 /// A failure that prevents recording, and its cost.
 pub(super) struct Fault {
-    pub reason: String,
+    pub reason: Arc<FaultReason>,
     pub lost: u64,
     /// Time of the next attempt.
     pub retry: Mono,
@@ -22,32 +25,32 @@ impl Recorder {
             match done.result {
                 Ok((file, bytes)) if done.close => tracing::info!(file = %file.display(), bytes, "recorded"),
                 Ok(_) => {}
-                Err(reason) if current => self.broken(reason),
-                Err(reason) => self.mishap(reason),
+                Err(error) if current => self.broken(error.into()),
+                Err(error) => self.mishap(Arc::new(error.into())),
             }
         }
     }
 
     /// Reports entries that did not fit into the queue as missing.
     pub(super) fn watch_overflows(&mut self, now: Mono) {
-        const WHY: &str = "the recorder has fallen behind: is the disk too slow?";
         let overflows = self.counters.recording_overflows.get();
         let more = overflows - std::mem::replace(&mut self.overflows, overflows);
         if more > 0 {
-            self.miss(more, WHY);
+            let reason = FaultReason::Behind;
+            self.miss(more, &reason.to_string());
             if self.mishap.is_none() {
-                tracing::warn!(entries = more, "recording loses data: {WHY}");
+                tracing::warn!(entries = more, "recording loses data: {reason}");
             }
-            self.mishap = Some((now + SECOND_NS, WHY.into()));
+            self.mishap = Some((now + SECOND_NS, Arc::new(reason)));
         }
     }
 
-    pub(super) fn fail(&mut self, error: &RecordError) {
-        self.broken(format!("cannot write to recording.folder, {}: {error}", self.folder.0.display()));
+    pub(super) fn fail(&mut self, source: RecordError) {
+        self.broken(FaultReason::Write { folder: self.folder.0.clone(), source });
     }
 
     /// Abandons the current file after a failure.
-    pub(super) fn broken(&mut self, reason: String) {
+    pub(super) fn broken(&mut self, reason: FaultReason) {
         let mut torn = 0;
         if let Some(output) = self.output.take() {
             torn = output.torn();
@@ -68,7 +71,8 @@ impl Recorder {
     }
 
     /// Logs a failure once, and schedules the next attempt.
-    pub(super) fn suffer(&mut self, reason: String) {
+    pub(super) fn suffer(&mut self, reason: impl Into<Arc<FaultReason>>) {
+        let reason = reason.into();
         if !self.wanted {
             return self.mishap(reason);
         }
@@ -84,11 +88,11 @@ impl Recorder {
     }
 
     /// Reports a failure of a file that has already ended.
-    fn mishap(&mut self, reason: String) {
+    fn mishap(&mut self, reason: Arc<FaultReason>) {
         self.counters.recording_faults.inc();
         tracing::error!("cannot finish a recording: {reason}");
         if let Some(stopping) = &mut self.stopping {
-            stopping.failed = Some(reason.clone());
+            stopping.failed = Some(Arc::clone(&reason));
         }
         self.mishap = Some((SystemClock.now() + SECOND_NS, reason));
         self.show();
@@ -97,7 +101,7 @@ impl Recorder {
     /// Updates the fault in the state.
     pub(super) fn show(&self) {
         let fault = self.fault.as_ref().map(|fault| &fault.reason);
-        self.state.fault(fault.or(self.mishap.as_ref().map(|(_, why)| why)).cloned());
+        self.state.fault(fault.or(self.mishap.as_ref().map(|(_, why)| why)).map(ToString::to_string));
     }
 
     pub(super) fn lose(&mut self, entries: u64) {

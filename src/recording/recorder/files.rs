@@ -4,6 +4,7 @@ use std::sync::atomic::Ordering;
 
 use trifacet_core::time::{Clock, Mono};
 
+use super::fault_reason::FaultReason;
 use super::{ROOM, Recorder};
 use crate::clock::SystemClock;
 use crate::config::RecordingMode;
@@ -73,40 +74,41 @@ impl Recorder {
     }
 
     /// Opens a new file, and clears the fault.
-    pub(super) fn resume(&mut self) -> Result<(), String> {
+    pub(super) fn resume(&mut self) -> Result<(), FaultReason> {
         self.open()?;
         if let Some(fault) = self.fault.take() {
-            tracing::info!(lost = fault.lost, after = fault.reason, "recording continues in a new file");
-            self.miss(fault.lost, &fault.reason);
+            let reason = fault.reason.to_string();
+            tracing::info!(lost = fault.lost, after = reason, "recording continues in a new file");
+            self.miss(fault.lost, &reason);
             self.show();
         }
         Ok(())
     }
 
     /// Deletes old recordings if necessary, and opens a file.
-    fn open(&mut self) -> Result<(), String> {
+    fn open(&mut self) -> Result<(), FaultReason> {
         self.wake();
-        let folder = self.folder.0.display();
-        let within =
-            |what: &str, e: &dyn std::fmt::Display| format!("{what} in recording.folder, {folder}: {e}");
-        self.folder.make().map_err(|e| within("cannot record", &e))?;
+        let folder = || self.folder.0.clone();
+        let unusable = |source| FaultReason::Folder { folder: folder(), source };
+        self.folder.make().map_err(unusable)?;
         let [budget, next] =
             [self.config.budget_gb * 1e9, self.config.rotate_mb * 1e6].map(|bytes| bytes as u64);
-        let deleted = self.folder.make_room(budget, next).map_err(|e| within("cannot list files", &e))?;
+        let deleted = self
+            .folder
+            .make_room(budget, next)
+            .map_err(|source| FaultReason::List { folder: folder(), source })?;
         for old in deleted {
             self.counters.recording_deletions.inc();
             tracing::info!(file = %old.path.display(), bytes = old.bytes, "deleted to stay within recording.budget_gb");
         }
-        let free = self.folder.free().map_err(|e| within("cannot record", &e))?;
+        let free = self.folder.free().map_err(unusable)?;
         self.state.free.store(free, Ordering::Relaxed);
         if free < ROOM {
-            return Err(format!(
-                "not enough space: {free} bytes are free in recording.folder, {folder}; free some space"
-            ));
+            return Err(FaultReason::NoSpace { folder: folder(), free });
         }
         let begin_ns = self.ring.as_ref().and_then(Ring::begin_ns).unwrap_or_else(|| self.encoder.now_ns());
         let output = Output::begin(&self.folder, begin_ns, SystemClock.now(), self.compression)
-            .map_err(|e| within("cannot create a file", &e))?;
+            .map_err(|source| FaultReason::Create { folder: folder(), source })?;
         tracing::info!(file = %output.path.display(), "recording");
         self.counters.recording_files.inc();
         self.state.file(Some(output.path.clone()));
@@ -125,7 +127,7 @@ impl Recorder {
             (None, None) => return *unwritten = Some((entries, why)),
         };
         if let Err(e) = written {
-            self.fail(&e);
+            self.fail(e);
         }
     }
 
@@ -148,7 +150,7 @@ impl Recorder {
             moved => moved,
         };
         moved.unwrap_or_else(|e| {
-            self.fail(&e);
+            self.fail(e);
             false
         })
     }
@@ -166,18 +168,16 @@ impl Recorder {
     /// Ends the file.
     pub(super) fn end(&mut self) {
         if let Some(Err(e)) = self.output.as_mut().map(Output::flush) {
-            return self.fail(&e);
+            return self.fail(e);
         }
         let Some(output) = self.output.take() else { return };
         self.counters.recording_bytes.add(output.news());
         self.state.file(None);
-        let path = output.path.display().to_string();
+        let file = output.path.clone();
         match output.finish(&mut self.disk) {
             Ok(true) => {}
             Ok(false) => tracing::info!("no samples received: empty recording removed"),
-            Err(e) => {
-                self.suffer(format!("cannot finish {path} (restore it with trifacet recover): {e}"));
-            }
+            Err(source) => self.suffer(FaultReason::Finish { file, source }),
         }
     }
 

@@ -1,9 +1,10 @@
 //! Faults of a controller, with messages that name the remedy.
 
 use super::protocol::AnswerError;
+use super::unit::UnitError;
 
 /// A fault of a controller.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Fault {
     /// The connection cannot be established.
     #[error("cannot connect to {line}: {reason}")]
@@ -57,6 +58,9 @@ pub enum Fault {
     /// The controller works, but cannot be used with this configuration.
     #[error("{0}")]
     Unfit(String),
+    /// The unit of an axis does not suit the configuration.
+    #[error(transparent)]
+    Unit(#[from] UnitError),
 }
 
 /// No error.

@@ -18,7 +18,7 @@ mod unit;
 use settings::Settings;
 use task::Task;
 use tokio::sync::watch;
-use trifacet_core::steering::{Command, Xy};
+use trifacet_core::steering::{Command, StagePosition};
 use trifacet_wire::actuator::Ack;
 
 use super::{Driver, StageEvent};
@@ -35,19 +35,19 @@ struct Report {
     /// Reason why there is no connection at present, if known.
     down: Option<String>,
     /// Position of the stage, with the number of position reports.
-    at: Option<(u64, Xy)>,
+    at: Option<(u64, StagePosition)>,
     /// The last acknowledgement.
     ack: Option<Ack>,
 }
 
 impl Report {
-    fn up(&mut self, at: Xy) {
+    fn up(&mut self, at: StagePosition) {
         self.connection += 1;
         self.down = None;
         self.stands(at);
     }
 
-    fn stands(&mut self, at: Xy) {
+    fn stands(&mut self, at: StagePosition) {
         let reported = self.at.map_or(0, |(count, _)| count);
         self.at = Some((reported + 1, at));
     }
@@ -125,7 +125,7 @@ mod tests {
     use crate::config;
 
     fn command(id: u32) -> Command {
-        Command { id, position: [1e-6, 2e-6], lease_ms: 200, on_expiry: LeaseAction::Hold }
+        Command { id, position: StagePosition([1e-6, 2e-6]), lease_ms: 200, on_expiry: LeaseAction::Hold }
     }
 
     #[tokio::test]
@@ -140,9 +140,9 @@ mod tests {
 
         task.reports.send_modify(|report| report.down = Some("unplugged".into()));
         assert_eq!(driver.next().await, StageEvent::Down("unplugged".into()));
-        task.reports.send_modify(|report| report.up([3e-6, 4e-6]));
+        task.reports.send_modify(|report| report.up(StagePosition([3e-6, 4e-6])));
         assert_eq!(driver.next().await, StageEvent::Up);
-        assert_eq!(driver.next().await, StageEvent::At([3e-6, 4e-6]));
+        assert_eq!(driver.next().await, StageEvent::At(StagePosition([3e-6, 4e-6])));
         driver.steer(command(2));
         driver.steer(command(3));
         assert_eq!(*task.commands.borrow(), Some((1, command(3))), "the newest only");
@@ -150,18 +150,18 @@ mod tests {
         let ack = Ack { id: 3, accepted: true };
         task.reports.send_modify(|report| report.ack = Some(ack));
         // The same position again is a new event: the stage is still there.
-        task.reports.send_modify(|report| report.stands([3e-6, 4e-6]));
+        task.reports.send_modify(|report| report.stands(StagePosition([3e-6, 4e-6])));
         task.reports.send_modify(|report| report.down = Some("no answer".into()));
-        assert_eq!(driver.next().await, StageEvent::At([3e-6, 4e-6]));
+        assert_eq!(driver.next().await, StageEvent::At(StagePosition([3e-6, 4e-6])));
         assert_eq!(driver.next().await, StageEvent::Ack(ack));
         assert_eq!(driver.next().await, StageEvent::Down("no answer".into()));
         assert_eq!(driver.news(), None);
         driver.steer(command(4));
         assert_eq!(*task.commands.borrow(), Some((1, command(3))));
         // Down and up again between two checks: the stage may have been replaced.
-        task.reports.send_modify(|report| report.up([0.0; 2]));
+        task.reports.send_modify(|report| report.up(StagePosition([0.0; 2])));
         assert_eq!(driver.next().await, StageEvent::Up);
-        assert_eq!(driver.next().await, StageEvent::At([0.0; 2]));
+        assert_eq!(driver.next().await, StageEvent::At(StagePosition([0.0; 2])));
         assert_eq!(driver.news(), None);
     }
 }

@@ -1,6 +1,6 @@
 //! A session with a controller: checks of its identity and settings, then motions.
 
-use trifacet_core::steering::Xy;
+use trifacet_core::steering::StagePosition;
 
 use super::fault::{FINE, Fault, NOT_FOR_THIS_STAGE, UNKNOWN_COMMAND};
 use super::link::{Link, label};
@@ -97,7 +97,7 @@ impl<'a> Session<'a> {
         let Some((asked, answer)) = self.ask_if_known(GcsQuery::Unit).await? else { return Ok(()) };
         let units = answer.words(&self.settings.axes).map_err(|error| Fault::Answer { asked, error })?;
         for (axis, name) in self.settings.axes.iter().zip(&units) {
-            unit::check(axis, name, self.settings.unit * 1e6).map_err(Fault::Unfit)?;
+            unit::check(axis, name, self.settings.unit * 1e6)?;
         }
         Ok(())
     }
@@ -142,7 +142,7 @@ impl<'a> Session<'a> {
     /// # Errors
     /// The query fails, or the position is outside the travel: then the unit is wrong, or another stage
     /// answers.
-    pub async fn position(&mut self) -> Result<Xy, Fault> {
+    pub async fn position(&mut self) -> Result<StagePosition, Fault> {
         let position = self.settings.position(self.numbers(GcsQuery::Position).await?);
         for ((axis, at), [low, high]) in self.settings.axes.iter().zip(position).zip(self.travel) {
             let slack = BEYOND * (high - low);
@@ -157,7 +157,7 @@ impl<'a> Session<'a> {
     }
 
     /// Whether the position is within the travel.
-    pub fn reaches(&self, position: Xy) -> bool {
+    pub fn reaches(&self, position: StagePosition) -> bool {
         self.travel.iter().zip(position).all(|([low, high], at)| (*low..=*high).contains(&at))
     }
 
@@ -166,7 +166,7 @@ impl<'a> Session<'a> {
     ///
     /// # Errors
     /// The query for the error code fails.
-    pub async fn go(&mut self, position: Xy) -> Result<Option<(String, i32)>, Fault> {
+    pub async fn go(&mut self, position: StagePosition) -> Result<Option<(String, i32)>, Fault> {
         let line = move_to(&self.settings.axes, self.settings.counted(position));
         let Some(line) = line else { return Ok(None) };
         Ok(Some((label(&line), self.command(&line).await?)))

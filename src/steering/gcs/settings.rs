@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use trifacet_core::steering::Xy;
+use trifacet_core::steering::StagePosition;
 
 use super::protocol::Axes;
 use crate::config::{Config, SteeringKind};
@@ -41,7 +41,7 @@ pub struct Settings {
     /// Unit of position of the controller, metres.
     pub unit: f64,
     /// Position of the controller at the zero of the daemon, metres.
-    pub zero: Xy,
+    pub zero: StagePosition,
     /// Whether a servo that is off may be switched on.
     pub servo_on: bool,
     /// Time limit for an answer, milliseconds.
@@ -62,19 +62,19 @@ impl Settings {
             line,
             axes: gcs.axes.clone(),
             unit: gcs.um_per_unit * 1e-6,
-            zero: gcs.zero_um.map(|um| um * 1e-6),
+            zero: StagePosition(gcs.zero_um.map(|um| um * 1e-6)),
             servo_on: gcs.servo_on,
             timeout_ms: gcs.timeout_ms,
         })
     }
 
     /// A position in units of the controller.
-    pub fn counted(&self, position: Xy) -> [f64; 2] {
+    pub fn counted(&self, position: StagePosition) -> [f64; 2] {
         [0, 1].map(|axis| (position[axis] + self.zero[axis]) / self.unit)
     }
 
     /// A position from units of the controller, metres.
-    pub fn position(&self, counted: [f64; 2]) -> Xy {
-        [0, 1].map(|axis| counted[axis] * self.unit - self.zero[axis])
+    pub fn position(&self, counted: [f64; 2]) -> StagePosition {
+        StagePosition([0, 1].map(|axis| counted[axis] * self.unit - self.zero[axis]))
     }
 }

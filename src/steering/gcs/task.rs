@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use tokio::sync::watch;
 use tokio::time::{Interval, MissedTickBehavior, interval, sleep};
-use trifacet_core::steering::{Command, Xy};
+use trifacet_core::steering::{Command, StagePosition};
 use trifacet_core::telemetry::Counters;
 use trifacet_wire::actuator::Ack;
 
@@ -98,7 +98,12 @@ impl Task {
     }
 
     /// Sends the stage to the commanded position if it may go there; returns whether it goes.
-    async fn obey(&self, session: &mut Session<'_>, command: Command, at: Xy) -> Result<bool, Fault> {
+    async fn obey(
+        &self,
+        session: &mut Session<'_>,
+        command: Command,
+        at: StagePosition,
+    ) -> Result<bool, Fault> {
         let limit = self.steering.borrow().limit_um * 1e-6;
         let position = command.position;
         if !(session.reaches(position) && allowed(position, at, limit)) {
@@ -120,7 +125,7 @@ impl Task {
 }
 
 /// Whether the position is within the limits, or on the way back for a stage beyond them. False for NaN.
-fn allowed(position: Xy, at: Xy, limit: f64) -> bool {
+fn allowed(position: StagePosition, at: StagePosition, limit: f64) -> bool {
     position.iter().zip(at).all(|(to, at)| (-limit.max(-at) - DUST..=limit.max(at) + DUST).contains(to))
 }
 
@@ -148,7 +153,7 @@ mod tests {
             ([f64::NAN, 0.0], [0.0; 2], false),
             ([0.0, f64::INFINITY], [0.0; 2], false),
         ] {
-            assert_eq!(allowed(to, at, 4e-4), fine, "{to:?} from {at:?}");
+            assert_eq!(allowed(StagePosition(to), StagePosition(at), 4e-4), fine, "{to:?} from {at:?}");
         }
     }
 }

@@ -261,7 +261,7 @@ fn a_covered_psd_does_not_move_the_stage() {
     for psd in 0..3 {
         let mut sim = ClosedLoopSim::new(&demo(FaultKind::PsdDark { psd }, 0.9)).unwrap();
         while sim.step().scan.t_s < 1.5 {
-            let [x, y] = sim.centering().state().position.unwrap();
+            let [x, y] = sim.centering().state().position.unwrap().0;
             assert!(x.hypot(y) < 3e-6, "psd {psd}: {x} {y}");
         }
         assert_eq!(sim.centering().state().lock, LockState::Locked);

@@ -19,7 +19,7 @@ fn seconds_to_lock(config: &Config, most_s: f64) -> Option<f64> {
     let mut sim = ClosedLoopSim::new(config).unwrap();
     loop {
         let turn = sim.step();
-        let command = turn.command.map_or([0.0; 2], |command| command.position);
+        let command = turn.command.map_or([0.0; 2], |command| command.position.0);
         assert!(command.iter().all(|p| p.abs() <= config.steering.limit_um * 1e-6));
         if turn.state.lock == LockState::Locked {
             let off = turn.scan.truth.offset.norm();

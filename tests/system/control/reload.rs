@@ -67,7 +67,7 @@ fn an_invalid_file_changes_nothing() {
     assert_eq!(code, i32::from(exit::CONFIG));
     assert!(errors.contains("daemon.toml:") && errors.contains("centering.ki_per_s = -5"), "{errors}");
     daemon.signal(Signal::HUP);
-    let line = daemon.message("nothing is changed");
+    let line = daemon.message("configuration unchanged");
     assert_eq!(line["level"], "WARN", "{line}");
     assert_eq!(daemon.told(&["status"])["loop"]["kp"], 0.1);
     std::fs::remove_file(daemon.file()).unwrap();

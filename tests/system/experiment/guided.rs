@@ -212,7 +212,7 @@ fn readings_survive_the_end_of_the_daemon_and_a_point_can_be_repeated() {
     let other = typed(&out, &["--connect", &at, "--resume", "--axes", "yaw"], "");
     assert_eq!(other.status.code(), Some(64));
     assert!(
-        said(&other).contains(&format!("readings.csv says \"source: tcp://{lost}\"")),
+        said(&other).contains(&format!("readings.csv contains \"source: tcp://{lost}\"")),
         "{}",
         said(&other)
     );

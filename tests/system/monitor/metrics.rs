@@ -38,7 +38,7 @@ fn live(metrics: &Metrics) -> Table {
         let labels = family.samples.iter().flat_map(|(_, labels, _)| labels.keys());
         let labels: BTreeSet<_> = labels.map(String::as_str).filter(|label| *label != "le").collect();
         let labels = labels.into_iter().collect::<Vec<_>>().join(", ");
-        [family.kind.clone(), labels, family.context.clone()]
+        [family.kind.clone(), labels, family.meaning.clone()]
     };
     metrics.0.iter().map(|(name, family)| (name.clone(), row(family))).collect()
 }

@@ -48,7 +48,7 @@ pub(crate) struct Family {
     pub(crate) name: String,
     #[serde(rename = "type")]
     pub(crate) kind: String,
-    pub(crate) context: String,
+    pub(crate) meaning: String,
     pub(crate) samples: Vec<(String, BTreeMap<String, String>, f64)>,
 }
 

@@ -26,7 +26,7 @@ fn a_full_disk_does_not_disturb_the_stream_and_recording_resumes_with_free_space
     let pid = daemon.status()["pid"].as_u64().unwrap_or_else(|| panic!("a user namespace is needed here"));
     let inside = std::path::PathBuf::from(format!("/proc/{pid}/root{}", disk.display()));
     daemon.waits("with the fault", |frame| frame.status.has(Status::RECORDING_FAULT));
-    let error = daemon.message("nothing is recorded");
+    let error = daemon.message("recording stopped");
     assert!(error["message"].as_str().unwrap().contains("recording.folder"), "{error}");
     let status = daemon.status();
     assert_eq!(status["counters"]["recording_faults"], 1, "{status}");
@@ -36,7 +36,7 @@ fn a_full_disk_does_not_disturb_the_stream_and_recording_resumes_with_free_space
     assert!(lost > 0);
     std::fs::remove_file(inside.join("ballast")).unwrap();
     daemon.waits("without the fault", |frame| !frame.status.has(Status::RECORDING_FAULT));
-    daemon.message("recording goes on");
+    daemon.message("recording continues");
     daemon.runs_for(0.7);
     let files = recordings(&inside);
     assert_eq!(files.len(), 2, "{files:?}");
@@ -94,7 +94,7 @@ fn a_folder_that_is_moved_away_is_detected_and_made_again() {
     let moved = daemon.home.path("moved");
     std::fs::rename(daemon.folder(), &moved).unwrap();
     daemon.waits("with the fault", |frame| frame.status.has(Status::RECORDING_FAULT));
-    let error = daemon.message("nothing is recorded");
+    let error = daemon.message("recording stopped");
     assert!(error["message"].as_str().unwrap().contains("moved"), "{error}");
     daemon.waits("without the fault", |frame| !frame.status.has(Status::RECORDING_FAULT));
     daemon.runs_for(0.7);
@@ -130,9 +130,9 @@ fn a_failed_write_is_reported_with_its_reason_and_the_next_file_records_the_gap(
         "acquisition.rate_hz = 1000\nrecording.mode = \"always\"\nrecording.compression = \"none\"",
         &["sh", "-c", script, "sh"],
     );
-    let error = daemon.message("nothing is recorded");
+    let error = daemon.message("recording stopped");
     assert!(error["message"].as_str().unwrap().contains("File too large"), "{error}");
-    daemon.message("recording goes on");
+    daemon.message("recording continues");
     let lost: u64 = daemon.stop().iter().map(|frame| u64::from(frame.lost)).sum();
     assert_eq!(lost, 0, "the stream continues");
     let files = recordings(&daemon.folder());

@@ -7,7 +7,7 @@ use super::tracking::Tracking;
 use crate::centering::observation::BeamObservation;
 use crate::centering::{LoopParams, Target, TimedPose};
 use crate::signals::{PsdState, Sample};
-use crate::steering::Xy;
+use crate::steering::{BeamOffset, BeamPoint, StagePosition};
 
 /// Tracks the apex, sample by sample.
 #[derive(Clone, Debug)]
@@ -16,7 +16,7 @@ pub struct ApexTracker {
     /// The last valid pose.
     pose: Pose,
     /// Last known position of the apex across the beam, metres.
-    apex: Option<Xy>,
+    apex: Option<BeamPoint>,
     /// All three PSDs have seen the apex at least once.
     known: bool,
     tracking: Tracking,
@@ -42,7 +42,7 @@ impl ApexTracker {
     }
 
     /// Velocity of the apex across the beam, metres per second.
-    pub fn velocity(&self) -> Xy {
+    pub fn velocity(&self) -> BeamOffset {
         self.tracking.velocity()
     }
 
@@ -61,7 +61,7 @@ impl ApexTracker {
     pub fn look(
         &mut self,
         sample: &Sample,
-        stage: Xy,
+        stage: StagePosition,
         pose: Option<&TimedPose>,
         params: &LoopParams,
     ) -> BeamObservation {
@@ -80,7 +80,7 @@ impl ApexTracker {
         let observation = BeamObservation::of(sample, beam, &mirror, apex, &self.optics);
         match observation {
             BeamObservation::Offset(offset) => {
-                let apex = [0, 1].map(|i| beam[i] - offset[i]);
+                let apex = BeamPoint([0, 1].map(|i| beam[i] - offset[i]));
                 (self.apex, self.known) = (Some(apex), true);
                 self.track(sample, apex, pose, params.tracking_hz);
             }
@@ -93,7 +93,7 @@ impl ApexTracker {
     /// Passes the position of the apex to the tracking filter, from the better of two sources: readback minus
     /// offset (0.1 um with good parts), or the solved pose of nine signals (1 um). The pose of eleven signals
     /// has as little noise as readback minus offset, but is available one sample later.
-    fn track(&mut self, sample: &Sample, apex: Xy, pose: Option<&TimedPose>, bandwidth_hz: f64) {
+    fn track(&mut self, sample: &Sample, apex: BeamPoint, pose: Option<&TimedPose>, bandwidth_hz: f64) {
         let (position, time) = match (read_back(sample), pose) {
             (Some(_), _) => (apex, sample.time),
             (None, Some(reported)) => (self.optics.across(reported.pose.t).into(), reported.time),

@@ -12,7 +12,7 @@ use crate::centering::observation::BeamObservation;
 use crate::centering::open_loop::OpenLoopMove;
 use crate::centering::{LoopMode, LoopParams, LoopState, LoopView, OnExit, Outcome, TimedPose};
 use crate::signals::Sample;
-use crate::steering::{Command, Xy};
+use crate::steering::{BeamOffset, BeamPoint, Command, StageMove, StagePosition};
 use crate::time::Mono;
 
 /// The time between two samples counts as at most this many periods.
@@ -29,14 +29,14 @@ pub struct Centering {
     lock: Lock,
     open_loop: OpenLoopMove,
     /// Position of the stage at the last lock, or where the loop first took over.
-    good_place: Option<Xy>,
+    good_place: Option<StagePosition>,
     /// Position of the stage for the apex that was computed when the loop gave up its searches.
-    gave_up: Option<Xy>,
+    gave_up: Option<StagePosition>,
     /// How long samples have been too old, seconds.
     late_s: f64,
     last: Option<(u64, Mono)>,
-    offset: Option<Xy>,
-    shadow: Option<(Xy, Xy)>,
+    offset: Option<BeamOffset>,
+    shadow: Option<(StagePosition, StagePosition)>,
     commands: u32,
 }
 
@@ -81,7 +81,7 @@ impl Centering {
     /// last command holds the stage, whatever the lease is configured to do.
     pub fn retune(&mut self, params: LoopParams) -> Outcome {
         let old = std::mem::replace(&mut self.params, params);
-        let step = [0, 1].map(|axis| params.setpoint[axis] - old.setpoint[axis]);
+        let step = BeamOffset([0, 1].map(|axis| params.setpoint[axis] - old.setpoint[axis]));
         self.stage.shift_setpoint(params.map.stage_step(step));
         if params.map != old.map {
             self.tracker.forget();
@@ -113,7 +113,7 @@ impl Centering {
     ///
     /// # Errors
     /// The loop is not in manual mode.
-    pub fn move_to(&mut self, position: Xy) -> Result<(), LoopRefusal> {
+    pub fn move_to(&mut self, position: StagePosition) -> Result<(), LoopRefusal> {
         if self.params.mode != LoopMode::Manual {
             return Err(LoopRefusal::NotManual);
         }
@@ -162,7 +162,7 @@ impl Centering {
     }
 
     /// Records the position that the stage reports, metres.
-    pub fn stage_at(&mut self, position: Xy) {
+    pub fn stage_at(&mut self, position: StagePosition) {
         self.stage.set_reported(position);
     }
 
@@ -191,7 +191,7 @@ impl Centering {
                 self.take_over(sample, dt);
                 self.look(sample, pose);
                 Outcome {
-                    command: self.steer(Action::Jumping, [0.0; 2], None, sample, dt),
+                    command: self.steer(Action::Jumping, BeamOffset::default(), None, sample, dt),
                     ..Outcome::default()
                 }
             }
@@ -210,7 +210,7 @@ impl Centering {
             Some(cause) => self.sees(BeamObservation::Unclear(cause)),
             None => self.look(sample, pose),
         };
-        let error = self.offset.map_or([0.0; 2], |offset| self.error(offset));
+        let error = self.offset.map_or(BeamOffset::default(), |offset| self.error(offset));
         let seen = if stuck {
             LockInput::Unclear(LockCause::StageStuck)
         } else {
@@ -262,7 +262,7 @@ impl Centering {
     }
 
     /// The input of the lock state machine for an observation.
-    fn seen(&self, observation: &BeamObservation, error: Xy, sample: &Sample) -> LockInput {
+    fn seen(&self, observation: &BeamObservation, error: BeamOffset, sample: &Sample) -> LockInput {
         match *observation {
             BeamObservation::Offset(_) => {
                 let at_limit = |position| self.params.controller.railed(position);
@@ -271,7 +271,7 @@ impl Centering {
             }
             BeamObservation::Partial { apex, covered, cause } => {
                 let (to, radius) = (self.place_for(apex), self.beam_radius());
-                let far = |from: Xy| (to[0] - from[0]).hypot(to[1] - from[1]);
+                let far = |from: StagePosition| (to[0] - from[0]).hypot(to[1] - from[1]);
                 let elsewhere = self.stage.commanded().is_some_and(|at| far(at) > WORTH_A_JUMP * radius);
                 let news = self.gave_up.is_none_or(|at| far(at) > radius);
                 LockInput::Partial {
@@ -294,7 +294,7 @@ impl Centering {
         }
         match *observation {
             BeamObservation::Partial { apex, .. } if !self.open_loop.arrived() => {
-                self.gave_up = Some(self.place_for(apex))
+                self.gave_up = Some(self.place_for(apex));
             }
             BeamObservation::Partial { .. } => {}
             _ => self.gave_up = None, // any light then starts a new search
@@ -319,9 +319,9 @@ impl Centering {
     }
 
     /// Position of the stage that brings the beam to the setpoint, for an apex at `apex`; within the limits.
-    fn place_for(&self, apex: Xy) -> Xy {
+    fn place_for(&self, apex: BeamPoint) -> StagePosition {
         let beam = [0, 1].map(|i| apex[i] + self.params.setpoint[i]);
-        self.params.controller.within(self.params.map.stage(beam))
+        self.params.controller.within(self.params.map.stage(BeamPoint(beam)))
     }
 
     /// 1/e^2 radius of the beam, in lengths of the stage.
@@ -334,8 +334,8 @@ impl Centering {
     fn steer(
         &mut self,
         action: Action,
-        error: Xy,
-        behind: Option<Xy>,
+        error: BeamOffset,
+        behind: Option<StagePosition>,
         sample: &Sample,
         dt: f64,
     ) -> Option<Command> {
@@ -343,7 +343,7 @@ impl Centering {
         let LoopParams { controller, map, feed_forward, .. } = self.params;
         let next = match action {
             Action::Regulating => {
-                let velocity = if feed_forward { self.tracker.velocity() } else { [0.0; 2] };
+                let velocity = if feed_forward { self.tracker.velocity() } else { BeamOffset::default() };
                 controller.update(&memory, map.stage_step(error), map.stage_step(velocity), dt)
             }
             Action::Holding => controller.hold(&memory, dt),
@@ -365,13 +365,13 @@ impl Centering {
         self.look(sample, pose);
         self.shadow = self.offset.map(|offset| {
             let error = self.params.map.stage_step(self.error(offset));
-            (stage.position, self.params.controller.update(&stage, error, [0.0; 2], dt).position)
+            (stage.position, self.params.controller.update(&stage, error, StageMove::default(), dt).position)
         });
     }
 
     /// Error: setpoint minus offset, metres.
-    fn error(&self, offset: Xy) -> Xy {
-        [0, 1].map(|axis| self.params.setpoint[axis] - offset[axis])
+    fn error(&self, offset: BeamOffset) -> BeamOffset {
+        BeamOffset([0, 1].map(|axis| self.params.setpoint[axis] - offset[axis]))
     }
 
     /// Records `dt` seconds without a sample. There is no command: the lease determines what the stage does.
@@ -404,7 +404,7 @@ impl Centering {
         passed.clamp(0.0, MOST_PERIODS * self.params.period_s)
     }
 
-    fn command(&mut self, position: Xy) -> Command {
+    fn command(&mut self, position: StagePosition) -> Command {
         self.commands = self.commands.wrapping_add(1);
         let LoopParams { lease_ms, on_lease, .. } = self.params;
         self.stage.commands(self.commands, position);

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use crate::steering::Xy;
+use crate::steering::StagePosition;
 use crate::time::{Mono, NS_PER_S};
 
 /// The history is divided into this many intervals.
@@ -18,9 +18,9 @@ pub struct CommandHistory {
 #[derive(Clone, Copy, Debug)]
 struct Part {
     from: Mono,
-    last: Xy,
-    least: Xy,
-    most: Xy,
+    last: StagePosition,
+    least: StagePosition,
+    most: StagePosition,
 }
 
 impl CommandHistory {
@@ -31,12 +31,12 @@ impl CommandHistory {
 
     /// Records that the stage was sent to `position` after the sample of `time`. `span_s` is the length of
     /// the history, seconds.
-    pub fn push(&mut self, position: Xy, time: Mono, span_s: f64) {
+    pub fn push(&mut self, position: StagePosition, time: Mono, span_s: f64) {
         match self.parts.back_mut() {
             Some(part) if time.seconds_since(part.from) < span_s / PARTS => {
                 part.last = position;
-                part.least = [0, 1].map(|i| part.least[i].min(position[i]));
-                part.most = [0, 1].map(|i| part.most[i].max(position[i]));
+                part.least = StagePosition([0, 1].map(|i| part.least[i].min(position[i])));
+                part.most = StagePosition([0, 1].map(|i| part.most[i].max(position[i])));
             }
             _ => self.parts.push_back(Part { from: time, last: position, least: position, most: position }),
         }
@@ -47,7 +47,7 @@ impl CommandHistory {
     }
 
     /// The command `delay_s` seconds before `time`; the oldest recorded one if all are younger.
-    pub fn before(&self, time: Mono, delay_s: f64) -> Option<Xy> {
+    pub fn before(&self, time: Mono, delay_s: f64) -> Option<StagePosition> {
         let then = time + -((delay_s * NS_PER_S as f64) as i64);
         let part = self.parts.iter().rev().find(|part| part.from <= then).or(self.parts.front());
         part.map(|part| part.last)
@@ -55,7 +55,7 @@ impl CommandHistory {
 
     /// Whether `position` is, to within `tolerance`, inside the range of the recorded commands on each axis.
     /// True if no command is recorded. Lengths in metres.
-    pub fn leads_to(&self, position: Xy, tolerance: f64) -> bool {
+    pub fn leads_to(&self, position: StagePosition, tolerance: f64) -> bool {
         let axis = |i: usize| {
             let least = self.parts.iter().map(|part| part.least[i]).reduce(f64::min);
             let most = self.parts.iter().map(|part| part.most[i]).reduce(f64::max);
@@ -77,7 +77,7 @@ mod tests {
     fn ramp() -> CommandHistory {
         let mut history = CommandHistory::default();
         for k in 0..=100 {
-            history.push([f64::from(k) * 1e-6, 0.0], Mono(i64::from(k) * MS), 0.02);
+            history.push(StagePosition([f64::from(k) * 1e-6, 0.0]), Mono(i64::from(k) * MS), 0.02);
         }
         history
     }
@@ -95,18 +95,18 @@ mod tests {
     fn a_moving_stage_follows_and_a_lagging_one_does_not() {
         let history = ramp();
         for (x, follows) in [(100e-6, true), (90e-6, true), (80e-6, true), (70e-6, false), (110e-6, false)] {
-            assert_eq!(history.leads_to([x, 0.0], 3e-6), follows, "{x}");
+            assert_eq!(history.leads_to(StagePosition([x, 0.0]), 3e-6), follows, "{x}");
         }
-        assert!(!history.leads_to([90e-6, 4e-6], 3e-6));
-        assert!(!history.leads_to([f64::NAN, 0.0], 3e-6));
-        assert!(CommandHistory::default().leads_to([1.0, 1.0], 0.0));
+        assert!(!history.leads_to(StagePosition([90e-6, 4e-6]), 3e-6));
+        assert!(!history.leads_to(StagePosition([f64::NAN, 0.0]), 3e-6));
+        assert!(CommandHistory::default().leads_to(StagePosition([1.0, 1.0]), 0.0));
     }
 
     #[test]
     fn the_length_of_the_history_is_limited() {
         let mut history = CommandHistory::default();
         for k in 0..1_000_000 {
-            history.push([0.0; 2], Mono(k * MS / 10), 10.0);
+            history.push(StagePosition([0.0; 2]), Mono(k * MS / 10), 10.0);
         }
         assert!(history.parts.len() < 70);
     }

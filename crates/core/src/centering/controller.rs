@@ -2,7 +2,7 @@
 //!
 //! Parameters and state are separate, so that new gains keep the state.
 
-use crate::steering::Xy;
+use crate::steering::{StageMove, StagePosition};
 
 /// Gains and limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,30 +22,30 @@ pub struct Controller {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ControllerState {
     /// The last command, metres.
-    pub position: Xy,
+    pub position: StagePosition,
     /// The error at that command; `None` just after the stage was taken over.
-    error: Option<Xy>,
+    error: Option<StageMove>,
 }
 
 impl ControllerState {
     /// The state of a stage at rest at `position`. Control starts there without a jump.
-    pub fn at(position: Xy) -> Self {
+    pub fn at(position: StagePosition) -> Self {
         Self { position, error: None }
     }
 
     /// The same state, but with no axis farther from `at`, the actual position of the stage, than in
     /// `before`. The command thus waits for a stage that does not follow, and does not wind up.
     #[must_use]
-    pub fn hold_if_stalled(self, before: &ControllerState, at: Xy) -> Self {
+    pub fn hold_if_stalled(self, before: &ControllerState, at: StagePosition) -> Self {
         let nearer = |i: usize| (self.position[i] - at[i]).abs() <= (before.position[i] - at[i]).abs();
         let position = [0, 1].map(|i| if nearer(i) { self.position[i] } else { before.position[i] });
-        Self { position, ..self }
+        Self { position: StagePosition(position), ..self }
     }
 
     /// The same state for a setpoint that has moved by `step`.
     #[must_use]
-    pub fn shifted(self, step: Xy) -> Self {
-        Self { error: self.error.map(|e| [e[0] + step[0], e[1] + step[1]]), ..self }
+    pub fn shifted(self, step: StageMove) -> Self {
+        Self { error: self.error.map(|e| StageMove([e[0] + step[0], e[1] + step[1]])), ..self }
     }
 }
 
@@ -65,15 +65,21 @@ impl Controller {
     /// The limits act on the sum of all parts, and the next step starts from the limited command, so that
     /// nothing winds up.
     #[must_use]
-    pub fn update(&self, memory: &ControllerState, error: Xy, velocity: Xy, dt: f64) -> ControllerState {
-        if !error.iter().chain(&velocity).all(|x| x.is_finite()) {
+    pub fn update(
+        &self,
+        memory: &ControllerState,
+        error: StageMove,
+        velocity: StageMove,
+        dt: f64,
+    ) -> ControllerState {
+        if !error.iter().chain(velocity.iter()).all(|x| x.is_finite()) {
             return self.hold(memory, dt); // not finite: do not move
         }
         let before = memory.error.unwrap_or(error);
         let mut next = ControllerState { position: memory.position, error: Some(error) };
         for (axis, error) in error.into_iter().enumerate() {
             let step = self.kp * (error - before[axis]) + (self.ki_per_s * error + velocity[axis]) * dt;
-            next.position[axis] = self.rate_limit(memory.position[axis], memory.position[axis] + step, dt);
+            next.position.0[axis] = self.rate_limit(memory.position[axis], memory.position[axis] + step, dt);
         }
         next
     }
@@ -87,14 +93,14 @@ impl Controller {
 
     /// The next command on the way to `target`, without feedback.
     #[must_use]
-    pub fn go(&self, memory: &ControllerState, target: Xy, dt: f64) -> ControllerState {
+    pub fn go(&self, memory: &ControllerState, target: StagePosition, dt: f64) -> ControllerState {
         let position = [0, 1].map(|axis| self.rate_limit(memory.position[axis], target[axis], dt));
-        ControllerState { position, error: None }
+        ControllerState { position: StagePosition(position), error: None }
     }
 
     /// The nearest position within the limits.
-    pub fn within(&self, position: Xy) -> Xy {
-        position.map(|p| p.clamp(-self.limit, self.limit))
+    pub fn within(&self, position: StagePosition) -> StagePosition {
+        StagePosition(position.map(|p| p.clamp(-self.limit, self.limit)))
     }
 
     /// The nearest position to `wanted` within the limits. A stage outside the limits returns at the slew
@@ -106,7 +112,7 @@ impl Controller {
     }
 
     /// Whether a command is at a limit.
-    pub fn railed(&self, position: Xy) -> bool {
+    pub fn railed(&self, position: StagePosition) -> bool {
         position.iter().any(|p| p.abs() >= self.limit * (1.0 - 1e-9))
     }
 }
@@ -117,7 +123,7 @@ mod tests {
 
     const CONTROLLER: Controller = Controller { kp: 0.1, ki_per_s: 200.0, limit: 400e-6, slew: 0.05 };
     const DT: f64 = 1e-3;
-    const STILL: Xy = [0.0; 2];
+    const STILL: StageMove = StageMove([0.0; 2]);
 
     /// Controls a stage with a delay of two samples; the mirror is at `apex`.
     fn settle(controller: &Controller, apex: f64, steps: usize) -> Vec<ControllerState> {
@@ -125,7 +131,7 @@ mod tests {
         for k in 2..steps {
             let beam = run[k - 2].position[0];
             let memory = run[k];
-            run.push(controller.update(&memory, [apex - beam, 0.0], STILL, DT));
+            run.push(controller.update(&memory, StageMove([apex - beam, 0.0]), STILL, DT));
         }
         run
     }
@@ -145,7 +151,7 @@ mod tests {
         assert!(run.iter().all(|m| m.position[0].abs() <= 400e-6));
         let railed = *run.last().unwrap();
         assert!(CONTROLLER.railed(railed.position));
-        let next = CONTROLLER.update(&railed, [-10e-6, 0.0], STILL, DT);
+        let next = CONTROLLER.update(&railed, StageMove([-10e-6, 0.0]), STILL, DT);
         assert!(next.position[0] < 400e-6, "no windup");
     }
 
@@ -159,34 +165,47 @@ mod tests {
 
     #[test]
     fn invalid_inputs_do_not_move_the_output() {
-        let memory = ControllerState::at([1e-5, -2e-5]);
+        let memory = ControllerState::at(StagePosition([1e-5, -2e-5]));
         for nonsense in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             for error in [[nonsense, nonsense], [nonsense, 1e-6], [1e-6, nonsense]] {
-                let next = CONTROLLER.update(&memory, error, STILL, DT);
+                let next = CONTROLLER.update(&memory, StageMove(error), STILL, DT);
                 assert_eq!(next.position, memory.position);
             }
         }
         let wild = Controller { kp: f64::MAX, ki_per_s: f64::MAX, ..CONTROLLER };
-        let next = wild.update(&wild.update(&memory, [1.0; 2], STILL, 1.0), [-1e300; 2], STILL, DT);
+        let next = wild.update(
+            &wild.update(&memory, StageMove([1.0; 2]), STILL, 1.0),
+            StageMove([-1e300; 2]),
+            STILL,
+            DT,
+        );
         assert!(next.position.iter().all(|p| p.abs() <= 400e-6), "{next:?}");
     }
 
     #[test]
     fn changes_of_gains_setpoint_or_limits_cause_no_jump() {
-        let memory = CONTROLLER.update(&ControllerState::at([100e-6, 0.0]), [5e-6, 0.0], STILL, DT);
-        let next = CONTROLLER.update(&memory, [5e-6, 0.0], STILL, DT).position[0];
+        let memory = CONTROLLER.update(
+            &ControllerState::at(StagePosition([100e-6, 0.0])),
+            StageMove([5e-6, 0.0]),
+            STILL,
+            DT,
+        );
+        let next = CONTROLLER.update(&memory, StageMove([5e-6, 0.0]), STILL, DT).position[0];
         // With three times the proportional gain the next step is the same, since the error has not changed.
         let retuned = Controller { kp: 0.3, ..CONTROLLER };
-        assert_eq!(retuned.update(&memory, [5e-6, 0.0], STILL, DT).position[0], next);
+        assert_eq!(retuned.update(&memory, StageMove([5e-6, 0.0]), STILL, DT).position[0], next);
         // A setpoint 20 um away acts through the integral alone.
-        let moved = CONTROLLER.update(&memory.shifted([20e-6, 0.0]), [25e-6, 0.0], STILL, DT).position[0];
+        let moved = CONTROLLER
+            .update(&memory.shifted(StageMove([20e-6, 0.0])), StageMove([25e-6, 0.0]), STILL, DT)
+            .position[0];
         assert!((moved - memory.position[0] - 0.2 * 25e-6).abs() < 1e-12, "{moved}");
         // Reduced limits are approached at the slew limit, with and without an error.
         let tight = Controller { limit: 20e-6, ..CONTROLLER };
         let mut memory = memory;
         for step in 0..3 {
             let blind = tight.hold(&memory, DT);
-            let next = if step == 0 { blind } else { tight.update(&memory, [1e-3, 0.0], STILL, DT) };
+            let next =
+                if step == 0 { blind } else { tight.update(&memory, StageMove([1e-3, 0.0]), STILL, DT) };
             assert!((memory.position[0] - next.position[0]) <= 50.001e-6, "{next:?}");
             memory = next;
         }
@@ -195,30 +214,36 @@ mod tests {
 
     #[test]
     fn feed_forward_follows_the_apex_within_the_limits() {
-        let memory = CONTROLLER.update(&ControllerState::at([10e-6, 0.0]), STILL, [2e-3, -5e-3], DT);
+        let memory = CONTROLLER.update(
+            &ControllerState::at(StagePosition([10e-6, 0.0])),
+            STILL,
+            StageMove([2e-3, -5e-3]),
+            DT,
+        );
         assert!((memory.position[0] - 12e-6).abs() < 1e-12 && (memory.position[1] + 5e-6).abs() < 1e-12);
-        let wild = CONTROLLER.update(&memory, STILL, [1e9, f64::NAN], DT);
+        let wild = CONTROLLER.update(&memory, STILL, StageMove([1e9, f64::NAN]), DT);
         assert_eq!(wild.position, memory.position);
-        let fast = CONTROLLER.update(&memory, STILL, [1e9, 0.0], DT);
+        let fast = CONTROLLER.update(&memory, STILL, StageMove([1e9, 0.0]), DT);
         assert!((fast.position[0] - memory.position[0] - 50e-6).abs() < 1e-12, "at the slew limit");
     }
 
     #[test]
     fn the_controller_waits_for_a_lagging_stage() {
-        let before = ControllerState::at([50e-6, 0.0]);
-        let next =
-            |error| CONTROLLER.update(&before, error, STILL, DT).hold_if_stalled(&before, [10e-6, 0.0]);
-        assert_eq!(next([100e-6, 0.0]).position, before.position);
-        assert!(next([-100e-6, 0.0]).position[0] < 31e-6);
-        assert_eq!(next([0.0, 100e-6]).position, before.position);
+        let before = ControllerState::at(StagePosition([50e-6, 0.0]));
+        let next = |error| {
+            CONTROLLER.update(&before, error, STILL, DT).hold_if_stalled(&before, StagePosition([10e-6, 0.0]))
+        };
+        assert_eq!(next(StageMove([100e-6, 0.0])).position, before.position);
+        assert!(next(StageMove([-100e-6, 0.0])).position[0] < 31e-6);
+        assert_eq!(next(StageMove([0.0, 100e-6])).position, before.position);
     }
 
     #[test]
     fn a_target_is_approached_at_the_slew_limit_and_within_the_range() {
-        let mut memory = ControllerState::at([0.0; 2]);
+        let mut memory = ControllerState::at(StagePosition([0.0; 2]));
         let mut steps = 0;
-        while memory.position != [400e-6, -120e-6] {
-            let next = CONTROLLER.go(&memory, [1e-3, -120e-6], DT);
+        while memory.position != StagePosition([400e-6, -120e-6]) {
+            let next = CONTROLLER.go(&memory, StagePosition([1e-3, -120e-6]), DT);
             assert!((0..2).all(|i| (next.position[i] - memory.position[i]).abs() <= 50.001e-6));
             (memory, steps) = (next, steps + 1);
         }
@@ -227,7 +252,12 @@ mod tests {
 
     #[test]
     fn taking_over_causes_no_proportional_step() {
-        let next = CONTROLLER.update(&ControllerState::at([0.0; 2]), [100e-6, 0.0], STILL, DT);
+        let next = CONTROLLER.update(
+            &ControllerState::at(StagePosition([0.0; 2])),
+            StageMove([100e-6, 0.0]),
+            STILL,
+            DT,
+        );
         assert!((next.position[0] - 0.2 * 100e-6).abs() < 1e-12, "{next:?}");
     }
 }

@@ -4,7 +4,7 @@ use trifacet_optics::{Model, Optics, Pose, Vec2};
 
 use super::lock::LockCause;
 use crate::signals::{PsdState, Sample};
-use crate::steering::Xy;
+use crate::steering::{BeamOffset, BeamPoint};
 
 /// A PSD counts as covered if it is dark although this fraction of the beam should reach it.
 const COVERED: f64 = 0.05;
@@ -13,11 +13,11 @@ const COVERED: f64 = 0.05;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum BeamObservation {
     /// All PSDs see light: the offset of the beam from the apex, from the powers.
-    Offset(Xy),
+    Offset(BeamOffset),
     /// One or two PSDs see light, or a channel is clipped.
     Partial {
         /// Position of the apex, as far as the spots show it.
-        apex: Xy,
+        apex: BeamPoint,
         /// The beam may be on the apex although light is missing: a PSD is covered, or a channel is clipped.
         covered: bool,
         /// The reason why the observation is incomplete.
@@ -32,7 +32,7 @@ pub enum BeamObservation {
 impl BeamObservation {
     /// Evaluates a sample, with the beam at `beam`. `pose` is the best known pose of the mirror, `apex` the
     /// last known position of its apex.
-    pub fn of(sample: &Sample, beam: Xy, pose: &Pose, apex: Xy, optics: &Optics) -> Self {
+    pub fn of(sample: &Sample, beam: BeamPoint, pose: &Pose, apex: BeamPoint, optics: &Optics) -> Self {
         let count = |state| sample.psds.iter().filter(|psd| **psd == state).count();
         match (count(PsdState::Low), count(PsdState::Clipped)) {
             (0, 0) => match optics.offset_of_powers(&sample.powers, pose) {
@@ -61,7 +61,7 @@ impl BeamObservation {
 
     /// Whether a PSD is dark that the beam should light, while the other spots are where they belong with the
     /// beam at this offset from the apex.
-    fn covered(sample: &Sample, beam: Xy, pose: &Pose, apex: Xy, optics: &Optics) -> bool {
+    fn covered(sample: &Sample, beam: BeamPoint, pose: &Pose, apex: BeamPoint, optics: &Optics) -> bool {
         let offset = Vec2::from(beam) - Vec2::from(apex);
         let (spots, fractions) = optics.trace_each(Model::Gaussian, pose, offset);
         let as_expected = |i: usize| match (sample.psds[i], spots[i]) {
@@ -76,7 +76,13 @@ impl BeamObservation {
 
     /// Each spot gives the distance of the beam from the apex along the steepest descent of its facet. Along
     /// the contour lines of the facet, the last known position of the apex is used.
-    fn apex_by_spots(sample: &Sample, beam: Xy, pose: &Pose, apex: Xy, optics: &Optics) -> Xy {
+    fn apex_by_spots(
+        sample: &Sample,
+        beam: BeamPoint,
+        pose: &Pose,
+        apex: BeamPoint,
+        optics: &Optics,
+    ) -> BeamPoint {
         let (beam, mut apex) = (Vec2::from(beam), Vec2::from(apex));
         for facet in (0..3).filter(|i| sample.psds[*i] == PsdState::Good) {
             let spot = [sample.spots[2 * facet], sample.spots[2 * facet + 1]];

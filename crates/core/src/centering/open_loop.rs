@@ -2,7 +2,7 @@
 
 use super::search::Spiral;
 use crate::centering::LoopParams;
-use crate::steering::Xy;
+use crate::steering::StagePosition;
 
 /// A move that does not depend on the observed beam.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -12,7 +12,7 @@ pub enum OpenLoopMove {
     /// Straight to a position.
     Jump {
         /// Destination, metres.
-        to: Xy,
+        to: StagePosition,
         /// Remaining wait at the destination, seconds: the samples must show the new position before the next
         /// decision.
         left_s: f64,
@@ -22,7 +22,7 @@ pub enum OpenLoopMove {
         /// The spiral, at its current angle.
         spiral: Spiral,
         /// The last point of the spiral, metres.
-        at: Xy,
+        at: StagePosition,
         /// The whole range has been covered.
         over: bool,
     },
@@ -30,12 +30,12 @@ pub enum OpenLoopMove {
 
 impl OpenLoopMove {
     /// A move to a position, followed by a wait of `wait_s` seconds.
-    pub fn jump(to: Xy, wait_s: f64) -> Self {
+    pub fn jump(to: StagePosition, wait_s: f64) -> Self {
         OpenLoopMove::Jump { to, left_s: wait_s }
     }
 
     /// A search of the whole range, starting at `centre`, for a beam with this 1/e^2 radius, metres.
-    pub fn search(centre: Xy, radius: f64, params: &LoopParams) -> Self {
+    pub fn search(centre: StagePosition, radius: f64, params: &LoopParams) -> Self {
         let centre = params.controller.within(centre);
         let spiral = Spiral::of(params, centre, radius);
         OpenLoopMove::Search { spiral, at: centre, over: false }
@@ -64,7 +64,7 @@ impl OpenLoopMove {
 
     /// The next target, given that the stage was last commanded to `from`, `dt` seconds ago. The move waits
     /// for the command to reach the target, because the slew limit may be lower than the speed of the move.
-    pub fn next(&mut self, from: Xy, dt: f64) -> Option<Xy> {
+    pub fn next(&mut self, from: StagePosition, dt: f64) -> Option<StagePosition> {
         match self {
             OpenLoopMove::Still => None,
             OpenLoopMove::Jump { to, left_s } => {

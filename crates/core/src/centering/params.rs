@@ -5,7 +5,7 @@ use trifacet_wire::actuator::LeaseAction;
 use super::controller::Controller;
 use super::lock::LockLimits;
 use super::{LoopMode, OnExit, Target};
-use crate::steering::{BeamMap, Xy};
+use crate::steering::{BeamMap, BeamOffset, StagePosition};
 
 /// A step of the stage has settled after this many time constants: 0.7 % of the step remain.
 const SETTLED: f64 = 5.0;
@@ -22,7 +22,7 @@ pub struct LoopParams {
     /// The quantity that the loop brings to zero.
     pub target: Target,
     /// The beam offset that the loop regulates to, metres.
-    pub setpoint: Xy,
+    pub setpoint: BeamOffset,
     /// Map from stage positions to beam positions.
     pub map: BeamMap,
     /// Gains and limits of the controller.
@@ -41,7 +41,7 @@ pub struct LoopParams {
     /// Sampling period, seconds.
     pub period_s: f64,
     /// Parking position of the stage, metres.
-    pub park: Xy,
+    pub park: StagePosition,
     /// What the stage does when the daemon ends.
     pub on_exit: OnExit,
     /// What the stage does when the lease of the last command expires.
@@ -55,7 +55,7 @@ impl Default for LoopParams {
         Self {
             mode: LoopMode::On,
             target: Target::Apex,
-            setpoint: [0.0; 2],
+            setpoint: BeamOffset::default(),
             map: BeamMap::default(),
             controller: Controller::default(),
             limits: LockLimits::default(),
@@ -64,7 +64,7 @@ impl Default for LoopParams {
             loop_delay_s: 2.5e-3,
             lag_s: 0.5e-3,
             period_s: 1e-3,
-            park: [0.0; 2],
+            park: StagePosition::default(),
             on_exit: OnExit::Hold,
             on_lease: LeaseAction::Hold,
             lease_ms: 200,

@@ -6,7 +6,7 @@ use super::controller::ControllerState;
 use crate::centering::LoopParams;
 use crate::centering::command_history::CommandHistory;
 use crate::signals::Sample;
-use crate::steering::Xy;
+use crate::steering::{StageMove, StagePosition};
 
 /// Largest number of commands that wait for an acknowledgement.
 const MOST_UNANSWERED: usize = 1024;
@@ -35,10 +35,10 @@ pub struct StageModel {
     ours: bool,
     command_status: CommandStatus,
     /// Ids and positions of the commands without an acknowledgement.
-    unanswered: VecDeque<(u32, Xy)>,
-    accepted: Option<Xy>,
+    unanswered: VecDeque<(u32, StagePosition)>,
+    accepted: Option<StagePosition>,
     /// Position that the stage reports outside the samples.
-    reported: Option<Xy>,
+    reported: Option<StagePosition>,
     history: CommandHistory,
     /// Time since the stage stopped following its commands, seconds.
     stuck_s: f64,
@@ -68,7 +68,7 @@ impl StageModel {
     }
 
     /// The last commanded position, metres; `None` unless the loop controls the stage.
-    pub fn commanded(&self) -> Option<Xy> {
+    pub fn commanded(&self) -> Option<StagePosition> {
         self.memory.filter(|_| !self.detached).map(|memory| memory.position)
     }
 
@@ -88,7 +88,7 @@ impl StageModel {
     }
 
     /// Records a command that goes out with this id.
-    pub fn commands(&mut self, id: u32, position: Xy) {
+    pub fn commands(&mut self, id: u32, position: StagePosition) {
         if self.unanswered.len() >= MOST_UNANSWERED {
             self.unanswered.pop_front(); // the stage acknowledges none, or only the newest
         }
@@ -112,7 +112,7 @@ impl StageModel {
     }
 
     /// Records the position that the stage reports, metres.
-    pub fn set_reported(&mut self, position: Xy) {
+    pub fn set_reported(&mut self, position: StagePosition) {
         self.reported = Some(position).filter(|at| at.iter().all(|p| p.is_finite()));
     }
 
@@ -122,7 +122,7 @@ impl StageModel {
     }
 
     /// Adapts the state to a setpoint that has moved by `step`, in lengths of the stage.
-    pub fn shift_setpoint(&mut self, step: Xy) {
+    pub fn shift_setpoint(&mut self, step: StageMove) {
         self.memory = self.memory.map(|memory| memory.shifted(step));
     }
 
@@ -133,7 +133,7 @@ impl StageModel {
 
     /// Records that the stage has acted on its own, and has moved to `park` if given. The model assumes the
     /// stage there until a readback shows otherwise.
-    pub fn released(&mut self, park: Option<Xy>) {
+    pub fn released(&mut self, park: Option<StagePosition>) {
         let park = park.filter(|_| !self.detached);
         self.memory = self.memory.map(|m| ControllerState::at(park.unwrap_or(m.position)));
         (self.detached, self.ours, self.accepted) = (true, false, None);
@@ -172,7 +172,7 @@ impl StageModel {
         // were reduced: then it returns at the slew limit.
         let farthest = |axis: usize| sent.map_or(0.0, |sent| sent[axis].abs()).max(params.controller.limit);
         let at = read.or(sent).unwrap_or_default();
-        ControllerState::at([0, 1].map(|axis| at[axis].clamp(-farthest(axis), farthest(axis))))
+        ControllerState::at(StagePosition([0, 1].map(|axis| at[axis].clamp(-farthest(axis), farthest(axis)))))
     }
 
     /// Records that the stage was sent to a position after this sample.
@@ -182,14 +182,14 @@ impl StageModel {
     }
 
     /// Best known position of the stage when the sample was taken, metres.
-    pub fn stands_at(&self, sample: &Sample, params: &LoopParams) -> Xy {
+    pub fn stands_at(&self, sample: &Sample, params: &LoopParams) -> StagePosition {
         let sent = || self.history.before(sample.time, params.loop_delay_s).or(self.commanded());
         read_back(sample).or_else(sent).or(self.reported).unwrap_or_default()
     }
 
     /// Actual position if the readback in the sample shows that the stage does not follow its commands. `dt`
     /// is the time since the previous sample, seconds.
-    pub fn behind(&mut self, sample: &Sample, params: &LoopParams, dt: f64) -> Option<Xy> {
+    pub fn behind(&mut self, sample: &Sample, params: &LoopParams, dt: f64) -> Option<StagePosition> {
         let behind = read_back(sample).filter(|at| !self.history.leads_to(*at, params.following()));
         // A stage at its own limit reports that in the sample, and cannot follow.
         self.stuck_s = if behind.is_none() || sample.output_railed { 0.0 } else { self.stuck_s + dt };
@@ -198,6 +198,6 @@ impl StageModel {
 }
 
 /// The position of the stage in the sample, if it is finite.
-pub(super) fn read_back(sample: &Sample) -> Option<Xy> {
-    sample.steering.filter(|at| at.iter().all(|p| p.is_finite()))
+pub(super) fn read_back(sample: &Sample) -> Option<StagePosition> {
+    sample.steering.filter(|at| at.iter().all(|p| p.is_finite())).map(StagePosition)
 }

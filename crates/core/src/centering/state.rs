@@ -5,7 +5,7 @@ use trifacet_wire::LockState;
 
 use super::lock::Transition;
 use crate::centering::LoopMode;
-use crate::steering::{Command, Xy};
+use crate::steering::{BeamOffset, Command, StagePosition};
 use crate::time::Mono;
 
 /// State of the loop for the frames and the other parts of the daemon.
@@ -14,7 +14,7 @@ pub struct LoopState {
     /// The lock state.
     pub lock: LockState,
     /// Last commanded position of the stage, metres; `None` while the loop does not control the stage.
-    pub position: Option<Xy>,
+    pub position: Option<StagePosition>,
 }
 
 impl LoopState {
@@ -35,13 +35,13 @@ pub struct LoopView {
     /// The lock state.
     pub lock: LockState,
     /// Offset of the beam in the last sample, metres; `None` while the loop is off or no offset is known.
-    pub offset: Option<Xy>,
+    pub offset: Option<BeamOffset>,
     /// Velocity of the apex from the tracking filter, metres per second; `None` without an offset.
-    pub velocity: Option<Xy>,
+    pub velocity: Option<BeamOffset>,
     /// Last commanded position of the stage, metres; `None` while the loop does not control the stage.
-    pub commanded: Option<Xy>,
+    pub commanded: Option<StagePosition>,
     /// In shadow mode: the position of the stage, and the position that the loop would command next, metres.
-    pub shadow: Option<(Xy, Xy)>,
+    pub shadow: Option<(StagePosition, StagePosition)>,
     /// Failed searches since the last lock.
     pub attempts: u32,
 }

@@ -10,7 +10,7 @@ use crate::centering::centering::Centering;
 use crate::centering::lock::LockCause;
 use crate::centering::{LoopMode, LoopParams, Outcome, TimedPose};
 use crate::signals::{PsdState, Sample};
-use crate::steering::{BeamMap, Xy};
+use crate::steering::{BeamMap, BeamOffset, BeamPoint, StagePosition};
 use crate::time::Mono;
 
 const DT_NS: i64 = 1_000_000;
@@ -174,7 +174,7 @@ fn a_stage_moved_by_others_is_taken_over_at_its_position() {
 fn the_loop_moves_to_another_setpoint_and_locks_there() {
     let mut bench = Bench::new(|_| {});
     bench.run(500);
-    bench.retune(|params| params.setpoint = [20e-6, -5e-6]);
+    bench.retune(|params| params.setpoint = BeamOffset([20e-6, -5e-6]));
     let before = bench.stage_um;
     bench.run(1);
     assert!((bench.stage_um[0] - before[0] - 4.0).abs() < 0.5, "no kick: {:?}", bench.stage_um);
@@ -258,10 +258,10 @@ fn late_samples_do_not_repeat_a_correction() {
     // After a pause of 50 ms, only samples younger than the loop delay of 2.5 ms count.
     for (k, outcome) in outcomes.iter().enumerate() {
         assert_eq!(outcome.late, k < 48);
-        let still = outcome.command.is_some_and(|command| command.position == [0.0; 2]);
+        let still = outcome.command.is_some_and(|command| command.position == StagePosition([0.0; 2]));
         assert_eq!(still, outcome.late, "commands of late samples hold the stage and renew the lease");
     }
-    let [x, _] = bench.centering.state().position.unwrap();
+    let [x, _] = bench.centering.state().position.unwrap().0;
     assert!((-20e-6..-5e-6).contains(&x), "{x}");
 }
 
@@ -272,7 +272,10 @@ fn a_source_that_is_always_late_is_reported() {
     for _ in 0..200 {
         let sample = bench.beside_the_point();
         let outcome = bench.centering.sample(&sample, None, sample.time + 10 * DT_NS);
-        assert!(outcome.late && outcome.command.is_some_and(|command| command.position == [0.0; 2]));
+        assert!(
+            outcome.late
+                && outcome.command.is_some_and(|command| command.position == StagePosition([0.0; 2]))
+        );
         transitions.extend(outcome.transition.map(|t| (t.to, t.cause)));
     }
     assert_eq!(
@@ -332,7 +335,7 @@ fn a_stage_that_sticks_for_a_time_causes_no_loss() {
         let _ = bench.centering.sample(&sample, None, sample.time);
         bench.stage_um = stuck;
         held |= bench.lock() == LockState::Held;
-        let [x, _] = bench.centering.state().position.unwrap();
+        let [x, _] = bench.centering.state().position.unwrap().0;
         // Until the fault is noticed, within two delays and the lag, the integral has moved this far, and no
         // farther.
         assert!((x * 1e6 - stuck[0]).abs() < 200.0, "it does not wind up: {x}");
@@ -351,7 +354,7 @@ fn no_command_ever_leaves_the_limits() {
     let mut random = Pcg64::seed_from_u64(11);
     for _ in 0..200 {
         let mut bench = Bench::new(|params| params.controller.slew = 0.02);
-        let mut last: Option<Xy> = None;
+        let mut last: Option<StagePosition> = None;
         for _ in 0..500 {
             if random.random_bool(0.02) {
                 change(&mut bench.params, &mut random);
@@ -399,8 +402,9 @@ fn spoil(sample: &mut Sample, random: &mut Pcg64) {
     }
     if random.random_bool(0.2) {
         let stands = sample.steering;
-        let read = |at: Xy, random: &mut Pcg64| at.map(|p| p + odd(random, 1e-6));
-        sample.steering = stands.filter(|_| random.random_bool(0.8)).map(|at| read(at, random));
+        let read = |at: StagePosition, random: &mut Pcg64| at.map(|p| p + odd(random, 1e-6));
+        sample.steering =
+            stands.filter(|_| random.random_bool(0.8)).map(|at| read(StagePosition(at), random));
     }
     if random.random_bool(0.05) {
         sample.time = Mono(random.random_range(0..i64::MAX / 2));
@@ -410,8 +414,8 @@ fn spoil(sample: &mut Sample, random: &mut Pcg64) {
 fn change(params: &mut LoopParams, random: &mut Pcg64) {
     params.controller.limit = random.random_range(50e-6..400e-6);
     let matrix = [[random.random_range(0.5..2.0), 0.1], [-0.1, random.random_range(-2.0..-0.5)]];
-    params.map = BeamMap::new(matrix, [0.0; 2]);
-    params.setpoint = [random.random_range(-100e-6..100e-6), 0.0];
+    params.map = BeamMap::new(matrix, BeamPoint([0.0; 2]));
+    params.setpoint = BeamOffset([random.random_range(-100e-6..100e-6), 0.0]);
     params.controller.ki_per_s = random.random_range(0.0..1e5);
     params.controller.kp = random.random_range(0.0..10.0);
     params.mode = LoopMode::ALL[random.random_range(0..4)];

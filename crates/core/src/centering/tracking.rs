@@ -18,7 +18,7 @@
 
 use std::f64::consts::TAU;
 
-use crate::steering::Xy;
+use crate::steering::{BeamOffset, BeamPoint};
 use crate::time::Mono;
 
 /// An innovation beyond this many times its usual size is a jump.
@@ -40,8 +40,8 @@ pub struct Tracking {
 #[derive(Clone, Copy, Debug)]
 struct Track {
     time: Mono,
-    position: Xy,
-    velocity: Xy,
+    position: BeamPoint,
+    velocity: BeamOffset,
     /// Of the innovations, square metres.
     variance: f64,
     /// The last innovation was beyond the gate.
@@ -55,13 +55,13 @@ impl Tracking {
     }
 
     /// Velocity of the apex, metres per second; zero while it is unknown.
-    pub fn velocity(&self) -> Xy {
-        self.track.map_or([0.0; 2], |track| track.velocity)
+    pub fn velocity(&self) -> BeamOffset {
+        self.track.map_or(BeamOffset::default(), |track| track.velocity)
     }
 
     /// Takes a position (must be finite, metres) with its time. The filter starts again after a pause longer
     /// than `patience_s` seconds.
-    pub fn update(&mut self, position: Xy, time: Mono, bandwidth_hz: f64, patience_s: f64) {
+    pub fn update(&mut self, position: BeamPoint, time: Mono, bandwidth_hz: f64, patience_s: f64) {
         let passed = self.track.map(|track| time.seconds_since(track.time));
         match (&mut self.track, passed) {
             (Some(track), Some(dt)) if dt > 0.0 && dt <= patience_s => {
@@ -75,11 +75,11 @@ impl Tracking {
 }
 
 impl Track {
-    fn at(position: Xy, time: Mono) -> Self {
-        Self { time, position, velocity: [0.0; 2], variance: UNKNOWN * UNKNOWN, suspect: false }
+    fn at(position: BeamPoint, time: Mono) -> Self {
+        Self { time, position, velocity: BeamOffset::default(), variance: UNKNOWN * UNKNOWN, suspect: false }
     }
 
-    fn update(&mut self, measured: Xy, dt: f64, bandwidth_hz: f64) {
+    fn update(&mut self, measured: BeamPoint, dt: f64, bandwidth_hz: f64) {
         let predicted = [0, 1].map(|i| self.position[i] + self.velocity[i] * dt);
         let innovation = [0, 1].map(|i| measured[i] - predicted[i]);
         let square = innovation[0].powi(2) + innovation[1].powi(2);
@@ -87,14 +87,14 @@ impl Track {
         // One innovation far beyond the gate increases the usual size by a factor of sqrt(3) at most.
         self.variance += (square.min(2.0 * WINDOW * self.variance) - self.variance) / WINDOW;
         if square > most {
-            self.position = if self.suspect { measured } else { predicted };
+            self.position = if self.suspect { measured } else { BeamPoint(predicted) };
             self.suspect = !self.suspect;
             return;
         }
         self.suspect = false;
         let [alpha, beta] = gains(bandwidth_hz * dt);
-        self.position = [0, 1].map(|i| predicted[i] + alpha * innovation[i]);
-        self.velocity = [0, 1].map(|i| self.velocity[i] + beta / dt * innovation[i]);
+        self.position = BeamPoint([0, 1].map(|i| predicted[i] + alpha * innovation[i]));
+        self.velocity = BeamOffset([0, 1].map(|i| self.velocity[i] + beta / dt * innovation[i]));
     }
 }
 
@@ -124,7 +124,7 @@ mod tests {
             .map(|k| {
                 let t = f64::from(k) / RATE;
                 let x = course(t) + noise * random.sample::<f64, _>(StandardNormal);
-                tracking.update([x, 0.0], Mono((t * 1e9).round() as i64), BAND, 0.01);
+                tracking.update(BeamPoint([x, 0.0]), Mono((t * 1e9).round() as i64), BAND, 0.01);
                 tracking.velocity()[0]
             })
             .collect()
@@ -183,12 +183,12 @@ mod tests {
     fn a_pause_restarts_the_tracker() {
         let mut tracking = Tracking::default();
         for k in 0..100 {
-            tracking.update([f64::from(k) * 1e-6, 0.0], Mono(i64::from(k) * 100_000), BAND, 0.001);
+            tracking.update(BeamPoint([f64::from(k) * 1e-6, 0.0]), Mono(i64::from(k) * 100_000), BAND, 0.001);
         }
         assert!(tracking.velocity()[0] > 1e-3);
-        tracking.update([0.0; 2], Mono(99 * 100_000), BAND, 0.001);
+        tracking.update(BeamPoint([0.0; 2]), Mono(99 * 100_000), BAND, 0.001);
         assert!(tracking.velocity()[0] > 1e-3, "the same sample twice changes nothing");
-        tracking.update([1.0, 0.0], Mono(200 * 100_000), BAND, 0.001);
-        assert_eq!(tracking.velocity(), [0.0; 2]);
+        tracking.update(BeamPoint([1.0, 0.0]), Mono(200 * 100_000), BAND, 0.001);
+        assert_eq!(tracking.velocity(), BeamOffset([0.0; 2]));
     }
 }

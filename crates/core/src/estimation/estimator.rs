@@ -195,7 +195,7 @@ impl Estimation {
             lost: sample.lost,
             spots: sample.spots,
             powers: sample.powers,
-            steering: sample.steering.or(steering.position),
+            steering: sample.steering.or(steering.position.map(Into::into)),
         }
     }
 

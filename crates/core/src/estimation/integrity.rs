@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use trifacet_optics::{BeamPosition, Innovation, Vec2};
 
-use crate::steering::BeamMap;
+use crate::steering::{BeamMap, StagePosition};
 
 /// A residual of more than this many standard uncertainties does not fit. By chance one in 270 000 does.
 const LIMIT: f64 = 5.0;
@@ -40,7 +40,7 @@ impl Readback {
     /// The beam position for a position of the stage, metres. Averaging does not reduce its standard
     /// uncertainty: drift of the laser direction does not average out.
     pub fn beam_position(&self, stage: [f64; 2]) -> BeamPosition {
-        BeamPosition { at: self.map.beam(stage).into(), sigma: self.sigma }
+        BeamPosition { at: self.map.beam(StagePosition(stage)).into(), sigma: self.sigma }
     }
 }
 
@@ -84,6 +84,7 @@ impl Integrity {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::steering::BeamPoint;
 
     #[test]
     fn ten_contradictions_in_sequence_are_reported_and_one_agreement_ends_the_report() {
@@ -103,7 +104,7 @@ mod tests {
 
     #[test]
     fn a_rotated_stage_gives_the_beam_position() {
-        let map = BeamMap::new([[0.0, -2.0], [0.5, 0.0]], [10e-6, 20e-6]);
+        let map = BeamMap::new([[0.0, -2.0], [0.5, 0.0]], BeamPoint([10e-6, 20e-6]));
         let beam_position = Readback::new(map, 1.5e-6).beam_position([100e-6, 30e-6]);
         assert!((beam_position.at - Vec2::new(-50e-6, 70e-6)).norm() < 1e-18, "{beam_position:?}");
         assert_eq!(beam_position.sigma, 1.5e-6);

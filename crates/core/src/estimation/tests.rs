@@ -7,7 +7,7 @@ use super::integrity::Readback;
 use super::*;
 use crate::centering::LoopState;
 use crate::signals::{PsdState, Sample};
-use crate::steering::BeamMap;
+use crate::steering::{BeamMap, BeamPoint, StagePosition};
 use crate::time::Mono;
 
 fn settings(change: impl FnOnce(&mut Settings)) -> Settings {
@@ -99,7 +99,7 @@ fn reports(estimation: &mut Estimation, samples: impl Iterator<Item = Sample>) -
 
 #[test]
 fn only_a_position_from_readback_is_checked() {
-    let commanded = LoopState { position: Some([1e-3, 0.0]), ..LoopState::default() };
+    let commanded = LoopState { position: Some(StagePosition([1e-3, 0.0])), ..LoopState::default() };
     let mut estimation = estimation(|_| {});
     for index in 0..20 {
         let report = estimation.sample(&sample(index), &commanded).unwrap();
@@ -119,7 +119,7 @@ fn the_ray_model_has_no_offset_and_no_integrity_check() {
 
 #[test]
 fn the_residual_is_of_the_beam_by_matrix_and_origin() {
-    let map = BeamMap::new([[0.0, -2.0], [0.5, 0.0]], [10e-6, 20e-6]);
+    let map = BeamMap::new([[0.0, -2.0], [0.5, 0.0]], BeamPoint([10e-6, 20e-6]));
     let mut estimation = estimation(|s| s.readback = Readback::new(map, 1.5e-6));
     // The beam is on the apex: at (10, 20) + (-2 y, x / 2).
     let fits = reports(&mut estimation, (0..20).map(|k| read_back(k, [-40.0, 5.0])));

@@ -12,4 +12,4 @@ pub mod subscription;
 pub use descriptor::{Answer, Descriptor, FieldEntry, Heartbeat, Refusal, Replayed, StreamForm};
 pub use message::{Decoder, Message, MessageError, json};
 pub use request::{ClientCommand, CommandError, Format, Pace, StreamRequest};
-pub use subscription::{Delivery, MAX_LEASE_S, SubscriptionRequest};
+pub use subscription::{Delivery, MAX_LEASE_S, SubscriptionError, SubscriptionRequest};

@@ -102,8 +102,8 @@ impl Pace {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("error: {found}; allowed: {allowed}")]
 pub struct CommandError {
-    found: String,
-    allowed: String,
+    pub(super) found: String,
+    pub(super) allowed: String,
 }
 
 fn wrong<T>(found: impl Into<String>, allowed: impl Into<String>) -> Result<T, CommandError> {

@@ -36,47 +36,66 @@ pub enum SubscriptionRequest {
     },
 }
 
+/// The reason why a request for datagrams is not valid. The text names what is allowed.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SubscriptionError {
+    /// A request to unsubscribe without a nonce.
+    #[error("allowed: unsubscribe nonce=HEX")]
+    NoNonce,
+    /// The nonce is not a hexadecimal number of at most 64 bits.
+    #[error("allowed: nonce=HEX")]
+    Nonce,
+    /// The lease is absent or out of range.
+    #[error("allowed: lease_s=1 to {MAX_LEASE_S}")]
+    Lease,
+    /// An unknown option.
+    #[error("allowed: lease_s= divider= held= big_endian= nonce=")]
+    Option,
+    /// A value of `divider`, `held` or `big_endian` that is not allowed.
+    #[error("{}; allowed: {}", .0.found, .0.allowed)]
+    Value(#[from] CommandError),
+}
+
 impl SubscriptionRequest {
     /// Parses a datagram. Returns `None` if the datagram is not such a request and gets no answer.
     ///
     /// # Errors
-    /// An option of the request is invalid; the text names the allowed ones.
-    pub fn parse(bytes: &[u8]) -> Option<Result<Self, String>> {
+    /// An option of the request is unknown, absent, or has an invalid value.
+    pub fn parse(bytes: &[u8]) -> Option<Result<Self, SubscriptionError>> {
         let text = std::str::from_utf8(bytes).ok()?;
         let mut words = text.split_ascii_whitespace();
         match words.next()? {
             "subscribe" => Some(subscribe(words)),
             "unsubscribe" => Some(match words.next().and_then(|w| w.strip_prefix("nonce=")).map(nonce) {
                 Some(nonce) => nonce.map(|nonce| Self::Unsubscribe { nonce }),
-                None => Err("allowed: unsubscribe nonce=HEX".into()),
+                None => Err(SubscriptionError::NoNonce),
             }),
             _ => None,
         }
     }
 }
 
-fn subscribe<'a>(options: impl Iterator<Item = &'a str>) -> Result<SubscriptionRequest, String> {
+fn subscribe<'a>(options: impl Iterator<Item = &'a str>) -> Result<SubscriptionRequest, SubscriptionError> {
     let (mut lease_s, mut nonce_said) = (None, None);
     let mut delivery = Delivery { divider: 1, big_endian: false, held: false };
-    let said = |e: CommandError| e.to_string().trim_start_matches("error: ").to_owned();
     for option in options {
         match option.split_once('=').unwrap_or((option, "")) {
             ("lease_s", value) => lease_s = value.parse().ok().filter(|s| (1..=MAX_LEASE_S).contains(s)),
-            ("divider", value) => delivery.divider = divider("divider", value).map_err(said)?,
-            ("held", value) => delivery.held = on_or_off("held", value).map_err(said)?,
-            ("big_endian", value) => delivery.big_endian = on_or_off("big_endian", value).map_err(said)?,
+            ("divider", value) => delivery.divider = divider("divider", value)?,
+            ("held", value) => delivery.held = on_or_off("held", value)?,
+            ("big_endian", value) => delivery.big_endian = on_or_off("big_endian", value)?,
             ("nonce", value) => nonce_said = Some(nonce(value)?),
-            _ => return Err("allowed: lease_s= divider= held= big_endian= nonce=".into()),
+            _ => return Err(SubscriptionError::Option),
         }
     }
     match lease_s {
         Some(lease_s) => Ok(SubscriptionRequest::Subscribe { lease_s, delivery, nonce: nonce_said }),
-        None => Err(format!("allowed: lease_s=1 to {MAX_LEASE_S}")),
+        None => Err(SubscriptionError::Lease),
     }
 }
 
-fn nonce(text: &str) -> Result<u64, String> {
-    u64::from_str_radix(text, 16).map_err(|_| "allowed: nonce=HEX".into())
+fn nonce(text: &str) -> Result<u64, SubscriptionError> {
+    u64::from_str_radix(text, 16).map_err(|_| SubscriptionError::Nonce)
 }
 
 /// The request as sent by a client.

@@ -227,8 +227,8 @@ function beam(frame, update, now_ms) {
 }
 
 /** Present faults, then recent ones. */
-function faults({ spells, dead }, now_ms) {
-  const explained = spells.map((spell) => ({ ...spell, ...hello.bits[spell.bit], ...meaning(hello.bits[spell.bit]) }));
+function faults({ history, dead }, now_ms) {
+  const explained = history.map((spell) => ({ ...spell, ...hello.bits[spell.bit], ...meaning(hello.bits[spell.bit]) }));
   const shown = explained.filter((spell) => !MARKS.includes(spell.name) && (spell.until_ms === null || now_ms - spell.until_ms < RECENT_MS));
   if (dead?.since_ns) shown.push({ bit: -1, name: dead.silent ? "no frames" : "stalled", grade: "bad", text: dead.why, since_ms: dead.since_ns / 1e6, until_ms: null, times: 1 });
   const rank = (spell) => (spell.until_ms === null ? 0 : 4) + ["bad", "warn", "note"].indexOf(spell.grade);
