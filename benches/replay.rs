@@ -85,14 +85,14 @@ fn bare(samples: &[Signals]) {
 }
 
 fn replay(file: &Path, samples: usize) {
-    let (mut engine, mut verdict) = (Engine::new(), Comparison::default());
+    let (mut engine, mut comparison) = (Engine::new(), Comparison::default());
     for news in read_ahead::read(vec![file.to_owned()]) {
         let News::Read(reads, _) = news else { continue };
         for read in &reads {
             let Read::Entry(entry) = read else { panic!("{read:?}") };
             engine.take(entry).expect("the recorded configuration");
-            verdict.take(entry, engine.report());
+            comparison.take(entry, engine.report());
         }
     }
-    assert_eq!((verdict.same, verdict.other), (samples as u64, 0));
+    assert_eq!((comparison.same, comparison.other), (samples as u64, 0));
 }

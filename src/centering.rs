@@ -61,11 +61,11 @@ pub async fn run<C: Clock>(
     driver: impl Driver,
     clock: C,
     counters: Arc<Counters>,
-    edges: CenteringLinks,
+    links: CenteringLinks,
     stop: CancellationToken,
 ) {
-    let CenteringLinks { mut newest, poses, state, mut orders, records } = edges;
-    let mut heard = clock.now();
+    let CenteringLinks { mut newest, poses, state, mut orders, records } = links;
+    let mut last_arrival = clock.now();
     let mut side = Side { centering, driver, clock, counters, poses, records };
     loop {
         tokio::select! {
@@ -80,8 +80,8 @@ pub async fn run<C: Clock>(
                 let Some(sample) = *newest.borrow_and_update() else { continue };
                 if let Some(skipped) = side.centering.skipped(&sample) {
                     side.counters.centering_skips.add(skipped);
-                    heard = side.clock.now();
-                    side.act(&sample, heard);
+                    last_arrival = side.clock.now();
+                    side.act(&sample, last_arrival);
                 }
             }
             () = sleep(SILENCE_TIMEOUT) => {
@@ -92,9 +92,9 @@ pub async fn run<C: Clock>(
                     continue;
                 }
                 let now = side.clock.now();
-                let transition = side.centering.silence(now.seconds_since(heard));
+                let transition = side.centering.silence(now.seconds_since(last_arrival));
                 side.say(transition);
-                heard = now;
+                last_arrival = now;
             }
         }
         state.send_if_modified(|state| std::mem::replace(state, side.centering.state()) != *state);

@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn a_port_is_opened_once_and_the_second_one_hears_who_has_it() {
+    fn a_port_is_opened_once_and_the_second_attempt_names_its_owner() {
         let (_master, path) = pty();
         let first = open(&path, 921_600).unwrap();
         let me = format!("process {} (", std::process::id());
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn a_process_that_does_not_lock_is_found_all_the_same() {
+    fn a_process_that_does_not_lock_the_port_is_found_too() {
         let (_master, path) = pty();
         let reader = fs::File::open(&path).unwrap();
         assert!(matches!(open(&path, 921_600), Err(PortError::InUse { .. })));
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_port_is_told_as_such() {
+    fn a_file_that_is_not_a_port_is_reported() {
         let missing = open(Path::new("/nowhere/port"), 921_600).unwrap_err();
         assert!(missing.to_string().contains("/nowhere/port"), "{missing}");
         let file = tempfile::NamedTempFile::new().unwrap();

@@ -135,7 +135,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_line_says_what_is_and_why() {
+    fn the_status_line_states_the_state_and_its_reason() {
         let fine = (Status::POSE_VALID | Status::UNCALIBRATED, LockState::Locked);
         assert_eq!(line(fine, &[]), "locked, poses are valid");
         let dark = (Status::PSD_A_LOW | Status::PSD_C_LOW | Status::SIMULATED, LockState::Lost);

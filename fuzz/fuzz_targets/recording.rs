@@ -7,7 +7,7 @@ use std::io::Write;
 
 use libfuzzer_sys::fuzz_target;
 use trifacet::recording::reader::{Read, Reader};
-use trifacet::replay::{Engine, Comparison};
+use trifacet::replay::{Comparison, Engine};
 
 fuzz_target!(|bytes: &[u8]| {
     // The bytes as they are, and as an uncompressed chunk with a correct checksum, which the fuzzer cannot
@@ -16,11 +16,11 @@ fuzz_target!(|bytes: &[u8]| {
         let mut place = tempfile::NamedTempFile::new().expect("a file");
         place.write_all(&file).expect("room");
         let Ok(mut reader) = Reader::open(place.path(), Reader::REPLAY) else { continue };
-        let (mut engine, mut verdict) = (Engine::new(), Comparison::default());
+        let (mut engine, mut comparison) = (Engine::new(), Comparison::default());
         while let Some(read) = reader.read().expect("the file is there") {
             let Read::Entry(entry) = read else { continue };
             let Ok(()) = engine.take(&entry) else { break };
-            verdict.take(&entry, engine.report());
+            comparison.take(&entry, engine.report());
         }
     }
 });

@@ -67,10 +67,10 @@ pub async fn run<S: Source, C: Clock>(
     mapping: Mapping,
     clock: C,
     counters: Arc<Counters>,
-    edges: AcquisitionLinks,
+    links: AcquisitionLinks,
     stop: CancellationToken,
 ) {
-    let AcquisitionLinks { samples, newest, answers, mut commands, mut changes } = edges;
+    let AcquisitionLinks { samples, newest, answers, mut commands, mut changes } = links;
     let mut intake =
         Intake { mapping, counters, samples, newest, answers, up: false, dropped: 0, change: None };
     let mut heartbeat = interval(HEARTBEAT);
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn no_sample_overtakes_a_change_and_none_is_lost_uncounted() {
+    fn no_sample_overtakes_a_change_and_every_loss_is_counted() {
         let config = Config::default();
         let mapping = Mapping::new(config.read_channels().unwrap());
         let (samples, mut estimation) = mpsc::channel(3);

@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn acquisition_times_are_found_behind_jitter_and_drift() {
+    fn acquisition_times_are_estimated_despite_jitter_and_drift() {
         let mut board = Board::new(1_000_000);
         assert!(board.run(1000.0, 0.0, 1.0) < 2e6);
         assert!(board.run(1000.0, 1.0, 10.0) < 20e3);
@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn a_hiccup_of_the_host_moves_nothing() {
+    fn a_pause_of_the_host_does_not_shift_the_time() {
         for (rate_hz, hiccup) in [(1000.0, 5), (1000.0, 2000), (10_000.0, 50), (20.0, 3)] {
             let mut board = Board::new(10_000_000);
             board.run(rate_hz, 0.0, 60.0);
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn a_longer_way_is_believed_after_a_while_and_a_shorter_one_at_once() {
+    fn a_longer_delay_is_accepted_after_some_time_and_a_shorter_one_at_once() {
         let mut board = Board::new(1_000_000);
         board.run(1000.0, 0.0, 30.0);
         board.fixed_ns = 3e6;
@@ -339,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn time_never_goes_back_and_starts_after_what_was_given_before() {
+    fn time_never_goes_back_also_across_restarts() {
         let mut timebase = Timebase::new(1_000_000, 250_000, Some(START + 5_000_000));
         let first = timebase.moment(0, START + 1_000_000);
         assert_eq!(first.time, START + 5_000_001);

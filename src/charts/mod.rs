@@ -15,7 +15,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_embedded_is_the_stated_version_with_its_licence_and_ends_no_element() {
+    fn the_embedded_library_has_the_stated_version_and_licence_and_closes_no_element() {
         let readme = include_str!("uplot/README.md");
         assert!(readme.contains("1.6.32") && UPLOT.contains("uPlot (v1.6.32)"));
         assert!(

@@ -1,7 +1,8 @@
-// Charts on a canvas, drawn by uPlot: lines with holes, marks, bars, and the values at the pointer. Shared by the
+// Charts on a canvas, drawn by uPlot: lines with gaps, marks, bars, and the values at the pointer. Shared
+// by the
 // live page and the report of the experiment.
 
-/** A colour of the style sheet as it is now: a chart that is drawn again follows the theme. */
+/** The current value of a colour in the style sheet: a chart that is drawn again follows the theme. */
 export const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 const DASHES = { solid: [], dash: [7, 4], dot: [2, 3] };
@@ -14,7 +15,7 @@ function tag(name, className, ...children) {
   return element;
 }
 
-/** A line through the values of `count` series, one after the other at each place. A null ends it; a value alone is a dot. */
+/** A line through the values of `count` series, one after the other at each place. A null ends the line; a single value is a dot. */
 export const through = (count) => (u, si, from, to) => {
   const stroke = new Path2D();
   let open = false;
@@ -76,7 +77,7 @@ const marks = (symbol, size) => (u, si, from, to) => {
   return { stroke: path, fill: symbol === "open" || symbol === "tick" ? null : path };
 };
 
-/** What uPlot is told of a line. One that is `part` of another is not drawn itself; one without a name is not read out. */
+/** The options of uPlot for a line. A line that is `part` of another is not drawn itself; a line without a name is not read out. */
 function line({ name = "", color, dash = "solid", width = 1.4, path = through(1), symbol, size = 6, part = false, unlisted = false }) {
   if (part) return { name, class: "part", label: " ", paths: () => null, points: { show: false } };
   const sign = tag("span", `mark ${dash}`, SYMBOLS[symbol] ?? "");
@@ -100,7 +101,7 @@ function scale({ log = false, range, include = [] }) {
   return { time: false, distr: log ? 3 : 1, range: range ?? ((u, low, high) => fit(low, high)) };
 }
 
-/** One to nine of every decade. */
+/** Ticks at 1 to 9 of every decade. */
 function decades(u, i, min, max) {
   const splits = [];
   for (let power = Math.floor(Math.log10(min)); 10 ** power <= max; power++) {
@@ -111,7 +112,7 @@ function decades(u, i, min, max) {
 
 const starts = (value, digits) => digits.includes(value.toExponential()[0]);
 
-/** Numbers at a logarithmic axis: of every decade 1, and 2 and 5 where there is room; or of every few decades. */
+/** Numbers at a logarithmic axis: 1 of every decade, with 2 and 5 if there is room; or of every few decades. */
 function powers(u, splits, i) {
   const { scale: key } = u.axes[i];
   const decade_px = Math.abs(u.valToPos(10, key) - u.valToPos(1, key));
@@ -123,7 +124,7 @@ function powers(u, splits, i) {
   });
 }
 
-/** Numbers with as many digits as their distance needs: 0.25 has two. */
+/** Numbers with the digits that their distance needs: 0.25 has two. */
 function numbers(u, splits, i, space, step) {
   let digits = 0;
   while (digits < 15 && Math.abs(Number(step.toFixed(digits)) - step) > 1e-6 * step) digits++;
@@ -143,7 +144,7 @@ function axis(key, { log = false, label, values, splits, steps }, font) {
   };
 }
 
-/** Shows what the lines are at the pointer. Where there is no value, nothing is read out. */
+/** Shows the values of the lines at the pointer. Lines without a value there are omitted. */
 function readout(x, y) {
   let tip;
   const init = (u) => {
@@ -164,15 +165,15 @@ function readout(x, y) {
 }
 
 /**
- * Draws into an element, whose size it follows, and returns uPlot's object, which the element has as `chart`.
- * `x` and `y` say of each direction: `log`, `label`, `range`, `tell` (a value in words), `values`, `splits` and `steps` at the axis,
- * and `reach`, how far from the pointer a value may be that is read out.
+ * Draws into an element, follows its size, and returns the object of uPlot, which is also the property `chart` of the element.
+ * `x` and `y` define for each direction: `log`, `label`, `range`, `tell` (a value in words), `values`, `splits` and `steps` at the axis,
+ * and `reach`, the largest distance of a value from the pointer for the readout.
  */
 export function plot(element, { series, x, y, data, under, title, legend = false, zoom = false, font = 11 }) {
   const head = tag("div", "head", tag("span", "title", title ?? ""));
   const empty = tag("div", "empty", "");
   const size = () => ({ width: element.clientWidth, height: Math.max(60, element.clientHeight - head.offsetHeight) });
-  element.chart?.destroy(); // an earlier one
+  element.chart?.destroy(); // an earlier chart
   element.replaceChildren(head, empty);
   const near = (u, i, at) => Math.abs(u.data[0][i] - at) <= (x.reach?.() ?? Infinity);
   const known = (u, si, i, at) => (si === 0 || (u.series[si].name && u.data[si][i] !== null && near(u, i, at)) ? i : null);

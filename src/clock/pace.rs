@@ -171,7 +171,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_sample_is_due_from_its_own_moment_on(
+        fn a_sample_is_due_from_its_scheduled_time_on(
             k in 0_u64..1_000_000_000, rate in 1.0_f64..20_000.0, start in 0_i64..i64::MAX / 4,
         ) {
             let schedule = Schedule::new(Mono(start), rate);
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn no_rounding_adds_up() {
+    fn rounding_errors_do_not_accumulate() {
         let schedule = Schedule::new(Mono(7), 3.0);
         assert_eq!(schedule.time(1), Mono(333_333_340));
         assert_eq!(schedule.time(3_000_000), Mono(1_000_000 * NS_PER_S + 7));
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn whoever_was_late_gets_all_samples() {
+    async fn a_late_caller_gets_all_samples() {
         let clock = ManualClock::new();
         let mut pace = Pace::new(clock.clone(), 10_000.0).unwrap();
         assert_eq!(pace.due().await.unwrap(), 1);
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_timer_that_was_given_up_keeps_the_next_moment() {
+    async fn a_cancelled_wait_keeps_the_next_due_time() {
         let mut timer = SystemClock.timer().unwrap();
         let start = SystemClock.now();
         let far = start + 3_600 * NS_PER_S;

@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn utc_looks_at_the_clocks_once_a_second() {
+    fn the_clocks_are_read_once_a_second() {
         // This clock reports UTC as 3 s ahead from second 1 on; the change is not seen before a second has
         // passed.
         fn read() -> Reading {

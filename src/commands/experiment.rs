@@ -94,7 +94,7 @@ fn made(args: &ExperimentArgs) -> anyhow::Result<()> {
     }
     let protocol = choices::protocol(args)?;
     if let Some(endpoint) = &args.connect {
-        return told(&guided::guided(args, endpoint, &protocol)?, &args.out);
+        return write_report(&guided::guided(args, endpoint, &protocol)?, &args.out);
     }
     let config = twin(args)?;
     fresh(&args.out)?;
@@ -102,7 +102,7 @@ fn made(args: &ExperimentArgs) -> anyhow::Result<()> {
     let readings = on_twin(&config, &protocol, args)?;
     let record = Record { source, options: options(&protocol, config.estimation.average), readings };
     keep(&record, &args.out)?;
-    told(&record, &args.out)
+    write_report(&record, &args.out)
 }
 
 /// The options as text. Readings with different options must not be combined.
@@ -122,7 +122,7 @@ fn from(file: &Path, out: &Path) -> anyhow::Result<()> {
         fresh(out)?;
         keep(&record, out)?;
     }
-    told(&record, out)
+    write_report(&record, out)
 }
 
 /// The configuration of the twin with the options applied.
@@ -216,7 +216,7 @@ fn keep(record: &Record, out: &Path) -> anyhow::Result<()> {
 }
 
 /// Writes table and report, and prints the table.
-fn told(record: &Record, out: &Path) -> anyhow::Result<()> {
+fn write_report(record: &Record, out: &Path) -> anyhow::Result<()> {
     let report = Report::new(&record.readings, record.source.clone())?;
     let put = |name: &str, text: &str| {
         let file = out.join(name);

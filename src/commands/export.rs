@@ -75,7 +75,7 @@ pub(crate) fn export(args: &ExportArgs) -> anyhow::Result<()> {
         new.keep()?;
         rows
     };
-    told(reader.tally(), rows, &output)
+    print_summary(reader.tally(), rows, &output)
 }
 
 /// Path of the table.
@@ -105,7 +105,7 @@ fn closed(error: &anyhow::Error) -> bool {
     error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
 }
 
-fn told(tally: &Tally, rows: u64, output: &Path) -> anyhow::Result<()> {
+fn print_summary(tally: &Tally, rows: u64, output: &Path) -> anyhow::Result<()> {
     for damage in &tally.damages {
         eprintln!("trifacet: missing in the table: {damage}");
     }

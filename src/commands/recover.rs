@@ -63,7 +63,7 @@ fn child(file: &Path, out: &Path) -> anyhow::Result<()> {
         );
     }
     new.keep()?;
-    told(tally, &saved);
+    print_summary(tally, &saved);
     Ok(())
 }
 
@@ -75,7 +75,7 @@ fn copy(reader: &mut Reader, to: File, out: &Path) -> anyhow::Result<Saved> {
     let to = BufWriter::new(to);
     let mut writer = cannot_write(Writer::new(to, Some(mcap::Compression::Zstd)), out)?;
     let mut saved = Saved::default();
-    let (mut missing, mut told) = (Vec::new(), 0);
+    let (mut missing, mut recorded) = (Vec::new(), 0);
     let mut more = true;
     while more {
         let mut done = Ok(());
@@ -88,9 +88,10 @@ fn copy(reader: &mut Reader, to: File, out: &Path) -> anyhow::Result<Saved> {
         })?;
         cannot_write(done, out)?;
         let damages = &reader.tally().damages;
-        missing
-            .extend(damages[told..].iter().map(|damage| format!("damaged in the original file: {damage}")));
-        told = damages.len();
+        missing.extend(
+            damages[recorded..].iter().map(|damage| format!("damaged in the original file: {damage}")),
+        );
+        recorded = damages.len();
     }
     let end_ns = reader.tally().time_ns.map_or(0, |[_, end]| end);
     cannot_write(gaps(&mut writer, end_ns, &mut missing), out)?;
@@ -113,7 +114,7 @@ fn gaps(
 }
 
 /// Prints what was saved and what was lost.
-fn told(tally: &Tally, saved: &Saved) {
+fn print_summary(tally: &Tally, saved: &Saved) {
     let count = |topic: Topic| saved[topic as usize];
     eprintln!(
         "saved {} samples, {} frames, {} valid poses, {:.3} s",

@@ -55,7 +55,7 @@ pub(crate) fn replay(args: &ReplayArgs) -> anyhow::Result<()> {
     let size = args.files.iter().filter_map(|file| file.metadata().ok()).map(|about| about.len()).sum();
     let mut run = Run {
         engine,
-        verdict: Comparison::default(),
+        comparison: Comparison::default(),
         statistics: args.config.is_some().then(Statistics::default),
         pace: args.speed.map(Pace::new),
         output,
@@ -145,7 +145,7 @@ impl Pace {
 
 struct Run {
     engine: Engine,
-    verdict: Comparison,
+    comparison: Comparison,
     statistics: Option<Statistics>,
     pace: Option<Pace>,
     output: Option<Output>,
@@ -183,7 +183,7 @@ impl Run {
             pace.wait(entry);
         }
         self.engine.take(entry)?;
-        let pair = self.verdict.take(entry, self.engine.report());
+        let pair = self.comparison.take(entry, self.engine.report());
         if let Some((statistics, pair)) = self.statistics.as_mut().zip(pair) {
             statistics.push(&pair);
         }
@@ -206,15 +206,15 @@ impl Run {
     /// Data are missing: frames can be computed again from the next keyframe on.
     fn hole(&mut self, gap: Gap) {
         self.engine.hole();
-        self.verdict.hole();
+        self.comparison.hole();
         if let Some(output) = &mut self.output {
             output.gap(gap);
         }
     }
 
     fn end(self, tallies: &[(PathBuf, Box<Tally>)]) -> anyhow::Result<()> {
-        ending::told(tallies);
-        let compared = self.verdict.same + self.verdict.other;
+        ending::print_irregularities(tallies);
+        let compared = self.comparison.same + self.comparison.other;
         if compared == 0 {
             return Err(ending::nothing(tallies).into());
         }
@@ -222,15 +222,15 @@ impl Run {
             output.finish()?;
         }
         let text = match &self.statistics {
-            Some(statistics) => statistics.text(self.verdict.same),
-            None => ending::text(&self.verdict, &self.engine),
+            Some(statistics) => statistics.text(self.comparison.same),
+            None => ending::text(&self.comparison, &self.engine),
         };
         written(io::stdout().write_all(text.as_bytes()))?;
-        let first = self.verdict.first.filter(|_| self.statistics.is_none() && !self.cold);
+        let first = self.comparison.first.filter(|_| self.statistics.is_none() && !self.cold);
         if let Some(difference) = first {
             return Err(ending::different(&difference).into());
         }
-        let passed_over = if self.statistics.is_some() { 0 } else { self.verdict.unrepeated };
+        let passed_over = if self.statistics.is_some() { 0 } else { self.comparison.unrepeated };
         ending::holes(tallies, passed_over).map_err(Into::into)
     }
 }

@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_fit_the_header_and_carry_the_truth_exactly() {
+    fn rows_agree_with_the_header_and_contain_the_exact_truth() {
         let table = text(&Config::default(), 50);
         let mut rows = table.lines().map(|line| line.split(',').collect::<Vec<_>>());
         let columns = rows.next().unwrap();

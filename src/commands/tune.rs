@@ -174,15 +174,15 @@ async fn with<S: Source + 'static>(
         },
         stop_acquisition.clone(),
     ));
-    let looker = Observer::new(config)?;
+    let observer = Observer::new(config)?;
     let choices = Choices {
         step: args.step.map(|um| um * 1e-6),
         steps: args.steps,
         dwell: args.dwell.map(|ms| ms * 1e-3),
         at: args.at,
     };
-    let settings = Settings::new(config, looker.beam_sigma(), choices);
-    let edges = task::IdentificationLinks { samples, stop: interrupted()? };
+    let settings = Settings::new(config, observer.beam_sigma(), choices);
+    let links = task::IdentificationLinks { samples, stop: interrupted()? };
     let mut show = Show::new(args.dry_run);
     // The limits do not change in the meantime, so the sender can be dropped.
     let gcs = gcs::pair(config, watch::channel(config.steering.clone()).1).map(|(driver, stage)| {
@@ -191,7 +191,7 @@ async fn with<S: Source + 'static>(
     });
     let outputs = || Outputs::new(config.steering.full_scale_um * 1e-6, commands_in, answers);
     let driver = gcs.map_or_else(|| StageDriver::Outputs(outputs()), StageDriver::Gcs);
-    let result = task::run(settings, looker, driver, SystemClock, edges, &mut show).await;
+    let result = task::run(settings, observer, driver, SystemClock, links, &mut show).await;
     show.end();
     stop_acquisition.cancel();
     acquisition.await.context("the task acquisition failed at the end")?;

@@ -173,7 +173,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_that_are_none_are_refused_by_every_range() {
+    fn nan_and_infinity_are_refused_by_every_range() {
         for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, -1.0, 0.0, 2.5] {
             let mut report = Report::default();
             Checker::root(&mut report).section("a").number("b", bad, above_zero(2.0));

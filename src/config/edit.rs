@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_section_is_said() {
+    fn a_key_that_is_not_a_section_is_reported() {
         let edits = [edit(&["frames", "tare"], "translation_mm", [0.0; 3])];
         let error = edited("frames = 3\n", &edits).unwrap_err().to_string();
         assert!(error.contains("frames is not a section"), "{error}");

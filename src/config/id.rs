@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn the_steering_counts_only_where_it_decides_the_pose() {
+    fn steering_changes_the_id_only_if_it_is_fused() {
         let geometries = ["", "steering.matrix = [[0, 1], [-1, 0]]", "steering.origin_um = [1, 0]"];
         let nine = geometries.map(id);
         assert_eq!(nine, [nine[0]; 3]);

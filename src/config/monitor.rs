@@ -113,7 +113,7 @@ mod tests {
     const SECRET: &str = "correct-horse-battery";
 
     #[test]
-    fn who_may_steer_must_know_a_token_and_no_message_shows_it() {
+    fn control_needs_a_token_and_no_message_contains_it() {
         let config = |text: &str| parse(text, None).map_err(|e| e.to_string());
         let good = config(&format!("monitor.control = true\nmonitor.token = '{SECRET}'")).unwrap();
         let token = good.monitor.token.clone().unwrap();

@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn networks_contain_what_begins_alike() {
+    fn networks_contain_addresses_with_the_same_prefix() {
         assert!(contains("127.0.0.0/8", "127.255.0.1") && !contains("127.0.0.0/8", "128.0.0.1"));
         assert!(contains("10.1.2.3", "10.1.2.3") && !contains("10.1.2.3/32", "10.1.2.2"));
         assert!(contains("10.1.2.2/31", "10.1.2.3") && contains("0.0.0.0/0", "255.1.2.3"));
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn others_are_refused() {
+    fn invalid_networks_are_refused() {
         for bad in ["", "10.0.0.0/33", "::/129", "10.0.0/8", "10.0.0.0/", "10.0.0.0/-1", "lab", "1.2.3.4:5"] {
             assert!(bad.parse::<Network>().unwrap_err().to_string().contains("192.168.1.0/24"), "{bad}");
         }

@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn what_can_change_is_taken_over_and_the_rest_is_named() {
+    fn reloadable_keys_are_applied_and_the_others_are_named() {
         let old = config("");
         let file = config(
             "acquisition.source = 'serial'\ncentering.kp = 0.3\nframes.tool.translation_mm = [0, 0, -40]\n\
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn every_live_key_is_taken_over() {
+    fn every_reloadable_key_is_applied() {
         let old = config("");
         let file = config(
             "[channels]\nsum_threshold_v = 0.06\n\
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_changed_by_command_stays_unless_the_file_says_otherwise() {
+    fn values_set_by_command_stay_unless_the_file_changes_them() {
         let old = config("");
         let mut running = old.clone();
         running.centering.mode = LoopMode::Shadow;
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn values_that_do_not_fit_the_old_ones_are_refused() {
+    fn values_that_are_inconsistent_with_fixed_ones_are_refused() {
         let old = config("");
         let file = config("head.psd_size_mm = 20\nestimation.edge_margin_mm = 8");
         let error = reload(&old, &old, &file).unwrap_err().to_string();

@@ -138,8 +138,8 @@ impl SteeringConfig {
         at.numbers("matrix[0]", &self.matrix[0], -100.0..=100.0);
         at.numbers("matrix[1]", &self.matrix[1], -100.0..=100.0);
         let size = a.hypot(c) * b.hypot(d);
-        let apart = (a * d - b * c).abs() >= 0.1 * size && size >= 1e-6;
+        let independent = (a * d - b * c).abs() >= 0.1 * size && size >= 1e-6;
         let allowed = "columns that are neither zero nor nearly parallel: the axes must move the beam in two directions";
-        at.demand(apart || size.is_nan(), "matrix", format!("{:?}", self.matrix), allowed);
+        at.demand(independent || size.is_nan(), "matrix", format!("{:?}", self.matrix), allowed);
     }
 }

@@ -31,7 +31,7 @@ mod tests {
     use crate::config::{Token, load, parse};
 
     #[test]
-    fn every_shipped_file_is_the_same_after_it_was_written() {
+    fn shipped_files_survive_a_round_trip() {
         let mut files = 0;
         for file in std::fs::read_dir("config").unwrap().map(|file| file.unwrap().path()) {
             if file.extension().is_some_and(|e| e == "toml") {
@@ -45,7 +45,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_switched_off_stays_off_and_secrets_stay_out() {
+    fn switched_off_keys_stay_off_and_secrets_are_omitted() {
         let text = "monitor.listen = 'off'\npublishing.tcp = 'off'\ntwin.steering.readback_noise_um = 'off'\n\
                     twin.fault = [{ at_s = 1.5, kind = 'laser-bump', shift_um = [1.0, -2.0] }, \
                     { at_s = 2.0, for_s = 0.1, kind = 'psd-dark', psd = 1 }]\n\

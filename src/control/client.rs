@@ -21,8 +21,8 @@ const ANSWER_TIMEOUT: Duration = Duration::from_mins(1);
 pub fn ask(socket: &Path, command: &Command) -> Result<Value, Failure> {
     let at = socket.display();
     let stream = UnixStream::connect(socket).map_err(|e| {
-        let nobody = matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::ConnectionRefused);
-        if nobody {
+        let absent = matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::ConnectionRefused);
+        if absent {
             let hint = "is it running, and does [control] socket in its configuration name this path?";
             Failure::new(exit::UNAVAILABLE, format!("no daemon listens on {at}; {hint}"))
         } else {

@@ -83,7 +83,9 @@ fn parse(word: &str, rest: &[&str]) -> Option<Command> {
         ("loop", [mode]) => Command::Loop(LoopMode::ALL.into_iter().find(|m| m.name() == *mode)?),
         ("park", []) => Command::Park,
         ("record", ["status"]) => Command::Recording,
-        ("record", [wish]) => Command::Record(RecorderCommand::ALL.into_iter().find(|w| w.name() == *wish)?),
+        ("record", [action]) => {
+            Command::Record(RecorderCommand::ALL.into_iter().find(|w| w.name() == *action)?)
+        }
         ("search", []) => Command::Search,
         ("move", [x, y]) => Command::Move([number(x)?, number(y)?]),
         ("drill", [drill, task]) => Command::Drill(
@@ -131,7 +133,7 @@ impl fmt::Display for Command {
             Command::Search => f.write_str("search"),
             Command::Drill(drill, task) => write!(f, "drill {} {task}", drill.name()),
             Command::Recording => f.write_str("record status"),
-            Command::Record(wish) => write!(f, "record {}", wish.name()),
+            Command::Record(action) => write!(f, "record {}", action.name()),
             Command::Reload => f.write_str("reload"),
         }
     }
@@ -142,7 +144,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_said_is_understood() {
+    fn commands_survive_a_round_trip() {
         let commands = [
             Command::Status,
             Command::Tare { poses: None, save: false },
@@ -174,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_command_is_refused_with_what_is_one() {
+    fn invalid_commands_are_refused_with_the_allowed_ones() {
         let bad = [
             "",
             "statuss",

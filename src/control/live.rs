@@ -54,7 +54,7 @@ pub struct RunningConfig {
     /// The descriptor for TCP clients.
     pub descriptor: watch::Sender<Descriptor>,
     /// The configuration in force, for the monitor.
-    pub told: watch::Sender<Config>,
+    pub config_in_force: watch::Sender<Config>,
     /// Channels to the fast side.
     pub fast: FastRequests,
     /// Limits for a stage with its own task.
@@ -94,7 +94,7 @@ impl RunningConfig {
             Command::Search => self.search().await,
             Command::Drill(drill, task) => self.drill(drill, task),
             Command::Recording => Ok(self.recording.state.tell()),
-            Command::Record(wish) => self.record(wish).await,
+            Command::Record(request) => self.record(request).await,
             Command::Reload => self.reload().await,
         };
         answer.unwrap_or_else(|failure| error(&failure))
@@ -148,8 +148,8 @@ impl RunningConfig {
         Ok(json!({ "loop": self.loop_now().await? }))
     }
 
-    async fn record(&self, wish: RecorderCommand) -> Result<Value, Failure> {
-        ask(&self.recording.wishes, FAST_SIDE_TIMEOUT, |reply| (wish, reply)).await??;
+    async fn record(&self, request: RecorderCommand) -> Result<Value, Failure> {
+        ask(&self.recording.requests, FAST_SIDE_TIMEOUT, |reply| (request, reply)).await??;
         Ok(json!({ "recording": self.recording.state.tell() }))
     }
 
@@ -262,7 +262,7 @@ impl RunningConfig {
             let tuning = Box::new(next.loop_params());
             ask(&self.fast.orders, FAST_SIDE_TIMEOUT, |done| CenteringRequest::Retune(tuning, done)).await?;
         }
-        self.told.send_replace(next.clone());
+        self.config_in_force.send_replace(next.clone());
         self.running = next;
         Ok(())
     }
@@ -343,9 +343,9 @@ impl RunningConfig {
 
     /// Description of the replay, with `at_end`.
     fn replay(&self) -> Option<Value> {
-        let told = self.descriptor.borrow().replay.clone()?;
-        let at_end = !told.repeat && self.counters.replay_ends.get() > 0;
-        let Replayed { recorded, speed, repeat, .. } = told;
+        let replay = self.descriptor.borrow().replay.clone()?;
+        let at_end = !replay.repeat && self.counters.replay_ends.get() > 0;
+        let Replayed { recorded, speed, repeat, .. } = replay;
         let file = &self.running.replay.file;
         Some(json!({
             "file": file, "recorded": recorded, "speed": speed, "repeat": repeat, "at_end": at_end

@@ -37,7 +37,8 @@ pub struct Socket {
 }
 
 impl Socket {
-    /// Opens the configured socket; `None` if there is none. A socket file without a listener is replaced.
+    /// Opens the configured socket; `None` if the configuration has no socket. A socket file without a
+    /// listener is replaced.
     ///
     /// Must be called before other threads create files: the umask of the process is changed for a moment.
     ///

@@ -43,7 +43,7 @@ pub(super) struct Parts {
     pub(super) control: FastLink,
     pub(super) context: Arc<CalibrationContext>,
     /// The beginning of the recording, if that is the source.
-    pub(super) beginning: Option<RecordingHeader>,
+    pub(super) header: Option<RecordingHeader>,
     pub(super) descriptor: watch::Sender<Descriptor>,
     pub(super) records: RecordSender,
     pub(super) stop: CancellationToken,
@@ -181,20 +181,20 @@ async fn fast<S: Source + 'static>(
 /// Runs one task in place of the three: it replays a recording.
 async fn replayed(parts: Parts) -> anyhow::Result<()> {
     let Parts { config, pipeline, mut publisher, counters, glance, heartbeats, .. } = parts;
-    let Parts { control, stop, descriptor, beginning, .. } = parts;
-    let beginning = beginning.context("there is no recording")?;
-    let publish = move |told: &replay::republisher::Republished| {
-        publisher.publish_of(&told.report, told.time_ns, told.synced);
-        glance.at(&told.report);
+    let Parts { control, stop, descriptor, header, .. } = parts;
+    let header = header.context("there is no recording")?;
+    let publish = move |republished: &replay::republisher::Republished| {
+        publisher.publish_of(&republished.report, republished.time_ns, republished.synced);
+        glance.at(&republished.report);
     };
     let means = move |context: &CalibrationContext| {
         let corrected = context.calibrated();
         descriptor.send_modify(|now| (now.config, now.calibrated) = (context.id(), corrected));
     };
-    let edges = replay::task::ReplayLinks { control, publish, means };
+    let links = replay::task::ReplayLinks { control, publish, means };
     let (_, _, estimation) = pipeline.into_parts();
-    let recording = replay::Recording { config: config.replay, beginning, estimation, counters };
-    let task = replay::task::run(recording, SystemClock, edges, stop);
+    let recording = replay::Recording { config: config.replay, header, estimation, counters };
+    let task = replay::task::run(recording, SystemClock, links, stop);
     // This task counts heartbeats for all three.
     let [acquisition, centering, estimation] = Task::ALL.map(|task| heartbeats.of(task));
     Box::pin(counted(counted(counted(task, acquisition), centering), estimation)).await;

@@ -61,7 +61,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let counters = Arc::new(Counters::default());
     let (heartbeats, glance) = <(Arc<Heartbeats>, Arc<LatestStatus>)>::default();
     let service = Service::new(&config.realtime, Arc::clone(&heartbeats), Arc::clone(&glance));
-    let (config, context, beginning) = &holding(config)?;
+    let (config, context, header) = &holding(config)?;
     let pipeline = config.pipeline(&context.tables, context.id())?;
     let id = StreamId::new(context.id());
     let facts = StreamFacts {
@@ -76,13 +76,13 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let hangup = main.block_on(async { signal(SignalKind::hangup()) }).context("cannot listen for SIGHUP")?;
     let socket = main.block_on(async { Socket::open(&config.control) })?;
     let (to_fast, at_fast) = control::ways();
-    let (descriptor, descriptor_now) = watch::channel(described(facts, config, beginning.as_ref()));
+    let (descriptor, descriptor_now) = watch::channel(described(facts, config, header.as_ref()));
     let (steering, steering_now) = watch::channel(config.steering.clone());
     let (gcs, gcs_task) = gcs::pair(config, steering_now).unzip();
     let (to_tcp, frames) = mpsc::channel(TO_MAIN);
     let (to_monitor, monitored) = mpsc::channel(TO_MAIN);
     let [server, monitor] = main.block_on(listeners(config))?;
-    let (told, config_now) = watch::channel(config.clone());
+    let (config_in_force, config_now) = watch::channel(config.clone());
     let (records, recording, recorder) =
         recording::recorder::start(&config.recording, &counters).context("cannot start the recorder")?;
     let udp = config.publishing.udp.clone();
@@ -110,7 +110,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         stop: CancellationToken::new(),
         records,
         context: Arc::clone(context),
-        beginning: beginning.clone(),
+        header: header.clone(),
         descriptor: descriptor.clone(),
         control: at_fast,
         config: config.clone(),
@@ -124,7 +124,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         tables: context.tables.clone(),
         facts,
         descriptor,
-        told,
+        config_in_force,
         fast: to_fast,
         steering,
         log: Arc::clone(log),
@@ -168,7 +168,7 @@ fn holding(config: &Config) -> anyhow::Result<(Config, Arc<CalibrationContext>, 
 }
 
 /// The descriptor, including the replay if that is the source.
-fn described(facts: StreamFacts, config: &Config, beginning: Option<&RecordingHeader>) -> Descriptor {
-    let replay = beginning.map(|then| then.told(&config.replay));
+fn described(facts: StreamFacts, config: &Config, header: Option<&RecordingHeader>) -> Descriptor {
+    let replay = header.map(|then| then.replayed(&config.replay));
     Descriptor { replay, ..facts.descriptor() }
 }

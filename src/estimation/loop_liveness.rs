@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_makes_turns_is_believed() {
+    fn the_state_of_a_running_loop_is_reported() {
         let mut stall_detector = StallDetector::default();
         for heartbeats in [1, 1, 1, 2, 2, 2, 900] {
             stall_detector.look(heartbeats);
@@ -80,12 +80,12 @@ mod tests {
     }
 
     #[test]
-    fn nothing_of_a_loop_that_stands_still_is_claimed() {
+    fn the_state_of_a_stalled_loop_is_not_reported() {
         let locked = LoopState { lock: LockState::Locked, position: Some(StagePosition([1e-6, 0.0])) };
         let (_sender, said) = watch::channel(locked);
-        let mut heard = LoopLiveness::new(said, Arc::default());
-        assert_eq!(heard.now(), locked);
-        (0..LOOKS).for_each(|_| heard.look());
-        assert_eq!(heard.now(), LoopState { lock: LockState::Held, position: None });
+        let mut liveness = LoopLiveness::new(said, Arc::default());
+        assert_eq!(liveness.now(), locked);
+        (0..LOOKS).for_each(|_| liveness.look());
+        assert_eq!(liveness.now(), LoopState { lock: LockState::Held, position: None });
     }
 }

@@ -50,10 +50,10 @@ pub async fn run<C: Clock>(
     mut estimation: Estimation,
     rate_hz: f64,
     clock: C,
-    edges: EstimationLinks<impl FnMut(&PoseReport)>,
+    links: EstimationLinks<impl FnMut(&PoseReport)>,
 ) {
     let EstimationLinks { mut samples, mut questions, mut steering, newest, mut publish, mut recorder } =
-        edges;
+        links;
     let mut silence_timer = SilenceTimer::new(rate_hz);
     let mut last = None;
     let mut mean: Option<PoseMean> = None;
@@ -81,7 +81,7 @@ pub async fn run<C: Clock>(
                     None
                 }
                 Some(SampleEvent::Sample(sample, scan)) => {
-                    silence_timer.heard();
+                    silence_timer.restart();
                     let steering = steering.now();
                     recorder.sample(&sample, scan, &steering, estimation.memory());
                     estimation.sample(&sample, &steering)
@@ -221,7 +221,7 @@ impl SilenceTimer {
         Self { next: self.next, ..Self::new(identity.rate_hz) }
     }
 
-    fn heard(&mut self) {
+    fn restart(&mut self) {
         self.next = Instant::now() + self.times.first;
     }
 

@@ -44,7 +44,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slope_has_the_deviation_of_the_textbook() {
+    fn a_slope_has_the_standard_uncertainty_of_the_textbook() {
         // y = x with residuals 1, -2, 1: sum of squares 6, one degree of freedom, sum of (x - mean)^2 = 2.
         let slope = slope(&[0.0, 1.0, 2.0], &[1.0, -1.0, 3.0]);
         assert!(

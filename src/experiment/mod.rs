@@ -50,7 +50,7 @@ mod tests {
     use super::{place, three};
 
     #[test]
-    fn three_digits_count() {
+    fn numbers_have_three_significant_digits() {
         let all = [0.0, 0.9999, -0.030_49, 9.996, 28.84, 309.6, 12_345.6, f64::NAN].map(three);
         assert_eq!(all, ["0.00", "1.00", "-0.0305", "10.0", "28.8", "310", "12346", "-"]);
         assert_eq!(three(-1e300), "-1.00e300");

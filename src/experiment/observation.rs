@@ -88,7 +88,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_mean_is_quieter_by_the_root_of_its_looks() {
+    fn the_noise_of_a_mean_falls_with_the_root_of_its_observations() {
         let mut mean = Mean::default();
         for _ in 0..2 {
             assert_eq!((0..3).find_map(|k| mean.push(&look(10 * k, k as f64), 4)), None);

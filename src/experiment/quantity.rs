@@ -85,7 +85,7 @@ mod tests {
         near(parse(Axis::Tz, "\u{2212}12 \u{3bc}m"), -12e-6);
         near(parse(Axis::Roll, "1e2"), 100e-6);
         near(parse(Axis::Yaw, "1arcsec"), std::f64::consts::PI / 648_000.0);
-        for (axis, bad, told) in [
+        for (axis, bad, expected) in [
             (Axis::Tx, "", "not a number in um"),
             (Axis::Tx, "1,44", "not a number"),
             (Axis::Tx, "inf", "not a number"),
@@ -93,7 +93,7 @@ mod tests {
             (Axis::Roll, "3 um", "not a unit for roll"),
         ] {
             let error = parse(axis, bad).unwrap_err().to_string();
-            assert!(error.contains(told), "{error}");
+            assert!(error.contains(expected), "{error}");
         }
     }
 }

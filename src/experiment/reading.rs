@@ -191,7 +191,7 @@ mod tests {
     use crate::experiment::observation::tests::look;
 
     #[test]
-    fn what_is_written_is_read_again() {
+    fn readings_survive_a_round_trip() {
         let moved = Some((Axis::Pitch, -1.0 / 3.0e6));
         let status = Status::POSE_VALID | Status::SIMULATED;
         let one =

@@ -84,8 +84,8 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
-        for (rows, told) in [
+    fn errors_are_named() {
+        for (rows, expected) in [
             ("", "no readings"),
             ("1,tx,0,urad\n", ":2: unit is \"urad\": allowed is one of um, nm, mm, m for tx"),
             ("1,x,0,um\n", "allowed is tx, ty, tz, roll, pitch or yaw"),
@@ -96,7 +96,7 @@ mod tests {
             ("1,tx,0\n", "line: 2"),
         ] {
             let error = of(rows).unwrap_err().message;
-            assert!(error.contains(told), "{error}");
+            assert!(error.contains(expected), "{error}");
         }
     }
 }

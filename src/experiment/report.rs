@@ -23,7 +23,7 @@ pub struct Report {
     pub source: String,
     /// The results for Table 2 of the paper.
     pub table2: Vec<Measured>,
-    /// The results beyond the paper; empty if there are none.
+    /// The results beyond the paper; may be empty.
     pub beyond: Vec<Measured>,
     /// The record at rest, if there is one.
     pub rest: Option<StaticRecord>,

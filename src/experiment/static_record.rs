@@ -49,7 +49,7 @@ pub struct Still {
 }
 
 impl StaticRecord {
-    /// Evaluates the readings at rest. `None` if there are none.
+    /// Evaluates the readings at rest. `None` without readings.
     ///
     /// # Errors
     /// Fails if the record is too short, or if the configuration of the sensor changed within it (for
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_even_record_has_no_allan_deviation() {
+    fn an_uneven_record_has_no_allan_deviation() {
         let even: Vec<i64> = (0..1000).map(|k| 10 * k).collect();
         assert_eq!((rest(&even).period_s, rest(&even).uneven), (0.01, None));
         let dropped: Vec<i64> = even.iter().copied().filter(|ms| *ms != 500).collect();
@@ -170,13 +170,13 @@ mod tests {
         let blocked: Vec<i64> = even.iter().map(|ms| if *ms > 500 { ms + 3000 } else { *ms }).collect();
         let many: Vec<i64> = even.iter().copied().filter(|ms| ms % 500 != 0).collect();
         let back: Vec<i64> = even.iter().rev().copied().collect();
-        for (times, told) in [
+        for (times, expected) in [
             (blocked, "3.0100 s from one reading to the next instead of 0.0100 s, at 0.500 s"),
             (many, "s in total instead of"),
             (back, "-0.0100 s from one"),
         ] {
             let rest = rest(&times);
-            assert!(rest.uneven.unwrap().contains(told) && rest.axes[0].allan.is_empty());
+            assert!(rest.uneven.unwrap().contains(expected) && rest.axes[0].allan.is_empty());
             assert!(rest.axes[0].drift.value.is_finite());
         }
     }

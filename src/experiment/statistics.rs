@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_gives_its_numbers() {
+    fn a_straight_line_gives_its_coefficients() {
         let all = measured(&line(5, 50), Part::Table2).unwrap();
         let [m] = &all[..] else { panic!("{all:?}") };
         let near = |a: f64, b: f64| assert!((a / b - 1.0).abs() < 1e-9, "{a} {b}");
@@ -210,8 +210,8 @@ mod tests {
     }
 
     #[test]
-    fn too_little_is_refused_with_its_place() {
-        for (readings, told) in [
+    fn too_few_readings_are_refused_with_their_place() {
+        for (readings, expected) in [
             (line(2, 5), "tx has readings at 2 points: at least 3"),
             (line(5, 1), "tx point 1: 1 readings, at least 2"),
             (
@@ -228,7 +228,7 @@ mod tests {
             ),
         ] {
             let error = measured(&readings, Part::Table2).unwrap_err().message;
-            assert!(error.contains(told), "{error}");
+            assert!(error.contains(expected), "{error}");
         }
         assert!(measured(&line(5, 5), Part::Beyond).unwrap().is_empty());
     }

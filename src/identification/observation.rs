@@ -162,7 +162,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn noise_leaves_slow_movement_out_and_unrest_leaves_in_what_shakes() {
+    fn noise_excludes_slow_movement_and_unrest_includes_vibration() {
         let mut random = rand_pcg::Pcg64::seed_from_u64(5);
         let course = |shake: f64, random: &mut rand_pcg::Pcg64| -> Vec<[f64; 2]> {
             let draw = |k: i32, random: &mut rand_pcg::Pcg64| {

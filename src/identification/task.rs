@@ -61,16 +61,16 @@ pub trait Audience {
 /// moved, the stage is returned first.
 pub async fn run<D: Driver, C: Clock>(
     settings: Settings,
-    looker: Observer,
+    observer: Observer,
     driver: D,
     clock: C,
-    edges: IdentificationLinks,
+    links: IdentificationLinks,
     audience: &mut dyn Audience,
 ) -> Result<Option<Recording>, Failure> {
-    let IdentificationLinks { samples, stop } = edges;
+    let IdentificationLinks { samples, stop } = links;
     let mut tuner = Tuner {
         settings,
-        looker,
+        observer,
         driver,
         clock,
         samples,
@@ -101,7 +101,7 @@ pub async fn run<D: Driver, C: Clock>(
 /// State of the measurement.
 struct Tuner<D, C> {
     settings: Settings,
-    looker: Observer,
+    observer: Observer,
     driver: D,
     clock: C,
     samples: mpsc::Receiver<SampleEvent>,
@@ -279,7 +279,7 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
                 event = self.driver.next() => self.hear(event)?,
                 acquired = self.samples.recv() => match acquired {
                     Some(SampleEvent::Sample(sample, _)) => {
-                        let look = self.looker.look(&sample).map_err(|e| refused(e.to_string()))?;
+                        let look = self.observer.look(&sample).map_err(|e| refused(e.to_string()))?;
                         self.looks.push(look);
                         return Ok(look);
                     }
@@ -321,7 +321,7 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         }
     }
 
-    /// Sends the last command and waits for its acknowledgement. Returns the reason if there is none.
+    /// Sends the last command and waits for its acknowledgement. Returns the reason if it does not arrive.
     async fn finish(&mut self, end: StagePosition) -> Option<String> {
         self.commanded?;
         self.send(end);

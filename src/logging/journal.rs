@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn an_entry_has_a_line_for_people_and_fields_for_machines() {
+    fn an_entry_has_a_readable_line_and_fields_for_programs() {
         let bytes = entry_of(|| tracing::warn!(task = "centering", age.s = 1.5, "it stalls\nfor \u{3bc}s"));
         let fields = fields(&bytes);
         let of = |name: &str| fields.iter().find(|(n, _)| n == name).map(|(_, value)| value.as_str());
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_journal_does_not_take_goes_to_standard_error() {
+    fn entries_that_the_journal_rejects_go_to_standard_error() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("socket");
         let journal = UnixDatagram::bind(&path).unwrap();
@@ -224,9 +224,9 @@ mod tests {
         let mut writer = Journal::connect(&path, &mut errors).unwrap();
         let bytes = entry_of(|| tracing::info!(n = 7, "hello"));
         writer.write_all(&bytes).unwrap();
-        let mut heard = [0; 1000];
-        let n = journal.recv(&mut heard).unwrap();
-        assert_eq!(heard[..n], bytes);
+        let mut received = [0; 1000];
+        let n = journal.recv(&mut received).unwrap();
+        assert_eq!(received[..n], bytes);
         drop(journal);
         writer.write_all(&bytes).unwrap();
         assert_eq!(errors, b"<6>hello n=7\n");

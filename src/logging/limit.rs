@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flood_is_some_lines_and_a_count_and_others_are_not_touched() {
+    fn repeated_lines_are_limited_and_counted_and_others_are_not_affected() {
         let lines = Lines::default();
         let (limiter, due) = Limiter::new();
         let _here = tracing_subscriber::registry().with(lines.clone()).with(limiter.clone()).set_default();

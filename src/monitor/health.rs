@@ -151,7 +151,7 @@ mod tests {
         [good, held, lost]
     }
 
-    fn told(readiness: &Readiness) -> Vec<(bool, &str, &str)> {
+    fn checks_of(readiness: &Readiness) -> Vec<(bool, &str, &str)> {
         let text = |text: &'static str| text;
         let checks = readiness.checks.iter();
         checks
@@ -160,20 +160,20 @@ mod tests {
     }
 
     #[test]
-    fn each_check_says_since_when_and_why() {
+    fn each_check_has_its_time_and_its_reason() {
         let [good, held, lost] = frames();
         let mut checks = Checks::default();
         checks.frame(&good);
         let readiness = checks.readiness(Some(&good), None);
         assert!(readiness.ready);
-        assert_eq!(told(&readiness), [(true, "1970-01-01T00:00:01Z", ""); 3]);
+        assert_eq!(checks_of(&readiness), [(true, "1970-01-01T00:00:01Z", ""); 3]);
         checks.frame(&held);
         checks.frame(&lost);
         let readiness = checks.readiness(Some(&lost), None);
         assert!(!readiness.ready);
         let at = "1970-01-01T00:00:02Z";
         let dark = (false, at, "PSD_A_LOW, PSD_B_LOW");
-        assert_eq!(told(&readiness), [(true, "1970-01-01T00:00:01Z", ""), dark, (false, at, "lost")]);
+        assert_eq!(checks_of(&readiness), [(true, "1970-01-01T00:00:01Z", ""), dark, (false, at, "lost")]);
     }
 
     #[test]
@@ -185,24 +185,24 @@ mod tests {
         let readiness = checks.readiness(Some(&replayed), None);
         assert!(!readiness.ready);
         let at = "1970-01-01T00:00:01Z";
-        assert_eq!(told(&readiness), [(false, at, "REPLAYED"), (true, at, ""), (true, at, "")]);
+        assert_eq!(checks_of(&readiness), [(false, at, "REPLAYED"), (true, at, ""), (true, at, "")]);
     }
 
     #[test]
-    fn nothing_stays_green_when_no_frame_comes() {
+    fn no_check_stays_green_without_frames() {
         let [good, held, _] = frames();
         let mut checks = Checks::default();
-        assert_eq!(told(&checks.readiness(None, None)), [(false, "", "no frame has been made yet"); 3]);
+        assert_eq!(checks_of(&checks.readiness(None, None)), [(false, "", "no frame has been made yet"); 3]);
         let dead = Standstill { why: "dead".into(), since_ns: Some(4_000_000_000), silent: true };
-        assert_eq!(told(&checks.readiness(None, Some(&dead))), [(false, "", "dead"); 3]);
+        assert_eq!(checks_of(&checks.readiness(None, Some(&dead))), [(false, "", "dead"); 3]);
         checks.frame(&good);
         let at = "1970-01-01T00:00:04Z";
-        assert_eq!(told(&checks.readiness(Some(&good), Some(&dead))), [(false, at, "dead"); 3]);
+        assert_eq!(checks_of(&checks.readiness(Some(&good), Some(&dead))), [(false, at, "dead"); 3]);
         checks.frame(&held);
         let down = PoseFrame { status: Status::SOURCE_DOWN, time_ns: 5_000_000_000, ..held };
         checks.frame(&down);
         assert_eq!(
-            told(&checks.readiness(Some(&down), None))[0],
+            checks_of(&checks.readiness(Some(&down), None))[0],
             (false, "1970-01-01T00:00:05Z", "SOURCE_DOWN")
         );
     }

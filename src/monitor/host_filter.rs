@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn a_request_names_one_machine_wherever_it_names_it() {
+    fn a_request_must_name_one_host_consistently() {
         let mut headers = HeaderMap::from_iter([(header::HOST, "lab-pc".parse().unwrap())]);
         for good in ["/metrics", "http://lab-pc/metrics", "http://192.168.1.5:7360/"] {
             assert_eq!(refusal(&good.parse().unwrap(), &headers), None, "{good}");

@@ -159,9 +159,14 @@ impl Page<'_> {
         self.each("beam_offset_meters", "Beam's centre minus apex, mean of the last second", "axis", axes)?;
         let help = "Distance of the beam's centre from the apex, rms of the last second";
         self.known("beam_offset_rms_meters", help, second.offset_rms)?;
-        let edges = PSDS.into_iter().zip(second.edge);
-        let edges = edges.filter_map(|(psd, edge)| Some((psd, ConstGauge::new(edge?))));
-        self.each("psd_edge_distance_meters", "Smallest edge distance of a spot, last second", "psd", edges)?;
+        let distances = PSDS.into_iter().zip(second.edge);
+        let distances = distances.filter_map(|(psd, edge)| Some((psd, ConstGauge::new(edge?))));
+        self.each(
+            "psd_edge_distance_meters",
+            "Smallest edge distance of a spot, last second",
+            "psd",
+            distances,
+        )?;
         let psds = |numbers: Option<[f64; 3]>| {
             PSDS.into_iter().zip(numbers.into_iter().flatten().map(ConstGauge::new))
         };

@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn a_second_has_the_means_of_its_frames_and_of_no_other() {
+    fn a_second_has_the_means_of_its_own_frames() {
         let frame = |x: f32, u: f32, power: f32| PoseFrame {
             beam_offset: [x, 0.0],
             spots: [u, 0.0, 0.0, 0.0, 0.0, -1e-3],
@@ -202,7 +202,7 @@ mod tests {
         assert!(close(second.powers.unwrap()[0], 4e-4 / 3.0), "dark frames have a power");
         assert!(close(second.lit.unwrap()[0], 2e-4), "and do not count as lit");
         tally.tick(Mono(2 * NS_PER_S));
-        assert_eq!(tally.second, Second::default(), "values that no frame contains are None");
+        assert_eq!(tally.second, Second::default(), "values without a frame are None");
     }
 
     #[test]

@@ -78,7 +78,7 @@ pub(super) struct Aggregates {
     /// Time of the last poll for frames.
     looked: Mono,
     /// Time at which the newest frame was seen; initially the start.
-    heard: Mono,
+    last_arrival: Mono,
     /// Time of the first frame with a stalled task, nanoseconds of UTC since 1970.
     stalled_ns: Option<i64>,
     pub(super) checks: Checks,
@@ -101,7 +101,7 @@ impl View {
     pub fn new(sources: Sources) -> Self {
         let now = SystemClock.now();
         let (checks, tally, page) = (Checks::default(), Tally::new(now), PageState::default());
-        let aggregates = Aggregates { looked: now, heard: now, stalled_ns: None, checks, tally, page };
+        let aggregates = Aggregates { looked: now, last_arrival: now, stalled_ns: None, checks, tally, page };
         Self {
             sources,
             ending: CancellationToken::new(),
@@ -137,12 +137,12 @@ impl View {
     pub fn dead(&self) -> Option<Standstill> {
         let newest_ns = self.newest.borrow().map(|newest| newest.frame.time_ns);
         let period_s = {
-            let told = self.sources.descriptor.borrow();
-            1.0 / (told.rate_hz * told.replay.as_ref().map_or(1.0, |replay| replay.speed))
+            let descriptor = self.sources.descriptor.borrow();
+            1.0 / (descriptor.rate_hz * descriptor.replay.as_ref().map_or(1.0, |replay| replay.speed))
         };
         let aggregates = self.aggregates();
         let held_up_s = SystemClock.now().seconds_since(aggregates.looked);
-        let silent_s = aggregates.looked.seconds_since(aggregates.heard);
+        let silent_s = aggregates.looked.seconds_since(aggregates.last_arrival);
         if held_up_s > STANDSTILL_S {
             let why = format!("the main thread was delayed for {held_up_s:.1} s");
             return Some(Standstill { why, since_ns: newest_ns, silent: true });
@@ -214,7 +214,7 @@ impl View {
             aggregates.tally.frame(frame, half_m);
         }
         if !batch.is_empty() {
-            aggregates.heard = aggregates.looked;
+            aggregates.last_arrival = aggregates.looked;
         }
         aggregates.stalled_ns =
             aggregates.stalled_ns.or(batch.last().map(|frame| frame.time_ns)).filter(|_| stalled);

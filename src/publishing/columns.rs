@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn json_has_null_for_what_is_not_known() {
+    fn json_has_null_for_unknown_numbers() {
         let json: serde_json::Value = serde_json::to_value(Columns::of(&frame())).unwrap();
         assert_eq!(json["time"], "2026-11-21T12:00:00.000000001Z");
         assert_eq!(json["time_ns"], 1_795_262_400_000_000_001_i64);
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn csv_keeps_every_digit_and_leaves_out_what_is_not_known() {
+    fn csv_keeps_all_digits_and_leaves_unknown_numbers_empty() {
         let columns = Columns::of(&frame());
         let header = columns.csv_header();
         let line = columns.csv_line();

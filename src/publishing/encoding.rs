@@ -69,13 +69,13 @@ impl ClientEncoder {
     }
 
     /// Whether this frame is sent to the client.
-    pub fn wants(&self, frame_once: &EncodedFrame) -> bool {
-        frame_once.frame.sequence.is_multiple_of(self.divider)
+    pub fn wants(&self, encoded: &EncodedFrame) -> bool {
+        encoded.frame.sequence.is_multiple_of(self.divider)
     }
 
     /// The number of the `n` frames before this one that would have been sent.
-    pub fn wanted_before(&self, frame_once: &EncodedFrame, n: u64) -> u64 {
-        let end = frame_once.frame.sequence;
+    pub fn wanted_before(&self, encoded: &EncodedFrame, n: u64) -> u64 {
+        let end = encoded.frame.sequence;
         end.div_ceil(self.divider) - end.saturating_sub(n).div_ceil(self.divider)
     }
 
@@ -121,8 +121,8 @@ impl ClientEncoder {
     ///
     /// # Errors
     /// The frame cannot be serialized.
-    pub fn frame(&self, frame_once: &EncodedFrame, to: &mut Vec<u8>) -> io::Result<()> {
-        let (frame, bytes) = frame_once.choose(self.request.held);
+    pub fn frame(&self, encoded: &EncodedFrame, to: &mut Vec<u8>) -> io::Result<()> {
+        let (frame, bytes) = encoded.choose(self.request.held);
         let columns = || Columns::of(frame).select(self.request.fields.as_deref());
         match self.request.format {
             Format::Binary => to.extend(bytes),

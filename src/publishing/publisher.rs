@@ -161,8 +161,8 @@ mod tests {
     fn a_datagram_arrives_with_the_time_of_acquisition() {
         let receiver = UdpSocket::bind("127.0.0.1:0").unwrap();
         receiver.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
-        let nobody = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-        let mut publisher = publisher(vec![nobody, receiver.local_addr().unwrap()], None);
+        let unreachable = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        let mut publisher = publisher(vec![unreachable, receiver.local_addr().unwrap()], None);
         for sequence in 0..3 {
             publisher.publish(&PoseReport::example());
             let mut bytes = [0; 300];
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn each_target_gets_the_frames_that_it_wants_in_its_form() {
+    fn each_target_gets_its_frames_in_its_format() {
         let receivers = [(); 3].map(|()| {
             let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
             socket.set_nonblocking(true).unwrap();
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_network_does_not_take_is_counted() {
+    fn datagrams_that_cannot_be_sent_are_counted() {
         let no_port = SocketAddr::from(([127, 0, 0, 1], 0));
         let mut publisher = publisher(vec![no_port], None);
         publisher.publish(&PoseReport::example());

@@ -13,26 +13,26 @@ use super::encoding::EncodedFrame;
 const STALE_S: f64 = 1.0;
 
 /// Answer to `pose?`: the newest pose.
-pub fn pose(frame_once: &EncodedFrame, frames_hz: f64) -> String {
-    let frame = frame_once.frame();
-    let valid = valid(frame_once, frames_hz);
+pub fn pose(encoded: &EncodedFrame, frames_hz: f64) -> String {
+    let frame = encoded.frame();
+    let valid = valid(encoded, frames_hz);
     let mut line = format!("valid={}", u8::from(valid));
     for (name, x) in POSE.iter().zip(frame.pose) {
         // Seventeen digits reproduce a 64-bit number exactly.
         let _ = if valid { write!(line, " {name}={x:.16e}") } else { write!(line, " {name}=nan") };
     }
-    line + &state(frame, frame_once.age_s())
+    line + &state(frame, encoded.age_s())
 }
 
 /// Answer to `status?`: the newest status.
-pub fn status(frame_once: &EncodedFrame, frames_hz: f64) -> String {
-    let frame = frame_once.frame();
+pub fn status(encoded: &EncodedFrame, frames_hz: f64) -> String {
+    let frame = encoded.frame();
     let names: Vec<_> = frame.status.names().collect();
     let names = if names.is_empty() { "none".into() } else { names.join(",") };
     format!(
         "valid={}{} bits={names} session=0x{:08x} config=0x{:08x} rate_hz={frames_hz}",
-        u8::from(valid(frame_once, frames_hz)),
-        state(frame, frame_once.age_s()),
+        u8::from(valid(encoded, frames_hz)),
+        state(frame, encoded.age_s()),
         frame.session,
         frame.config
     )
@@ -46,8 +46,8 @@ pub fn descriptor(descriptor: &Descriptor) -> serde_json::Result<Vec<u8>> {
     Ok(format!("{{\"descriptor\":{}}}\n", serde_json::to_string(descriptor)?).into_bytes())
 }
 
-fn valid(frame_once: &EncodedFrame, frames_hz: f64) -> bool {
-    frame_once.frame().status.has(Status::POSE_VALID) && frame_once.age_s() <= STALE_S.max(3.0 / frames_hz)
+fn valid(encoded: &EncodedFrame, frames_hz: f64) -> bool {
+    encoded.frame().status.has(Status::POSE_VALID) && encoded.age_s() <= STALE_S.max(3.0 / frames_hz)
 }
 
 fn state(frame: &PoseFrame, age_s: f64) -> String {

@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn a_subscription_is_granted_to_who_hears_renewed_and_ends_by_itself() {
+    fn a_subscription_needs_the_challenge_can_be_renewed_and_expires() {
         let mut all = some();
         let ask = "subscribe lease_s=10 divider=4 held=on";
         let (nonce, outcome) = subscribe(&mut all, client(1), ask, Mono(0));
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn there_are_so_many_places_and_only_for_allowed_networks() {
+    fn the_number_of_places_is_limited_and_only_allowed_networks_get_one() {
         let mut all = some();
         for port in [1, 2] {
             assert!(subscribe(&mut all, client(port), "subscribe lease_s=1", Mono(0)).1.changed);
@@ -222,9 +222,9 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said_shortly_and_what_is_not_ours_gets_no_answer() {
+    fn errors_get_a_short_answer_and_foreign_datagrams_none() {
         let mut all = some();
-        for (ask, told) in [
+        for (ask, expected) in [
             ("subscribe lease_s=0 divider=1", "lease_s=1 to 60"),
             ("subscribe lease_s=61", "lease_s=1 to 60"),
             ("subscribe lease_s=5 divider=0 held=on", "a divider from 1"),
@@ -233,7 +233,7 @@ mod tests {
             ("unsubscribe me please", "unsubscribe nonce=HEX"),
         ] {
             let answer = all.datagram(client(1), ask.as_bytes(), Mono(0)).answer.unwrap();
-            assert!(answer.starts_with("error: ") && answer.contains(told), "{ask}: {answer}");
+            assert!(answer.starts_with("error: ") && answer.contains(expected), "{ask}: {answer}");
         }
         for other in ["error: x", "challenge nonce=1", "ok", "", "SUBSCRIBE lease_s=1", "\u{e9}"] {
             assert_eq!(all.datagram(client(1), other.as_bytes(), Mono(0)).answer, None, "{other}");
@@ -243,7 +243,7 @@ mod tests {
     proptest! {
         /// Without the nonce, no request changes the list or gets an answer of more than twice its length.
         #[test]
-        fn no_amplification(
+        fn an_answer_is_at_most_twice_as_long_as_the_request(
             bytes in prop_oneof![
                 prop::collection::vec(any::<u8>(), 0..200),
                 "(un)?subscribe( (lease_s|divider|held|nonce|big_endian|x)=[0-9a-fon]{0,17}){0,6}".prop_map(String::into_bytes),

@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn a_disk_that_fails_late_is_told_with_the_file() {
+    fn a_late_disk_error_is_reported_with_the_file() {
         let mut disk = Disk::start().unwrap();
         // A device file cannot be synchronized.
         let path = Path::new("/dev/null");
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_very_file_that_was_written_is_finished() {
+    fn only_the_written_file_is_finished() {
         let folder = tempfile::tempdir().unwrap();
         let [path, away] = ["a.mcap.part", "away"].map(|name| folder.path().join(name));
         let mut disk = Disk::start().unwrap();

@@ -212,7 +212,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_tell_utc_and_are_known_again() {
+    fn names_contain_utc_and_are_recognised() {
         let name = name(1_767_323_045_678_900_000);
         assert_eq!(name, "trifacet-20260102T030405.678Z.mcap");
         assert!(is_ours(&name) && is_ours(&format!("{name}.part")));
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn the_oldest_of_ours_go_and_nothing_else() {
+    fn only_the_oldest_own_recordings_are_deleted() {
         let dir = tempfile::tempdir().unwrap();
         let folder = Folder(dir.path().to_owned());
         let foreign = dir.path().join("aaa.mcap");

@@ -115,5 +115,5 @@ pub struct Handle {
     /// State of the recorder.
     pub state: Arc<State>,
     /// Sends commands to the recorder.
-    pub wishes: mpsc::Sender<Asked>,
+    pub requests: mpsc::Sender<Asked>,
 }

@@ -402,14 +402,14 @@ mod tests {
     }
 
     #[test]
-    fn a_rounded_covariance_is_as_good() {
+    fn a_covariance_is_rounded_to_the_stated_accuracy() {
         for x in [1.0, -3.7e-13, 2.999e-12, 0.0, 1e-300] {
             assert!((rounded(x) - x).abs() <= x.abs() / 8000.0 + 1e-44, "{x}");
         }
     }
 
     #[test]
-    fn moments_before_1970_have_positive_nanoseconds() {
+    fn times_before_1970_have_positive_nanoseconds() {
         assert_eq!(Time::new(-1), Time { sec: -1, nanosec: 999_999_999 });
         assert_eq!(Time::new(5 * NS_PER_S + 7), Time { sec: 5, nanosec: 7 });
     }

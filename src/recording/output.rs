@@ -24,7 +24,7 @@ pub struct Output {
     pub since: Mono,
     written: Arc<AtomicU64>,
     failed: Arc<AtomicBool>,
-    told: AtomicU64,
+    reported: AtomicU64,
     /// Bytes up to the last complete chunk, and bytes before the first message.
     whole: u64,
     head: u64,
@@ -94,7 +94,7 @@ impl Output {
             since,
             written,
             failed,
-            told: AtomicU64::new(0),
+            reported: AtomicU64::new(0),
             whole,
             head: whole,
             torn: 0,
@@ -107,7 +107,7 @@ impl Output {
     /// Bytes written since the last call.
     pub fn news(&self) -> u64 {
         let bytes = self.bytes();
-        bytes - self.told.swap(bytes, Ordering::Relaxed)
+        bytes - self.reported.swap(bytes, Ordering::Relaxed)
     }
 
     /// Bytes written so far.
@@ -214,7 +214,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_the_keyframes_rest_on_stands_in_it_again_now_and_then() {
+    fn parts_that_keyframes_depend_on_are_repeated_periodically() {
         let dir = tempfile::tempdir().unwrap();
         let mut output = Output::begin(&Folder(dir.path().to_owned()), 0, Mono(0), None).unwrap();
         let mut put = |topic| output.put(Encoded { topic, time_ns: 0, data: &[0; 20] }).unwrap();

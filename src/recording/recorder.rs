@@ -84,7 +84,7 @@ struct Recorder {
     /// Entries that did not fit into the queue so far.
     overflows: u64,
     /// Missing entries that no file reports yet, and the reason.
-    untold: Option<(u64, String)>,
+    unwritten: Option<(u64, String)>,
     /// Entries cannot be decoded before the next keyframe.
     fresh: bool,
     stop: Arc<AtomicBool>,
@@ -127,7 +127,7 @@ impl Recorder {
             fault: None,
             mishap: None,
             overflows: 0,
-            untold: None,
+            unwritten: None,
             fresh: true,
             stop: Arc::default(),
             flushed: now,

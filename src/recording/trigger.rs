@@ -64,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn each_fault_triggers_when_it_begins_and_the_start_is_none() {
+    fn each_fault_triggers_at_its_begin_and_the_start_does_not() {
         let good = |second| frame(second, Status::POSE_VALID, 0);
         let mut trigger = Trigger::new(3.0);
         assert_eq!(trigger.see(&frame(0, Status::default(), 0)), None, "no time without faults before");

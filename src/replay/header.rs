@@ -80,7 +80,7 @@ impl RecordingHeader {
     }
 
     /// The description of the replay for receivers of the stream.
-    pub fn told(&self, config: &ReplayConfig) -> Replayed {
+    pub fn replayed(&self, config: &ReplayConfig) -> Replayed {
         let ReplayConfig { file, speed, repeat } = config;
         let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
         Replayed { file: name, recorded: rfc3339(self.first.1), speed: *speed, repeat: *repeat }

@@ -66,7 +66,7 @@ mod tests {
     const MS: i64 = 1_000_000;
 
     #[test]
-    fn what_was_recorded_a_second_later_is_due_half_a_second_later_at_twice_the_speed() {
+    fn at_double_speed_an_entry_of_one_second_later_is_due_after_half_a_second() {
         let (then, now) = (Mono(70 * NS_PER_S), Mono(5 * NS_PER_S));
         let mut pace = Pace::new(2.0, Mono(0), Mono(0));
         assert_eq!(pace.due(then, now), now);
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn time_that_goes_back_begins_at_present() {
+    fn recorded_time_that_goes_back_restarts_at_the_present() {
         let mut pace = Pace::new(1.0, Mono(0), Mono(0));
         pace.due(Mono(70 * NS_PER_S), Mono(0));
         let now = Mono(3 * NS_PER_S);
@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn patience_is_of_the_present() {
+    fn patience_is_in_present_time() {
         let of = |speed, rate_hz| Pace::new(speed, Mono(0), Mono(0)).patience_ns(rate_hz);
         assert_eq!([of(1.0, 1000.0), of(100.0, 1000.0), of(0.1, 1000.0)], [20 * MS, 20 * MS, 50 * MS]);
     }

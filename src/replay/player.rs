@@ -32,7 +32,7 @@ pub struct Recording {
     /// File, speed and repetition.
     pub config: ReplayConfig,
     /// Beginning of the recording.
-    pub beginning: RecordingHeader,
+    pub header: RecordingHeader,
     /// Estimation with the first configuration. It makes the reports of silence.
     pub estimation: Estimation,
     /// Counters; replayed entries count as if they came from a source.
@@ -44,50 +44,50 @@ pub(super) struct Player<C, Publish, Means> {
     counters: Arc<Counters>,
     clock: C,
     means: Means,
-    teller: Republisher<C, Publish>,
-    tape: Playback,
+    republisher: Republisher<C, Publish>,
+    playback: Playback,
     pace: Pace,
     waits: Option<Entry>,
     engine: Engine,
-    verdict: Comparison,
+    comparison: Comparison,
     /// Makes the reports of silence.
-    quiet: Estimation,
+    silence_estimation: Estimation,
     patience_ns: i64,
     steering: LoopState,
     context: Option<u32>,
     /// A recorded time and its UTC.
     utc: (Mono, i64),
     /// Time of the last entry that was due; `None` before the first one.
-    heard: Option<Mono>,
+    last_arrival: Option<Mono>,
     /// Time of the last log line about a restart.
     logged: Option<Mono>,
 }
 
 impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> Player<C, Publish, Means> {
     pub(super) fn new(recording: Recording, clock: C, publish: Publish, means: Means) -> Self {
-        let Recording { config, beginning, estimation: mut quiet, counters } = recording;
-        let (now, utc) = (clock.now(), beginning.first);
+        let Recording { config, header, estimation: mut silence_estimation, counters } = recording;
+        let (now, utc) = (clock.now(), header.first);
         let pace = Pace::new(config.speed, utc.0, now);
-        quiet.source(beginning.source.as_ref().is_some_and(|source| source.simulated));
-        let Replayed { file, recorded, speed, repeat } = beginning.told(&config);
+        silence_estimation.source(header.source.as_ref().is_some_and(|source| source.simulated));
+        let Replayed { file, recorded, speed, repeat } = header.replayed(&config);
         tracing::info!(file, recorded, speed, repeat, "replaying a recording");
         Self {
-            tape: Playback::new(config.file.clone()),
+            playback: Playback::new(config.file.clone()),
             config,
-            teller: Republisher::new(clock.clone(), publish, Arc::clone(&counters)),
+            republisher: Republisher::new(clock.clone(), publish, Arc::clone(&counters)),
             counters,
             clock,
             means,
             pace,
             waits: None,
             engine: Engine::new(),
-            verdict: Comparison::default(),
-            quiet,
-            patience_ns: pace.patience_ns(beginning.rate_hz()),
+            comparison: Comparison::default(),
+            silence_estimation,
+            patience_ns: pace.patience_ns(header.rate_hz()),
             steering: LoopState::default(),
-            context: Some(beginning.context.id()),
+            context: Some(header.context.id()),
             utc,
-            heard: None,
+            last_arrival: None,
             logged: None,
         }
     }
@@ -98,16 +98,16 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
             CenteringRequest::Move(_, reply) | CenteringRequest::Search(reply) => {
                 let _ = reply.send(Err(LoopRefusal::NoStage));
             }
-            CenteringRequest::View(reply) => drop(reply.send(self.teller.view(&self.steering))),
+            CenteringRequest::View(reply) => drop(reply.send(self.republisher.view(&self.steering))),
         }
     }
 
     /// The last report published.
     pub(super) fn last(&self) -> Option<PoseReport> {
-        self.teller.last
+        self.republisher.last
     }
 
-    /// Processes all entries that are due, and reports silence if there are none.
+    /// Processes all entries that are due. Reports silence if no entry is due.
     pub(super) fn play(&mut self) {
         let now = self.clock.now();
         for _ in 0..MOST {
@@ -128,14 +128,14 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
             Entry::Silence { time, .. } => *time,
             _ => return now,
         };
-        self.heard.get_or_insert(now);
+        self.last_arrival.get_or_insert(now);
         self.pace.due(time, now)
     }
 
     /// The next entry, if it has been read.
     fn next(&mut self) -> Option<Entry> {
         loop {
-            match self.tape.take() {
+            match self.playback.take() {
                 Next::Read(Read::Entry(entry)) => return Some(entry),
                 Next::Read(Read::Gap { entries, reason }) => {
                     tracing::warn!(entries, reason, "the recording has a gap");
@@ -161,18 +161,18 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
 
     /// Handles the end of the recording: ends or starts again.
     fn lap(&mut self) {
-        let Comparison { same: identical, other: different, .. } = self.verdict;
-        (self.engine, self.verdict) = (Engine::new(), Comparison::default());
+        let Comparison { same: identical, other: different, .. } = self.comparison;
+        (self.engine, self.comparison) = (Engine::new(), Comparison::default());
         self.counters.replay_ends.inc();
         // A recording without a single sample would start again without end.
-        if !(self.config.repeat && self.heard.is_some()) {
+        if !(self.config.repeat && self.last_arrival.is_some()) {
             tracing::info!(identical, different, "the recording is at its end");
             return;
         }
-        self.tape.again();
+        self.playback.again();
         self.pace.anew();
-        self.teller.anew();
-        self.heard = None;
+        self.republisher.anew();
+        self.last_arrival = None;
         let now = self.clock.now();
         if self.logged.is_none_or(|logged| now - logged >= LAPS_NS) {
             let times = self.counters.replay_ends.get();
@@ -184,8 +184,8 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
     /// Handles a gap: nothing can be computed before the next keyframe.
     fn lose(&mut self) {
         self.engine.hole();
-        self.verdict.hole();
-        self.teller.hole();
+        self.comparison.hole();
+        self.republisher.hole();
     }
 
     fn take(&mut self, entry: &Entry, now: Mono) {
@@ -201,23 +201,23 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
             Entry::Sample { steering, .. } | Entry::Silence { steering, .. } => {
                 self.steering = *steering;
                 if self.engine.passed_over == passed_over {
-                    self.heard = Some(now);
+                    self.last_arrival = Some(now);
                 }
             }
             Entry::Keyframe(keyframe) => self.go_on_with(&keyframe.context),
             Entry::Frame { frame, time, .. } => self.utc = (*time, frame.time_ns),
             Entry::Lock { .. } => {}
         }
-        let different = self.verdict.other;
-        let pair = self.verdict.take(entry, self.engine.report()).is_some();
-        if different == 0 && self.verdict.other == 1 {
-            tracing::warn!(first = ?self.verdict.first, "poses differ from those of the recording");
+        let different = self.comparison.other;
+        let pair = self.comparison.take(entry, self.engine.report()).is_some();
+        if different == 0 && self.comparison.other == 1 {
+            tracing::warn!(first = ?self.comparison.first, "poses differ from those of the recording");
         }
         if let Entry::Frame { frame, .. } = entry
             && let Some(report) = self.engine.report().copied().filter(|_| pair)
         {
             let time = self.pace.present(report.time);
-            self.teller.recorded(&PoseReport { time, ..report }, frame);
+            self.republisher.recorded(&PoseReport { time, ..report }, frame);
         }
     }
 
@@ -245,25 +245,25 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
         let rate_hz = source.map_or(context.config.acquisition.rate_hz, |source| source.rate_hz);
         self.patience_ns = self.pace.patience_ns(rate_hz);
         if let Some(estimation) = self.engine.estimation() {
-            self.quiet = estimation.clone();
+            self.silence_estimation = estimation.clone();
         }
     }
 
     /// Reports silence in a gap and after the end.
     fn silence(&mut self, now: Mono) {
-        let heard = match self.heard {
-            Some(heard) => heard,
-            None if self.tape.over() => *self.heard.insert(now),
+        let last_arrival = match self.last_arrival {
+            Some(last_arrival) => last_arrival,
+            None if self.playback.over() => *self.last_arrival.insert(now),
             None => return,
         };
-        let known = self.waits.is_some() || self.tape.over();
+        let known = self.waits.is_some() || self.playback.over();
         let patience_ns = if known { self.patience_ns } else { self.patience_ns.max(SLOW_NS) };
-        if now - heard < patience_ns || now - self.teller.told < SILENCE_NS {
+        if now - last_arrival < patience_ns || now - self.republisher.published_at < SILENCE_NS {
             return;
         }
         let (then, utc_ns) = self.utc;
         let since_ns = self.pace.recorded(now).0.saturating_sub(then.0);
-        let report = self.quiet.silence(now, &self.steering);
-        self.teller.silence(&report, utc_ns.saturating_add(since_ns));
+        let report = self.silence_estimation.silence(now, &self.steering);
+        self.republisher.silence(&report, utc_ns.saturating_add(since_ns));
     }
 }

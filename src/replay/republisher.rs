@@ -29,7 +29,7 @@ pub struct Republisher<C, Publish> {
     /// The last report.
     pub last: Option<PoseReport>,
     /// Time of publishing it; initially the start.
-    pub told: Mono,
+    pub published_at: Mono,
     /// Session in which the last report of a sample was recorded.
     session: Option<u32>,
     /// There has been a gap since then.
@@ -39,8 +39,8 @@ pub struct Republisher<C, Publish> {
 impl<C: Clock, Publish: FnMut(&Republished)> Republisher<C, Publish> {
     /// A republisher that has published nothing yet.
     pub fn new(clock: C, publish: Publish, counters: Arc<Counters>) -> Self {
-        let told = clock.now();
-        Self { clock, publish, counters, last: None, told, session: None, hole: false }
+        let published_at = clock.now();
+        Self { clock, publish, counters, last: None, published_at, session: None, hole: false }
     }
 
     /// Notes a gap up to the next report of a sample. Several calls for the same gap count once.
@@ -100,7 +100,7 @@ impl<C: Clock, Publish: FnMut(&Republished)> Republisher<C, Publish> {
     fn tell(&mut self, report: &PoseReport, time_ns: i64, synced: bool) {
         let now = self.clock.now();
         let report = PoseReport { solved: now, status: report.status | Status::REPLAYED, ..*report };
-        (self.last, self.told) = (Some(report), now);
+        (self.last, self.published_at) = (Some(report), now);
         (self.publish)(&Republished { report, time_ns, synced });
     }
 }

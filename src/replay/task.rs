@@ -31,10 +31,10 @@ pub struct ReplayLinks<Publish, Means> {
 pub async fn run<C: Clock>(
     recording: Recording,
     clock: C,
-    edges: ReplayLinks<impl FnMut(&Republished), impl FnMut(&CalibrationContext)>,
+    links: ReplayLinks<impl FnMut(&Republished), impl FnMut(&CalibrationContext)>,
     stop: CancellationToken,
 ) {
-    let ReplayLinks { control, publish, means } = edges;
+    let ReplayLinks { control, publish, means } = links;
     let FastLink { changes: _changes, mut questions, mut orders } = control;
     let mut player = Player::new(recording, clock, publish, means);
     loop {

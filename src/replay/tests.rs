@@ -21,12 +21,12 @@ fn recorded(config: &Config, scans: u64) -> Vec<Entry> {
 }
 
 fn replayed(entries: &[Entry]) -> (Engine, Comparison) {
-    let (mut engine, mut verdict) = (Engine::new(), Comparison::default());
+    let (mut engine, mut comparison) = (Engine::new(), Comparison::default());
     for entry in entries {
         engine.take(entry).unwrap();
-        verdict.take(entry, engine.report());
+        comparison.take(entry, engine.report());
     }
-    (engine, verdict)
+    (engine, comparison)
 }
 
 fn frames(entries: &[Entry]) -> u64 {
@@ -52,7 +52,7 @@ const EVERYTHING: &str = "
 ";
 
 #[test]
-fn every_frame_comes_out_as_it_was() {
+fn every_frame_is_computed_again_identically() {
     let fused = "estimation.fuse_steering = true\ntwin.steering.readback_noise_um = 0.1\n";
     for text in [
         "",
@@ -62,22 +62,27 @@ fn every_frame_comes_out_as_it_was() {
         "estimation.model = 'ray'",
     ] {
         let entries = recorded(&config(text), 6000);
-        let (engine, verdict) = replayed(&entries);
-        assert_eq!((verdict.same, verdict.other), (frames(&entries), 0), "{text}: {:?}", verdict.first);
-        assert_eq!((verdict.unrecorded, verdict.unrepeated), (0, 0));
+        let (engine, comparison) = replayed(&entries);
+        assert_eq!(
+            (comparison.same, comparison.other),
+            (frames(&entries), 0),
+            "{text}: {:?}",
+            comparison.first
+        );
+        assert_eq!((comparison.unrecorded, comparison.unrepeated), (0, 0));
         assert_eq!((engine.taken_up, engine.passed_over), (1, 0), "{text}: no further keyframe is needed");
     }
 }
 
 #[test]
-fn nothing_is_computed_across_a_hole_that_nobody_told_of() {
+fn nothing_is_computed_across_a_gap_without_a_record() {
     let entries = recorded(&config("twin.channel_skew_us = 20"), 3000);
     let sample =
         |from: usize| (from..entries.len()).find(|i| matches!(entries[*i], Entry::Sample { .. })).unwrap();
     let (from, to) = (sample(1000), sample(1500));
     let cut = [&entries[..from], &entries[to..]].concat();
-    let (engine, verdict) = replayed(&cut);
-    assert_eq!(verdict.other, 0, "{:?}", verdict.first);
-    assert!(verdict.unrepeated > 0 && verdict.same > 2000, "{verdict:?}");
-    assert_eq!((engine.taken_up, engine.passed_over), (2, verdict.unrepeated));
+    let (engine, comparison) = replayed(&cut);
+    assert_eq!(comparison.other, 0, "{:?}", comparison.first);
+    assert!(comparison.unrepeated > 0 && comparison.same > 2000, "{comparison:?}");
+    assert_eq!((engine.taken_up, engine.passed_over), (2, comparison.unrepeated));
 }

@@ -112,11 +112,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_told_is_told_once_and_a_reload_only_of_what_is_ready() {
+    fn notifications_are_sent_once_and_a_reload_only_after_ready() {
         let name = format!("trifacet-notify-{}", std::process::id());
         let systemd = UnixDatagram::bind_addr(&SocketAddr::from_abstract_name(&name).unwrap()).unwrap();
         systemd.set_nonblocking(true).unwrap();
-        let heard = || {
+        let next_message = || {
             let mut bytes = [0; 200];
             systemd.recv(&mut bytes).map(|n| String::from_utf8_lossy(&bytes[..n]).into_owned()).ok()
         };
@@ -124,20 +124,23 @@ mod tests {
         let notify = Notify { socket: Some(socket), ..Notify::default() };
         notify.reloading();
         notify.alive();
-        assert_eq!(heard(), None, "not ready, and no watchdog is configured");
+        assert_eq!(next_message(), None, "not ready, and no watchdog is configured");
         notify.ready();
         notify.ready();
         notify.status("a");
         notify.status("a");
         notify.status("b");
-        assert_eq!([heard(), heard(), heard()].map(Option::unwrap), ["READY=1", "STATUS=a", "STATUS=b"]);
+        assert_eq!(
+            [next_message(), next_message(), next_message()].map(Option::unwrap),
+            ["READY=1", "STATUS=a", "STATUS=b"]
+        );
         notify.reloading();
         notify.reloaded();
-        assert!(heard().unwrap().starts_with("RELOADING=1\nMONOTONIC_USEC="));
-        assert_eq!(heard().unwrap(), "READY=1");
+        assert!(next_message().unwrap().starts_with("RELOADING=1\nMONOTONIC_USEC="));
+        assert_eq!(next_message().unwrap(), "READY=1");
         notify.stopping();
         notify.status("locked");
-        assert_eq!(heard().unwrap(), "STOPPING=1\nSTATUS=stopping");
-        assert_eq!(heard(), None);
+        assert_eq!(next_message().unwrap(), "STOPPING=1\nSTATUS=stopping");
+        assert_eq!(next_message(), None);
     }
 }

@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn who_makes_no_turns_is_named_and_nobody_is_fed() {
+    fn a_stalled_task_is_named_and_stops_the_watchdog_notifications() {
         let heartbeats = Heartbeats::default();
         let mut watch = Watch::default();
         for _ in 0..3 {
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn of_all_that_wait_the_one_within_a_turn_is_to_blame() {
+    fn the_task_that_is_inside_a_beat_is_named() {
         let heartbeats = Heartbeats::default();
         let watch = RefCell::new(Watch::default());
         let within = std::pin::pin!(counted(

@@ -48,7 +48,7 @@ impl Outputs {
     fn news(&mut self) -> Option<StageEvent> {
         let answers = self.answers.borrow_and_update();
         if let Some(source) = &answers.source
-            && !self.source.as_ref().is_some_and(|told| Arc::ptr_eq(told, source))
+            && !self.source.as_ref().is_some_and(|known| Arc::ptr_eq(known, source))
         {
             self.source = Some(Arc::clone(source));
             return Some(StageEvent::Up);
@@ -96,7 +96,7 @@ mod tests {
     use crate::twin::Twin;
 
     #[tokio::test]
-    async fn commands_become_codes_within_range_and_only_news_is_told() {
+    async fn commands_become_codes_within_range_and_only_changes_are_reported() {
         let (commands, sent) = watch::channel(None);
         let (answers, answered) = watch::channel(Answers::default());
         let mut outputs = Outputs::new(500e-6, commands, answered);

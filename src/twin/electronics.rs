@@ -167,7 +167,7 @@ mod tests {
     const SPOT: Option<Spot> = Some(Spot { at: [HALF / 2.0, -HALF / 4.0], power: 0.25 });
 
     #[test]
-    fn a_normalised_amplifier_shows_the_place_whatever_the_power() {
+    fn a_normalised_amplifier_shows_the_position_at_any_power() {
         let mut config = Config::default();
         config.channels.b.gain = [-2.0, 1.0, 0.5];
         config.twin.dark_v = [0.0, 0.0, 0.0, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0];

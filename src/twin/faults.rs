@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn injected_faults_start_when_told_and_old_ones_are_forgotten() {
+    fn injected_faults_start_at_the_order_and_old_ones_are_dropped() {
         let mut faults = Faults::default();
         for k in 0..1000 {
             faults.inject(fault(f64::from(k), Some(0.5), FaultKind::Stalled)).unwrap();
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn the_link_decides_in_order_of_gravity() {
+    fn the_most_severe_fault_of_the_link_applies() {
         let all = Active { stalled: true, dropped: 1.0, corrupted: 1.0, ..Active::default() };
         assert_eq!(all.fate(0.0, 0.0), Fate::Stalled);
         assert_eq!(Active { stalled: false, ..all }.fate(0.999, 0.0), Fate::Dropped);
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_is_refused_by_key() {
+    fn impossible_faults_are_refused_by_key() {
         for (kind, key) in [
             (FaultKind::PsdDark { psd: 3 }, "psd"),
             (FaultKind::Clipped { channel: 9 }, "channel"),

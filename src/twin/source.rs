@@ -27,7 +27,7 @@ pub struct TwinSource<C: Waiting> {
     /// Number of scans lost since the last one that arrived.
     lost: u32,
     /// Time of the last scan that arrived.
-    heard: Mono,
+    last_scan: Mono,
     down: bool,
     stalled: bool,
     /// Silence after which the source is down, nanoseconds.
@@ -49,7 +49,7 @@ impl<C: Waiting> TwinSource<C> {
             counters,
             due: 0,
             lost: 0,
-            heard: pace.schedule().time(0),
+            last_scan: pace.schedule().time(0),
             down: false,
             stalled: false,
             patience: MIN_SILENCE_NS.max((5.0 / rate_hz * NS_PER_S as f64) as i64),
@@ -72,7 +72,7 @@ impl<C: Waiting> TwinSource<C> {
         match scan.arrived(time, self.lost) {
             Some(scan) => {
                 self.counters.scans_lost.add(scan.lost.into());
-                (self.heard, self.lost, self.down) = (time, 0, false);
+                (self.last_scan, self.lost, self.down) = (time, 0, false);
                 self.events.push_back(SourceEvent::Scan(scan));
             }
             None => self.miss(scan.fate, time),
@@ -85,7 +85,7 @@ impl<C: Waiting> TwinSource<C> {
         if fate == Fate::Corrupted {
             self.counters.frames_corrupted.inc();
         }
-        let silence = time - self.heard;
+        let silence = time - self.last_scan;
         if silence >= self.patience && !self.down {
             self.down = true;
             let silence_ms = u32::try_from(silence / 1_000_000).unwrap_or(u32::MAX);
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn it_comes_up_and_delivers_every_scan_with_its_scheduled_time() {
+    async fn the_source_delivers_every_scan_with_its_scheduled_time() {
         let mut bench = bench(&[]);
         let start = bench.clock.now();
         assert!(
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_stall_is_told_once_and_ends_with_a_gap() {
+    async fn a_stall_is_reported_once_and_ends_with_a_gap() {
         let mut bench = bench(&[Fault { at_s: 0.1, for_s: Some(0.1), kind: FaultKind::Stalled }]);
         let events = bench.run(250).await;
         let silence = SourceEvent::Down(SourceError::Stalled { silence_ms: 20 });

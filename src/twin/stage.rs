@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn the_path_does_not_depend_on_when_it_is_looked_at() {
+    fn the_path_does_not_depend_on_the_times_of_reading() {
         let run = |looks: u32| {
             let mut stage = StageSim::new(0.3e-3, 0.7e-3, 60e-6);
             stage.command([50e-6, 90e-6], 0.0);
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn the_limit_holds_and_is_told() {
+    fn the_limit_is_kept_and_reported() {
         let mut stage = StageSim::new(0.0, 1e-3, 500e-6);
         stage.command([0.0, -700e-6], 0.0);
         assert_eq!(stage.advance(1.0, false), [0.0, -500e-6]);
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn without_lag_it_jumps_and_late_commands_act_at_once() {
+    fn without_lag_the_stage_jumps_and_late_commands_act_at_once() {
         let mut stage = StageSim::new(0.0, 0.0, 1e-3);
         stage.advance(5.0, false);
         stage.command([1e-6, 2e-6], 4.0);
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn stuck_it_stays_and_then_follows_the_last_command() {
+    fn a_stuck_stage_stays_and_then_follows_the_last_command() {
         let mut stage = StageSim::new(0.0, 1e-4, 1e-3);
         stage.command([10e-6, 0.0], 0.0);
         stage.advance(1.0, false);

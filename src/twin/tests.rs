@@ -26,7 +26,7 @@ fn mean_and_sd(x: &[f64]) -> (f64, f64) {
 }
 
 #[test]
-fn a_seed_gives_the_same_scans_and_another_others() {
+fn the_same_seed_gives_the_same_scans_and_another_seed_does_not() {
     let mut config = Config::default();
     let first = scans(&config, 500);
     assert_eq!(first, scans(&config, 500));
@@ -67,7 +67,7 @@ fn the_noise_is_that_of_the_configuration() {
 }
 
 #[test]
-fn faults_show_in_their_channels_alone_and_leave_later_noise_as_it_was() {
+fn faults_change_only_their_channels_and_not_the_later_noise() {
     let plain = scans(&quiet(), 300);
     let rail = (1 << 17) - 1;
     let faulty = |kind: FaultKind| {
@@ -116,7 +116,7 @@ fn faults_show_in_their_channels_alone_and_leave_later_noise_as_it_was() {
 }
 
 #[test]
-fn the_laser_follows_its_commands_and_the_readback_tells() {
+fn the_laser_follows_its_commands_and_the_readback_reports_it() {
     let mut config = quiet();
     config.twin.laser_offset_um = [20.0, 0.0];
     let mut twin = Twin::new(&config).unwrap();
@@ -135,7 +135,7 @@ fn the_laser_follows_its_commands_and_the_readback_tells() {
 }
 
 #[test]
-fn a_stuck_stage_stays_and_a_railed_one_says_so() {
+fn a_stuck_stage_does_not_move_and_a_railed_one_reports_it() {
     let mut config = quiet();
     config.twin.steering.limit_um = 100.0;
     let mut twin = Twin::new(&config).unwrap();
@@ -195,7 +195,7 @@ fn without_readback_there_are_nine_channels() {
 }
 
 #[test]
-fn what_a_twin_cannot_be_is_refused_by_key() {
+fn impossible_twins_are_refused_by_key() {
     let refused = |key: &str, change: &dyn Fn(&mut Config)| {
         let mut config = quiet();
         change(&mut config);

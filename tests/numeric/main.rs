@@ -1,4 +1,4 @@
-//! What the numbers are worth: the sensor model and its inverse, the accuracy of poses, and the centering loop
+//! Numerical tests: the sensor model and its inverse, the accuracy of the poses, and the centering loop
 //! in lockstep with the twin.
 //!
 //! Many of these tests print tables: `cargo test --test numeric NAME -- --nocapture`.

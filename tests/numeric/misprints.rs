@@ -1,5 +1,5 @@
-//! The equations of the paper as printed, beside the law of reflection: the print is wrong where
-//! docs/sensor-model.md says so, and our model is right.
+//! The equations of the paper as printed, compared with the law of reflection: the print is wrong where
+//! docs/sensor-model.md states it, and the model of this project is right.
 
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_4};
 
@@ -15,7 +15,7 @@ fn head() -> Head {
     Head::nominal(R_PSD, 0.013, FRAC_PI_4, 0.46e-3).unwrap()
 }
 
-/// The normals as the plain rotation of the facets has them.
+/// The normals of the facets by plain rotation.
 fn normals(pose: &Pose) -> [Vec3; 3] {
     head().facets.map(|n| pose.rotation() * n)
 }
@@ -28,7 +28,7 @@ fn equation_5_has_the_wrong_sign_in_n_a() {
     let printed = -FRAC_1_SQRT_2 * (sb + cb * cg);
     let corrected = FRAC_1_SQRT_2 * (-sb + cb * cg);
     assert!((corrected - true_n_a).abs() < 1e-15);
-    assert!((printed - true_n_a).abs() > 1.0, "the printed facet A looks down");
+    assert!((printed - true_n_a).abs() > 1.0, "the printed normal of facet A points downwards");
 }
 
 #[test]
@@ -49,18 +49,18 @@ fn equations_6_and_7_have_a_wrong_sine_in_l_b_and_l_c() {
 }
 
 #[test]
-fn equation_12_puts_the_spot_of_b_far_off_a_mirror_at_rest() {
+fn equation_12_places_the_spot_of_b_far_outside_its_psd_at_rest() {
     // At zero pose the sub-beam runs straight to PSD B, whose middle it must hit.
     let v = Vec3::new(-0.5, 0.75_f64.sqrt(), 0.0);
     let root3 = 3.0_f64.sqrt();
     // Eq. 12, row B, at t = 0 and x_B = 0 (Eq. 13), solved for y_B.
     let printed_u = root3 * R_PSD + R_PSD * (-root3 * v.x + v.y) / (v.x + root3 * v.y);
-    assert!((printed_u - 0.866).abs() < 1e-3, "866 mm off a PSD of 13 mm");
+    assert!((printed_u - 0.866).abs() < 1e-3, "866 mm from the middle of a PSD of 13 mm");
 
     let rest = Optics::new(&head()).trace(Model::Ray, &Pose::default(), Vec2::zeros()).unwrap();
     assert!(rest.spots[2].abs() < 1e-15);
 
-    // The inverse of T_B (Eq. 11) takes a point of the world to PSD B; so does our frame.
+    // The inverse of T_B (Eq. 11) transforms a point of the world into the frame of PSD B, as the model does.
     let p = Vec3::new(-0.12, 0.21, 0.003);
     let psd = head().psds[1];
     let local = |axis: Vec3| (p - psd.origin).dot(&axis);

@@ -1,4 +1,4 @@
-//! The optics against cases computed from the law of reflection by an independent program.
+//! The optics compared with reference cases that an independent program computed from the law of reflection.
 
 use trifacet_optics::{Estimator, Head, Model, Optics, Pose, Signals, Vec2};
 

@@ -1,5 +1,5 @@
-//! `docs/board-protocol.md` is true: its examples decode to what it says of them and come back byte for
-//! byte, and its baud rates are those that the daemon asks for.
+//! `docs/board-protocol.md` agrees with the code: its examples decode to the described values and encode to
+//! the same bytes, and its baud rates are those that the daemon requires.
 
 use std::fmt::Debug;
 
@@ -10,7 +10,7 @@ use trifacet_wire::channel::{Converter, MAX_CHANNELS, Role, SIGNALS};
 
 const DOCUMENT: &str = include_str!("../../docs/board-protocol.md");
 
-/// The message and the frame of the example under a heading.
+/// The message and the frame of the example in this section.
 fn example(heading: &str) -> (Vec<u8>, Vec<u8>) {
     let (_, section) = DOCUMENT.split_once(&format!("\n### {heading}\n")).expect(heading);
     let (_, block) = section.split_once("```text\nmessage").expect(heading);
@@ -44,7 +44,7 @@ fn check<T: Debug + PartialEq>(
 }
 
 #[test]
-fn the_examples_of_the_host_are_true() {
+fn the_examples_of_the_host_decode_and_encode() {
     let command = OutputCommand { id: 42, codes: [1000, -2000], lease_ms: 200, on_expiry: LeaseAction::Park };
     for (heading, request) in [
         ("0x01 IDENTIFY", Request::Identify),
@@ -57,7 +57,7 @@ fn the_examples_of_the_host_are_true() {
 }
 
 #[test]
-fn the_examples_of_the_board_are_true() {
+fn the_examples_of_the_board_decode_and_encode() {
     let mut roles = SIGNALS.to_vec();
     roles.extend([Role::Steering(0), Role::Steering(1)]);
     let identity = BoardIdentity {
@@ -80,7 +80,7 @@ fn the_examples_of_the_board_are_true() {
 }
 
 #[test]
-fn the_example_of_a_scan_is_true() {
+fn the_example_of_a_scan_decodes() {
     let (message, frame) = example("0x84 SCAN");
     let mut codes = [0; MAX_CHANNELS];
     let some = [1, -1, 131_071, -131_072, 65_536, 40_000, 256, -256, 40_001, 12_345, -12_345];
@@ -99,13 +99,13 @@ fn the_example_of_a_scan_is_true() {
     let mut out = Vec::new();
     scan.encode(&mut out);
     assert_eq!(out, frame);
-    // A scan may have any number of whole codes, and nothing else.
+    // A scan contains any number of complete codes, and nothing else.
     let cut = Answer::decode(&body[..body.len() - 1]);
     assert_eq!(cut, Err(MessageError::Length { kind: 0x84, length: body.len() - 1 }));
 }
 
 #[test]
-fn the_baud_rates_are_those_that_the_daemon_asks_for() {
+fn the_baud_rates_are_those_that_the_daemon_requires() {
     let rates = [500.0, 1e3, 2e3, 5e3, 10e3];
     for channels in [9, 11, 16] {
         let row = rates.map(|rate_hz| grouped(required_baud(channels, rate_hz)));
@@ -123,7 +123,7 @@ fn grouped(number: u32) -> String {
 }
 
 #[test]
-fn what_is_no_message_of_this_version_is_told_apart() {
+fn messages_of_other_versions_and_invalid_values_are_distinguished() {
     assert_eq!(Request::decode(&[0x81, 1]), Err(MessageError::Type(0x81)));
     assert_eq!(Answer::decode(&[0x01, 1]), Err(MessageError::Type(0x01)));
     assert_eq!(Request::decode(&[0x01, 2]), Err(MessageError::Version { kind: 0x01, version: 2 }));

@@ -1,4 +1,4 @@
-//! The command line: exit codes that a supervisor can use, and messages that a person can.
+//! The command line: exit codes for supervisors and messages for operators.
 
 use std::fs::File;
 use std::process::Output;
@@ -14,7 +14,7 @@ fn text(bytes: &[u8]) -> String {
 }
 
 #[test]
-fn wrong_command_lines_exit_64_and_say_what_is_right() {
+fn wrong_command_lines_exit_64_and_show_what_is_allowed() {
     for (arguments, told) in [
         (&[][..], "Usage: trifacet"),
         (&["chekc"], "'check'"),
@@ -41,7 +41,7 @@ fn help_and_version_go_to_standard_output() {
 }
 
 #[test]
-fn every_command_refuses_a_wrong_configuration_with_78() {
+fn every_command_exits_78_for_an_invalid_configuration() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("lab.toml");
     std::fs::write(&path, "[head]\npsd_distance_mm = -5\n\n[acquisition]\nrate_hz = 0\n").unwrap();
@@ -71,7 +71,7 @@ fn a_configuration_that_cannot_be_read_exits_78_with_its_name() {
 }
 
 #[test]
-fn check_says_what_a_configuration_means() {
+fn check_explains_a_configuration() {
     let told = text(&trifacet(&["check"]).stdout);
     for part in [
         "PSDs of 13 mm at 250 mm, facets at 45 deg, beam 0.46 mm across",
@@ -79,19 +79,19 @@ fn check_says_what_a_configuration_means() {
         "digital twin",
         "1000 Hz",
         "Ki 200.0000 /s for a loop delay of 2.5 ms",
-        // 1.08 um of spot noise, the deviations of the paper's Table 2.
+        // The standard uncertainties for 1.08 um of spot noise, as in Table 2 of the paper.
         "tx 0.986 ty 0.986 tz 0.624 um, roll 1.765 pitch 1.765 yaw 2.494 urad",
         "TCP at 127.0.0.1:7361",
         "UDP to 127.0.0.1:7362",
         "within +-400 um",
         "UNCALIBRATED",
     ] {
-        assert!(told.contains(part), "{told}\nlacks: {part}");
+        assert!(told.contains(part), "{told}\ndoes not contain: {part}");
     }
 }
 
 #[test]
-fn check_says_which_stage_it_is() {
+fn check_describes_the_stage() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("stage.toml");
     let told = |line: &str| {
@@ -112,7 +112,7 @@ fn check_says_which_stage_it_is() {
 }
 
 #[test]
-fn check_warns_of_what_is_allowed_and_may_surprise() {
+fn check_warns_of_unusual_values() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("slow.toml");
     std::fs::write(&path, "acquisition.rate_hz = 10\nestimation.average = 4\n").unwrap();
@@ -120,7 +120,7 @@ fn check_warns_of_what_is_allowed_and_may_surprise() {
     assert!(told.contains("steering.lease_ms = 200 is short"), "{told}");
     assert!(told.contains("two periods are used"), "{told}");
     assert!(told.contains("means of 4 samples") && told.contains("2.5 frames per second"), "{told}");
-    // Four samples halve the deviations.
+    // The mean of four samples halves the standard uncertainties.
     assert!(told.contains("tx 0.493"), "{told}");
 }
 

@@ -1,5 +1,5 @@
-//! Recordings and configurations of version 0.1.0, as that version wrote or shipped them (`tests/fixtures/0.1.0`).
-//! Its Python kit is tested with the other kits.
+//! Recordings and configurations of version 0.1.0, as that version wrote or shipped them
+//! (`tests/fixtures/0.1.0`). The Python kit of that version is tested with the other kits.
 
 use std::path::{Path, PathBuf};
 
@@ -16,7 +16,7 @@ fn a_recording_of_0_1_0_replays_bit_by_bit() {
     assert!(done.out.contains("800 of 800"), "{}", done.out);
 }
 
-/// The fingerprint says that head, channels and frames are the same as then.
+/// The configuration id shows that head, channels and frames are unchanged.
 #[test]
 fn configurations_of_0_1_0_are_loaded_unchanged() {
     for (name, id) in

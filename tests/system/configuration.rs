@@ -1,10 +1,10 @@
-//! Configurations, good and bad: what is refused, where, and with which words.
+//! Valid and invalid configurations: which are refused, at which place, and with which message.
 
 use std::path::Path;
 
 use trifacet::config::{Config, ConfigError, SourceKind, parse};
 
-/// The message of a configuration that must be refused.
+/// The error message for a configuration that must be refused.
 fn refusal(text: &str) -> String {
     match parse(text, Some(Path::new("lab.toml"))) {
         Ok(_) => panic!("accepted:\n{text}"),
@@ -12,7 +12,7 @@ fn refusal(text: &str) -> String {
     }
 }
 
-/// Text, and what the message must contain: place, key with its value, what is allowed.
+/// The text, and what the message must contain: the place, the key with its value, and the allowed values.
 #[rustfmt::skip]
 const BAD: &[(&str, &[&str])] = &[
     // Not TOML
@@ -48,13 +48,13 @@ const BAD: &[(&str, &[&str])] = &[
     ("[[twin.fault]]\nat_s = 1\nkind = 'psd-dark'\n", &["lab.toml:1:", "twin.fault[0]", "needs the key `psd`"]),
     ("[[twin.fault]]\nat_s = 1\nkind = 'stalled'\npsd = 1\n", &["twin.fault[0]", "`psd` does not belong"]),
     ("[[twin.fault]]\nat_s = 1\nkind = 'psd-dark'\npsd = -1\n", &["lab.toml:4:7: twin.fault[0].psd = -1", "allowed is 0 to 2"]),
-    // Values that are no numbers
+    // Values that are not finite numbers
     ("[head]\npsd_distance_mm = nan\n", &["lab.toml:2:19: head.psd_distance_mm = nan: allowed is 5 to 10000"]),
     ("[head]\nfacet_angle_deg = inf\n", &["lab.toml:2:19: head.facet_angle_deg = inf: allowed is 5 to 85"]),
     ("[centering]\nkp = -inf\n", &["lab.toml:2:6: centering.kp = -inf: allowed is 0 to 10"]),
     ("[head]\nbeam_direction = [0, 0, nan]\n", &["lab.toml:2:18: head.beam_direction", "three finite numbers"]),
     ("[head.a]\npsd_origin_mm = [250, inf, 0]\n", &["lab.toml:2:23: head.a.psd_origin_mm[1] = inf: allowed is -10000 to 10000"]),
-    // Clashes of values that are fine alone
+    // Combinations that are not allowed
     ("[steering]\nlimit_um = 600\n", &["lab.toml:2:12: steering.limit_um = 600: allowed is at most steering.full_scale_um, 500"]),
     ("[steering]\nfull_scale_um = 300\n", &["lab.toml:2:17: steering.limit_um = 400.0 (default): allowed is at most steering.full_scale_um, 300"]),
     ("[steering]\npark_um = [0, -401]\n", &["lab.toml:2:15: steering.park_um[1] = -401: allowed is within plus/minus steering.limit_um, 400"]),
@@ -123,7 +123,7 @@ fn bad_files_are_refused_with_place_key_and_what_is_allowed() {
     for (text, parts) in BAD {
         let message = refusal(text);
         for part in *parts {
-            assert!(message.contains(part), "{text}\nsays: {message}\nwants: {part}");
+            assert!(message.contains(part), "{text}\nmessage: {message}\nexpected: {part}");
         }
     }
 }
@@ -148,7 +148,7 @@ fn an_empty_file_is_the_defaults() {
 }
 
 #[test]
-fn good_files_mean_what_they_say() {
+fn valid_files_set_the_configured_values() {
     let config = parse(
         "acquisition = {source = 'serial', rate_hz = 100}\n\
          [publishing]\ntcp = 'off'\nudp = []\n\
@@ -168,14 +168,14 @@ fn good_files_mean_what_they_say() {
 }
 
 #[test]
-fn a_file_that_is_not_there_is_an_error_with_its_name() {
+fn a_missing_file_is_an_error_with_its_name() {
     let error = trifacet::config::load(Some(Path::new("/no/such/lab.toml"))).unwrap_err();
     assert!(matches!(error, ConfigError::Unreadable { .. }));
     assert!(error.to_string().contains("/no/such/lab.toml"), "{error}");
 }
 
 #[test]
-fn a_correction_table_is_found_beside_the_file_and_counts_in_the_fingerprint() {
+fn a_correction_table_is_found_beside_the_file_and_changes_the_fingerprint() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("lab.toml");
     let table = folder.path().join("a.csv");
@@ -191,13 +191,13 @@ fn a_correction_table_is_found_beside_the_file_and_counts_in_the_fingerprint() {
 }
 
 #[test]
-fn the_fingerprint_is_that_of_geometry_and_calibration() {
+fn the_fingerprint_depends_on_geometry_calibration_and_frames_only() {
     let id = |text: &str| parse(text, None).unwrap().config_id().unwrap();
     // This number is part of the format: it must be the same in every version and on every machine.
     assert_eq!(id(""), 3_635_944_138, "the defaults");
     assert_eq!(id("acquisition.rate_hz = 50\nlog.level = 'warn'\ntwin.seed = 3"), id(""));
     assert_eq!(id("frames.base.rotation_deg = [-0.0, 0, 0]"), id(""), "frames that change nothing");
-    assert_eq!(id("frames.tool.translation_mm = [0, 0, -40]"), 3_360_922_473, "and of frames");
+    assert_eq!(id("frames.tool.translation_mm = [0, 0, -40]"), 3_360_922_473, "a tool frame");
     for text in [
         "head.psd_distance_mm = 250.0000001",
         "channels.b.gain = [1, -1, 1]",

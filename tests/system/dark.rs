@@ -21,7 +21,7 @@ fn file(folder: &tempfile::TempDir, text: &str) -> PathBuf {
 const TRUTH: [f64; 9] = [0.01, -0.02, 0.03, 0.004, 0.005, 0.006, -0.007, 0.008, 0.009];
 
 #[test]
-fn offsets_are_measured_and_written_and_nothing_else_changes() {
+fn offsets_are_measured_and_written_and_the_rest_of_the_file_is_kept() {
     let folder = tempfile::tempdir().unwrap();
     let text =
         format!("# our lab\n[channels.a]  # first\ngain = [1.5, 1.0, 1.0]\n[twin]\ndark_v = {TRUTH:?}\n");
@@ -31,7 +31,7 @@ fn offsets_are_measured_and_written_and_nothing_else_changes() {
     let after = config::load(Some(&file)).unwrap();
     for (psd, truth) in after.channels.psds().into_iter().zip(TRUTH.chunks(3)) {
         for (measured, truth) in psd.dark_v.iter().zip(truth) {
-            // The twin's position noise is 1.7 mV, its converter's step 76 uV.
+            // The position noise of the twin is 1.7 mV, the step of its converter 76 uV.
             assert!((measured - truth).abs() < 3e-4, "{measured} {truth}");
         }
     }
@@ -41,7 +41,7 @@ fn offsets_are_measured_and_written_and_nothing_else_changes() {
 }
 
 #[test]
-fn print_leaves_the_file_as_it_is() {
+fn print_does_not_change_the_file() {
     let folder = tempfile::tempdir().unwrap();
     let file = file(&folder, "[log]\n");
     let output = dark(&file, &["--samples", "50", "--print"]);
@@ -53,7 +53,7 @@ fn print_leaves_the_file_as_it_is() {
 #[test]
 fn light_is_refused() {
     let folder = tempfile::tempdir().unwrap();
-    // An offset that no amplifier has: to the daemon this is light.
+    // An offset that is too large for an amplifier: the command takes it for light.
     let text = "[twin]\ndark_v = [0.0, 0.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0]\n";
     let file = file(&folder, text);
     let output = dark(&file, &["--samples", "50"]);
@@ -64,7 +64,7 @@ fn light_is_refused() {
 }
 
 #[test]
-fn a_board_that_is_not_there_is_said_to_be_missing() {
+fn a_missing_board_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let text = "[acquisition]\nsource = \"serial\"\n[acquisition.serial]\nport = \"/dev/no-such-port\"\n";
     let output = dark(&file(&folder, text), &[]);

@@ -1,4 +1,4 @@
-//! `trifacet emulate` as a user runs it.
+//! `trifacet emulate` through the binary.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Write};
@@ -20,7 +20,7 @@ fn emulate(link: &Path) -> Child {
 }
 
 #[test]
-fn it_links_to_its_port_answers_orders_and_ends_in_order() {
+fn emulate_links_to_its_port_obeys_orders_and_ends_in_order() {
     let folder = tempfile::tempdir().unwrap();
     let link = folder.path().join("board");
     std::os::unix::fs::symlink("/nowhere", &link).unwrap();
@@ -36,7 +36,7 @@ fn it_links_to_its_port_answers_orders_and_ends_in_order() {
         assert_eq!(status["output_um"], serde_json::json!([0.0, 0.0]));
         let port = out.next().unwrap();
         assert_eq!(fs::read_link(&link).unwrap(), Path::new(&port), "plugged in again");
-        drop(orders); // without orders it goes on
+        drop(orders); // the end of its input does not end the emulator
         kill_process(Pid::from_child(&child), signal).unwrap();
         let end = child.wait_with_output().unwrap();
         assert!(end.status.success());
@@ -48,7 +48,7 @@ fn it_links_to_its_port_answers_orders_and_ends_in_order() {
 }
 
 #[test]
-fn it_leaves_alone_what_is_not_a_link() {
+fn emulate_does_not_replace_a_file_that_is_not_a_link() {
     let file = tempfile::NamedTempFile::new().unwrap();
     let end = emulate(file.path()).wait_with_output().unwrap();
     assert_eq!(end.status.code(), Some(74));

@@ -1,8 +1,9 @@
-//! The program through its front door: the real binary, its files, sockets, terminals, signals, and the page
-//! in a real browser.
+//! The program through its public interfaces: the binary, its files, sockets, terminals, signals, and the
+//! page in a browser.
 //!
-//! One binary, because each costs a link of the whole program. Tests start in the order of their paths, so those
-//! that run at the same time are mostly of the same module: the browser is not beside tests that measure time.
+//! There is one test binary, because each one links the whole program. Tests start in the order of their
+//! paths, so tests that run at the same time are mostly of one module: the browser does not run beside tests
+//! that measure time.
 
 #![allow(clippy::unwrap_used)]
 

@@ -1,4 +1,4 @@
-//! The serial source against `trifacet emulate`: the whole path through a pseudo-terminal, both ways.
+//! The serial source with `trifacet emulate`: the whole path through a pseudo-terminal in both directions.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -34,7 +34,7 @@ impl Host {
     }
 
     async fn next(&mut self) -> SourceEvent {
-        let event = tokio::time::timeout(PATIENCE, self.source.next()).await.expect("nothing happens");
+        let event = tokio::time::timeout(PATIENCE, self.source.next()).await.expect("no event");
         if let SourceEvent::Scan(scan) = event {
             if let Some(last) = self.last {
                 assert_eq!(scan.index, last.index + 1 + u64::from(scan.lost), "every scan has its index");
@@ -45,7 +45,7 @@ impl Host {
         event
     }
 
-    /// Goes on until something happens.
+    /// Reads events until one fulfils this condition.
     async fn until<T>(&mut self, what: impl Fn(&SourceEvent) -> Option<T>) -> T {
         loop {
             if let Some(found) = what(&self.next().await) {
@@ -58,7 +58,7 @@ impl Host {
         self.until(|event| matches!(event, SourceEvent::Up(_)).then_some(())).await;
     }
 
-    /// Goes on until scans stop for the reason that is looked for; a busy machine may find others.
+    /// Reads events until scans stop for the expected reason; a busy machine may cause other reasons before.
     async fn down(&mut self, reason: impl Fn(&SourceError) -> bool) {
         self.until(|event| matches!(event, SourceEvent::Down(down) if reason(down)).then_some(())).await;
     }
@@ -97,13 +97,13 @@ async fn scans_arrive_without_loss_and_with_their_times() {
     let last = host.scans(1500).await;
     assert_eq!(last.index, 1999);
     assert!(host.counters.list().iter().all(|(_, n)| *n == 0), "{:?}", host.counters);
-    // The board's clock is the host's: what is left is the jitter of the way.
+    // Board and host have the same clock, so only the jitter of the transfer remains.
     let period = last.time.seconds_since(first.time) / 1500.0;
     assert!((period - 1e-3).abs() < 2e-6, "{period}");
 }
 
 #[tokio::test]
-async fn the_stage_is_steered_and_parks_when_the_host_is_gone() {
+async fn the_stage_is_steered_and_parks_after_the_end_of_the_host() {
     let mut board = Board::start("");
     let mut host = Host::new(&board.link());
     host.up().await;
@@ -121,7 +121,7 @@ async fn the_stage_is_steered_and_parks_when_the_host_is_gone() {
 }
 
 #[tokio::test]
-async fn damage_on_the_way_is_counted_scan_by_scan() {
+async fn damaged_and_dropped_scans_are_counted() {
     let mut board = Board::start("");
     let mut host = Host::new(&board.link());
     host.up().await;
@@ -135,7 +135,7 @@ async fn damage_on_the_way_is_counted_scan_by_scan() {
 }
 
 #[tokio::test]
-async fn a_stall_is_told_and_ends_by_itself() {
+async fn a_stall_is_reported_and_ends_by_itself() {
     let mut board = Board::start("");
     let mut host = Host::new(&board.link());
     host.scans(100).await;
@@ -147,7 +147,7 @@ async fn a_stall_is_told_and_ends_by_itself() {
 }
 
 #[tokio::test]
-async fn a_pulled_cable_is_told_at_once_and_found_again() {
+async fn an_unplugged_cable_is_reported_at_once_and_reconnected() {
     let mut board = Board::start("");
     let mut host = Host::new(&board.link());
     host.scans(100).await;
@@ -162,7 +162,7 @@ async fn a_pulled_cable_is_told_at_once_and_found_again() {
 }
 
 #[tokio::test]
-async fn a_board_that_is_killed_is_replaced_by_the_next_one() {
+async fn a_killed_board_can_be_replaced() {
     let mut board = Board::start("");
     let mut host = Host::new(&board.link());
     host.scans(100).await;
@@ -174,7 +174,7 @@ async fn a_board_that_is_killed_is_replaced_by_the_next_one() {
 }
 
 #[tokio::test]
-async fn a_port_that_is_not_there_is_waited_for() {
+async fn the_source_waits_for_a_missing_port() {
     let socket = Socket::new();
     let mut host = Host::new(&socket.link());
     match host.next().await {
@@ -187,7 +187,7 @@ async fn a_port_that_is_not_there_is_waited_for() {
 }
 
 #[tokio::test]
-async fn a_second_host_hears_who_has_the_port_and_the_first_goes_on() {
+async fn a_second_host_learns_the_owner_of_the_port_and_the_first_continues() {
     let board = Board::start("");
     let mut host = Host::new(&board.link());
     host.scans(10).await;
@@ -199,7 +199,7 @@ async fn a_second_host_hears_who_has_the_port_and_the_first_goes_on() {
 }
 
 #[tokio::test]
-async fn a_board_that_was_told_to_stop_sends_no_more() {
+async fn a_stopped_board_sends_no_scans() {
     let mut board = Board::start("");
     let mut host = Host::new(&board.link());
     host.scans(10).await;

@@ -1,5 +1,4 @@
-//! What is shipped beside the code: configurations, their documentation and the service unit must be
-//! true to it.
+//! The shipped configurations, their documentation, the service unit and the man pages agree with the code.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -22,7 +21,7 @@ fn trifacet(arguments: &[&str]) -> Output {
 }
 
 #[test]
-fn every_shipped_configuration_is_fine() {
+fn every_shipped_configuration_is_valid() {
     let mut count = 0;
     for entry in std::fs::read_dir(root("config")).unwrap() {
         let path = entry.unwrap().path();
@@ -34,13 +33,13 @@ fn every_shipped_configuration_is_fine() {
 }
 
 #[test]
-fn the_default_file_is_the_defaults_and_the_board_example_is_a_board() {
+fn the_default_file_has_the_defaults_and_the_board_example_uses_a_board() {
     assert_eq!(load(Some(&root("config/default.toml"))).unwrap(), Config::default());
     let board = load(Some(&root("config/serial-board.toml"))).unwrap();
     assert_eq!(board.acquisition.source, SourceKind::Serial);
 }
 
-/// What the documentation says of a key.
+/// The documentation of a key.
 struct Row {
     default: String,
     allowed: String,
@@ -69,7 +68,7 @@ fn documented() -> BTreeMap<String, Row> {
     rows
 }
 
-/// The keys of config/default.toml with their values as written; those in comments have none.
+/// The keys of config/default.toml with their values as written; keys in comments have no value.
 fn defaults() -> BTreeMap<String, Option<String>> {
     let mut keys = BTreeMap::new();
     let mut section = String::new();
@@ -86,7 +85,7 @@ fn defaults() -> BTreeMap<String, Option<String>> {
             && key.chars().all(|c| c.is_ascii_lowercase() || c == '_')
         {
             let value = value.split('#').next().unwrap().trim().to_owned();
-            // The parts of a head and the motions are alike: the first tells for all.
+            // The parts of a head have the same keys, as do the motions: the first one represents all.
             keys.entry(format!("{section}.{key}")).or_insert((!comment).then_some(value));
         }
     }
@@ -105,7 +104,7 @@ fn every_key_is_documented_with_its_default() {
 }
 
 #[test]
-fn every_documented_key_exists_and_its_range_is_the_one_that_is_checked() {
+fn every_documented_key_exists_with_the_documented_range() {
     let mut ranges = 0;
     for (key, row) in documented() {
         let Some((lo, hi)) = range(&row.allowed) else { continue };
@@ -117,7 +116,7 @@ fn every_documented_key_exists_and_its_range_is_the_one_that_is_checked() {
                 error
                     .lines()
                     .any(|l| l.contains(&told) && l.contains(&format!("allowed is {}", row.allowed))),
-                "{text}\nsays: {error}\nwants: {told} ... {}",
+                "{text}\nmessage: {error}\nexpected: {told} ... {}",
                 row.allowed
             );
             ranges += 1;
@@ -126,7 +125,7 @@ fn every_documented_key_exists_and_its_range_is_the_one_that_is_checked() {
     assert!(ranges > 100, "{ranges}");
 }
 
-/// "5 to 85", "more than 0, at most 1".
+/// Parses ranges such as "5 to 85" or "more than 0, at most 1".
 fn range(allowed: &str) -> Option<(f64, f64)> {
     let (lo, hi) = match allowed.strip_prefix("more than ") {
         Some(rest) => rest.split_once(", at most ")?,
@@ -135,10 +134,10 @@ fn range(allowed: &str) -> Option<(f64, f64)> {
     Some((lo.parse().ok()?, hi.parse().ok()?))
 }
 
-/// A configuration in which a key has this value.
+/// A configuration with this value for a key.
 fn with_value(key: &str, value: f64, default: &str) -> String {
     let (section, name) = key.rsplit_once('.').unwrap();
-    // Without a point where the default has none: an integer.
+    // An integer if the default has no decimal point.
     let number = if default.contains('.') { format!("{value:?}") } else { format!("{value}") };
     let elements = match name {
         "psd_origin_mm" => 3,
@@ -166,7 +165,7 @@ fn with_value(key: &str, value: f64, default: &str) -> String {
 }
 
 #[test]
-fn the_table_of_what_can_be_reloaded_is_complete() {
+fn the_table_of_reloadable_keys_is_complete() {
     let page = read("docs/operation.md");
     let section = page.split("\n## Reload\n").nth(1).unwrap().split("\n## ").next().unwrap();
     let documented: Vec<_> =
@@ -176,7 +175,7 @@ fn the_table_of_what_can_be_reloaded_is_complete() {
 }
 
 #[test]
-fn the_service_unit_passes_systemds_own_check() {
+fn the_service_unit_passes_systemd_analyze_verify() {
     let analyze = Command::new("systemd-analyze").arg("--version").output();
     if analyze.is_err() {
         assert!(std::env::var_os("CI").is_none(), "systemd-analyze is needed to check the unit");
@@ -189,19 +188,19 @@ fn the_service_unit_passes_systemds_own_check() {
         .output()
         .unwrap();
     let told = String::from_utf8_lossy(&output.stderr);
-    // Complaints about the machine's own units are not ours.
+    // Messages about other units of the machine are ignored.
     let ours: Vec<_> = told.lines().filter(|line| line.contains("trifacet")).collect();
     assert!(output.status.success() && ours.is_empty(), "{told}");
 }
 
 #[test]
-fn the_service_unit_exposes_little() {
+fn the_service_unit_has_a_low_exposure_level() {
     if Command::new("systemd-analyze").arg("--version").output().is_err() {
         assert!(std::env::var_os("CI").is_none(), "systemd-analyze is needed to check the unit");
         eprintln!("systemd-analyze is not installed: the unit is not checked");
         return;
     }
-    // 2.0 at most, in tenths.
+    // The limit of 2.0, in tenths.
     let output = Command::new("systemd-analyze")
         .args(["security", "--offline=true", "--no-pager", "--threshold=20"])
         .arg(root("systemd/trifacet.service"))
@@ -212,7 +211,7 @@ fn the_service_unit_exposes_little() {
 }
 
 #[test]
-fn the_unit_and_the_package_say_the_same() {
+fn unit_and_package_agree() {
     let unit = read("systemd/trifacet.service");
     let value = |key: &str| unit.lines().find_map(|l| l.strip_prefix(key)?.strip_prefix('=')).unwrap();
     assert_eq!(value("Type"), "notify");
@@ -229,7 +228,7 @@ fn the_unit_and_the_package_say_the_same() {
 }
 
 #[test]
-fn every_command_has_a_man_page_that_can_be_set_and_there_are_completions() {
+fn every_command_has_a_valid_man_page_and_there_are_completions() {
     let folder = tempfile::tempdir().unwrap();
     let output = trifacet(&["generate", folder.path().to_str().unwrap()]);
     assert!(output.status.success(), "{output:?}");
@@ -262,7 +261,7 @@ fn commands(help: &[&str]) -> Vec<String> {
     names.filter(|name| !name.is_empty() && *name != "help").map(str::to_owned).collect()
 }
 
-/// No complaint of the formatter, where there is one.
+/// Checks that the formatter, if installed, reports no warnings.
 fn set_in_type(page: &Path) {
     let set = Command::new("man").args(["--warnings", "-l"]).arg(page).env("MANROFFOPT", "-ww").output();
     let Ok(set) = set else {
@@ -274,7 +273,7 @@ fn set_in_type(page: &Path) {
 }
 
 #[test]
-fn links_in_the_documents_lead_somewhere() {
+fn links_in_the_documents_are_valid() {
     let mut links = 0;
     let files = std::fs::read_dir(root("docs")).unwrap().map(|entry| entry.unwrap().path());
     let pages = files.filter(|file| file.extension().is_some_and(|name| name == "md"));

@@ -16,7 +16,7 @@ fn with_config(text: &str) -> Output {
 }
 
 #[test]
-fn a_seed_gives_the_same_bytes_and_another_others() {
+fn the_same_seed_gives_the_same_output_and_another_seed_does_not() {
     let shaken = |seed: u64| {
         let output = with_config(&format!(
             "[twin]\nseed = {seed}\n[[twin.motion]]\naxis = \"tz\"\nkind = \"vibration\"\n\
@@ -32,7 +32,7 @@ fn a_seed_gives_the_same_bytes_and_another_others() {
 }
 
 #[test]
-fn a_reader_that_has_seen_enough_may_leave() {
+fn a_reader_may_close_the_pipe_early() {
     let mut child = simulate().args(["--samples", "1000000000"]).stdout(Stdio::piped()).spawn().unwrap();
     let mut line = String::new();
     BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
@@ -41,7 +41,7 @@ fn a_reader_that_has_seen_enough_may_leave() {
 }
 
 #[test]
-fn a_wrong_configuration_is_refused() {
+fn an_invalid_configuration_is_refused() {
     let output = with_config("[twin]\nlaser_w = 1.0\n");
     assert_eq!(output.status.code(), Some(78));
     assert!(String::from_utf8_lossy(&output.stderr).contains("laser_w"), "{output:?}");
@@ -57,7 +57,7 @@ fn solving_the_samples_gives_the_true_poses() {
     assert!(solved.status.success(), "{solved:?}");
     let (truth, poses) = (column(&simulated, "true_tz_m"), column(&solved.stdout, "tz_m"));
     assert_eq!((truth.len(), poses.len()), (500, 500));
-    // One sample scatters by 0.62 um; the mirror wanders by 20 um.
+    // The standard uncertainty of one sample is 0.62 um; the mirror moves by 20 um.
     assert!(truth.iter().zip(&poses).all(|(t, z)| (t - z).abs() < 4e-6));
     let mean = truth.iter().zip(&poses).map(|(t, z)| z - t).sum::<f64>() / 500.0;
     assert!(mean.abs() < 4.0 * 0.62e-6 / 500_f64.sqrt(), "{mean}");
@@ -70,7 +70,7 @@ fn column(table: &[u8], name: &str) -> Vec<f64> {
 }
 
 #[test]
-fn in_closed_loop_the_beam_comes_to_the_apex_and_the_pose_is_the_true_one() {
+fn in_closed_loop_the_beam_reaches_the_apex_and_the_pose_is_true() {
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), "twin.laser_offset_um = [60, -30]\ntwin.motion = []\n").unwrap();
     let output = simulate().args(["--samples", "400", "--closed-loop", "--config"]).arg(file.path()).output();

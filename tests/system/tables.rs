@@ -1,4 +1,4 @@
-//! `trace` and `solve` through the binary: the reference cases in both directions, and bad tables.
+//! `trace` and `solve` through the binary: the reference cases in both directions, and invalid tables.
 
 use std::collections::HashMap;
 use std::io::Write;
@@ -91,13 +91,13 @@ fn reference(file: &str, model: &str, head: &str) {
 }
 
 #[test]
-fn the_ray_model_agrees_with_the_reference_both_ways() {
+fn the_ray_model_agrees_with_the_reference_in_both_directions() {
     reference("ray.csv", "ray", "");
     reference("ray_r180.csv", "ray", "head.psd_distance_mm = 180");
 }
 
 #[test]
-fn the_gaussian_model_agrees_with_the_reference_both_ways() {
+fn the_gaussian_model_agrees_with_the_reference_in_both_directions() {
     reference("gaussian.csv", "gaussian", "");
     reference(
         "gaussian_r400_w500.csv",
@@ -108,7 +108,7 @@ fn the_gaussian_model_agrees_with_the_reference_both_ways() {
 
 /// The figures of docs/sensor-model.md, section "Errors of the ray model".
 #[test]
-fn the_ray_model_is_off_by_what_the_documentation_says() {
+fn the_errors_of_the_ray_model_are_those_of_the_documentation() {
     let poses = "tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad,beam_dx_m,beam_dy_m\n\
                  0,0,0,0,0,0,0,0\n\
                  0,0,0,0,0,0,1e-6,0\n\
@@ -128,14 +128,14 @@ fn the_ray_model_is_off_by_what_the_documentation_says() {
     near(value(3, "tx_m"), -1.4, 0.05);
     near(value(3, "pitch_rad") - 10_000.0, -0.39, 0.005);
 
-    // The Gaussian model knows.
+    // The Gaussian model has no such error.
     let known = columns(&trifacet(&["solve"], &signals).stdout);
     assert!(known["tx_m"].iter().all(|x| x.parse::<f64>().unwrap().abs() < 1e-12), "{known:?}");
     assert!((known["beam_dx_m"][2].parse::<f64>().unwrap() - 1e-5).abs() < 1e-12);
 }
 
 #[test]
-fn columns_count_by_name_whatever_their_order_and_dress() {
+fn columns_are_identified_by_name_in_any_order_and_quoting() {
     let dressed = "\u{feff}comment,\"yaw_rad\", pitch_rad,roll_rad,tz_m,ty_m,tx_m,beam_dy_m\r\n\
                    here; 1,0.001,0.002,0.003,1e-4,2e-4,3e-4,5e-6\r\n";
     let plain = "tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad,beam_dx_m,beam_dy_m\n\
@@ -143,13 +143,13 @@ fn columns_count_by_name_whatever_their_order_and_dress() {
     let [dressed, plain] = [dressed, plain].map(|text| trifacet(&["trace"], text.as_bytes()));
     assert!(dressed.status.success(), "{}", stderr(&dressed));
     assert_eq!(dressed.stdout, plain.stdout);
-    // Seventeen significant digits, in the notation that every reader knows.
+    // Seventeen significant digits in a notation that every reader accepts.
     let cell = &columns(&plain.stdout)["power_a"][0];
     assert_eq!(cell.split('e').next().unwrap().len(), "1.0123456789012345".len(), "{cell}");
 }
 
 #[test]
-fn a_bad_row_is_named_and_the_rest_go_on() {
+fn an_invalid_row_is_reported_and_the_others_are_processed() {
     let rows = "tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad\r\n\
                 0,0,0,0,0,0\r\n\
                 \r\n\
@@ -179,7 +179,7 @@ fn a_bad_row_is_named_and_the_rest_go_on() {
 }
 
 #[test]
-fn solve_says_why_there_is_no_pose() {
+fn solve_reports_why_there_is_no_pose() {
     let rows = "u_a_m,v_a_m,u_b_m,v_b_m,u_c_m,v_c_m,power_a,power_b,power_c\n\
                 0,0,0,0,0,0,0.3,0.3,0.3\n\
                 0,0,0,0,0,0,0.3,-0.3,0.3\n\
@@ -210,7 +210,7 @@ fn the_ray_model_needs_no_powers_and_the_gaussian_does() {
 }
 
 #[test]
-fn tables_that_are_none_are_refused() {
+fn invalid_tables_are_refused() {
     let header = "tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad";
     for (input, message) in [
         (String::new(), "standard input:1: empty: the first line must name the columns tx_m, ty_m"),
@@ -231,7 +231,7 @@ fn tables_that_are_none_are_refused() {
 }
 
 #[test]
-fn a_reader_that_has_seen_enough_is_no_error() {
+fn a_reader_may_close_the_pipe_early_without_an_error() {
     let mut rows = String::from("tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad\n");
     rows.push_str(&"0,0,0,0,0,0\n".repeat(20_000)); // more than a pipe holds
     let mut child = testkit::trifacet(&["trace"])

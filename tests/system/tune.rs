@@ -50,7 +50,7 @@ fn said(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into()
 }
 
-/// The steering matrix is this one to a percent of its size, and the twin's delay and lag are found.
+/// Checks that the steering matrix is found to a percent of its size, and the delay and lag of the twin.
 fn tuned(config: &Config, truth: [[f64; 2]; 2], said: &str) {
     let size = truth[0][0].hypot(truth[1][0]);
     for (found, truth) in config.steering.matrix.as_flattened().iter().zip(truth.as_flattened()) {
@@ -58,17 +58,17 @@ fn tuned(config: &Config, truth: [[f64; 2]; 2], said: &str) {
     }
     let period_ms = 1e3 / config.acquisition.rate_hz;
     let centering = &config.centering;
-    // The twin's own delay, and what a machine needs from a sample to its command.
+    // The delay of the twin, plus the time from a sample to its command.
     let most = 1.2 + 1.5 * period_ms;
     assert!((0.95..most).contains(&centering.loop_delay_ms), "{said}");
     assert!((centering.lag_ms - 0.5).abs() < 0.1, "{said}");
 }
 
-/// By 120 degrees, which no loop would survive that did not know it.
+/// A rotation by 120 degrees: a loop without this matrix would be unstable.
 const TURNED: [[f64; 2]; 2] = [[-0.4, -0.69282], [0.69282, -0.4]];
 
 #[test]
-fn a_turned_stage_is_measured_and_the_daemon_locks_with_what_was_written() {
+fn a_rotated_stage_is_measured_and_the_daemon_locks_with_the_result() {
     let lab = Lab::new(&format!(
         "# our lab\npublishing.tcp = \"off\"\npublishing.udp = []\ntwin.laser_offset_um = [30.0, -20.0]\n\
          [twin.steering] # bent\nmatrix = {TURNED:?}\n[centering]\nlag_ms = 3.0 # guessed\n"
@@ -109,7 +109,7 @@ fn at_ten_kilohertz_the_delay_is_that_of_the_stage() {
 }
 
 #[test]
-fn print_and_dry_run_leave_the_file_as_it_is() {
+fn print_and_dry_run_do_not_change_the_file() {
     let lab = Lab::new("centering.kp = 0.25\n");
     let output = lab.tune(&["--steps", "20", "--print"]);
     assert!(output.status.success(), "{}", said(&output));
@@ -128,7 +128,7 @@ fn print_and_dry_run_leave_the_file_as_it_is() {
 /// Configuration and options, exit code, and what the message must contain.
 type Refusal = (&'static str, &'static [&'static str], i32, &'static [&'static str]);
 
-/// Nothing has been moved when these are refused.
+/// Cases that are refused before the stage moves.
 #[rustfmt::skip]
 const REFUSED: &[Refusal] = &[
     ("twin.fault = [{ at_s = 0.0, kind = 'beam-blocked' }]", &[], 65, &["no PSD sees light"]),
@@ -149,7 +149,7 @@ const REFUSED: &[Refusal] = &[
 ];
 
 #[test]
-fn what_is_not_safe_is_refused_before_anything_moves() {
+fn unsafe_conditions_are_refused_before_the_stage_moves() {
     for (text, options, code, words) in REFUSED {
         let lab = Lab::new(text);
         let output = lab.tune(options);
@@ -162,7 +162,7 @@ fn what_is_not_safe_is_refused_before_anything_moves() {
 }
 
 #[test]
-fn a_stage_without_readback_is_measured_from_where_a_person_says() {
+fn a_stage_without_readback_is_measured_from_the_position_of_the_operator() {
     let lab = Lab::new("twin.steering.readback_noise_um = 'off'\n");
     let output = lab.tune(&["--steps", "20", "--at", "0,0"]);
     assert!(output.status.success(), "{}", said(&output));
@@ -183,7 +183,7 @@ fn a_stuck_stage_is_not_tuned() {
 }
 
 #[test]
-fn a_stage_that_answers_later_than_a_dwell_is_refused_and_measured_with_the_advised_one() {
+fn a_stage_slower_than_the_dwell_is_refused_and_measured_with_the_advised_dwell() {
     let lab = Lab::new("twin.steering.delay_ms = 60\n");
     let output = lab.tune(&["--steps", "10"]);
     let refusal = said(&output);
@@ -204,7 +204,7 @@ fn a_stage_that_answers_later_than_a_dwell_is_refused_and_measured_with_the_advi
 }
 
 #[test]
-fn what_cannot_be_written_is_refused_before_anything_moves() {
+fn an_output_that_cannot_be_written_is_refused_before_the_stage_moves() {
     let lab = Lab::new("");
     let nowhere = lab.path("no-such-folder/steps.svg");
     let refused = |options: &[&str], word: &str| {
@@ -215,7 +215,7 @@ fn what_cannot_be_written_is_refused_before_anything_moves() {
         assert!(output.stdout.is_empty() && lab.untouched());
     };
     refused(&["--plot", nowhere.to_str().unwrap()], "cannot write the plot to");
-    // In the way of the new file that would take the place of the old one.
+    // Blocks the temporary file that would replace the old one.
     std::fs::create_dir(lab.path("lab.toml.new")).unwrap();
     refused(&[], "cannot write into");
     let plot = lab.path("steps.svg");
@@ -224,7 +224,7 @@ fn what_cannot_be_written_is_refused_before_anything_moves() {
 }
 
 #[test]
-fn light_that_goes_meanwhile_ends_it_and_the_stage_is_brought_back() {
+fn a_loss_of_light_ends_the_command_and_the_stage_returns() {
     let lab = Lab::new("twin.fault = [{ at_s = 2.0, kind = 'beam-blocked' }]\n");
     let output = lab.tune(&["--steps", "100"]);
     assert_eq!(output.status.code(), Some(65));
@@ -242,7 +242,7 @@ fn on(board: &Board, more: &str) -> Lab {
 
 #[test]
 fn a_board_is_tuned_within_its_limits_and_parked() {
-    // A machine that lets the board sleep for five periods ends a run, as it should: at this rate, for 50 ms.
+    // A pause of the board of five periods ends a run, as intended. At this rate, that is 50 ms.
     let mut board = Board::start(&format!("acquisition.rate_hz = 100\ntwin.steering.matrix = {TURNED:?}"));
     board = board.steered_within(15.0);
     let steering = "steering = { limit_um = 15, on_exit = \"park\", park_um = [12, -7] }\n";
@@ -250,7 +250,7 @@ fn a_board_is_tuned_within_its_limits_and_parked() {
     let mut tune = Killed(lab.command(&["tune", "--steps", "10"]).stderr(Stdio::piped()).spawn().unwrap());
     while tune.0.try_wait().unwrap().is_none() {
         board.status(); // within its limits
-        std::thread::sleep(Duration::from_millis(20)); // between two looks
+        std::thread::sleep(Duration::from_millis(20)); // between two requests
     }
     let mut said = String::new();
     std::io::Read::read_to_string(&mut tune.0.stderr.take().unwrap(), &mut said).unwrap();
@@ -266,7 +266,7 @@ fn a_board_is_tuned_within_its_limits_and_parked() {
 }
 
 #[test]
-fn an_interrupt_brings_the_stage_back() {
+fn after_an_interrupt_the_stage_returns() {
     for signal in [Signal::INT, Signal::TERM] {
         let mut board = Board::start("").steered_within(10.02);
         let lab = on(&board, "");
@@ -282,7 +282,7 @@ fn an_interrupt_brings_the_stage_back() {
     }
 }
 
-/// The board's outputs are there, to the noise of the readback by which the stage was found.
+/// Checks the outputs of the board, within the noise of the readback that determined the start position.
 fn stands_at(status: &serde_json::Value, at_um: [f64; 2]) {
     for (axis, at_um) in at_um.into_iter().enumerate() {
         assert!((status["output_um"][axis].as_f64().unwrap() - at_um).abs() < 0.1, "{status}");
@@ -290,7 +290,7 @@ fn stands_at(status: &serde_json::Value, at_um: [f64; 2]) {
 }
 
 #[test]
-fn a_port_that_another_process_has_is_named_with_it() {
+fn a_port_in_use_is_reported_with_its_process() {
     let board = Board::start("");
     let lab = on(&board, "");
     let mut first = Killed(lab.command(&["tune"]).stderr(Stdio::piped()).spawn().unwrap());

@@ -1,4 +1,4 @@
-//! The members of the workspace: what they may depend on.
+//! The members of the workspace and their allowed dependencies.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -7,7 +7,7 @@ use std::process::Command;
 
 use crate::testkit::run;
 
-/// The packages that a member is built from, itself included, without those of its tests.
+/// The packages that a member is built from, including itself, without the dependencies of its tests.
 fn packages(member: &str, features: &[&str]) -> BTreeSet<String> {
     let done = run(Command::new(env!("CARGO")).current_dir(env!("CARGO_MANIFEST_DIR")).args(
         [
@@ -25,7 +25,7 @@ fn packages(member: &str, features: &[&str]) -> BTreeSet<String> {
 }
 
 #[test]
-fn pure_members_have_neither_runtime_nor_sockets_nor_files() {
+fn pure_members_depend_on_no_runtime_no_sockets_and_no_files() {
     const IMPURE: [&str; 12] = [
         "tokio",
         "mio",
@@ -49,7 +49,7 @@ fn pure_members_have_neither_runtime_nor_sockets_nor_files() {
 }
 
 #[test]
-fn arrows_between_members_go_one_way() {
+fn dependencies_between_members_have_one_direction() {
     let below = |member: &str| -> Vec<String> {
         let all = packages(member, &["--all-features"]);
         all.into_iter().filter(|name| name.starts_with("trifacet") && name != member).collect()

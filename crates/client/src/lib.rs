@@ -97,7 +97,7 @@ pub struct Client {
 
 #[derive(Debug)]
 enum State {
-    Up { link: Link, heard: Instant },
+    Up { link: Link, last_arrival: Instant },
     Down { retry: Instant },
 }
 
@@ -126,7 +126,7 @@ impl Client {
             endpoint: endpoint.clone(),
             wait: options.reconnect.unwrap_or_default().first,
             options,
-            state: State::Up { link, heard: Instant::now() },
+            state: State::Up { link, last_arrival: Instant::now() },
             losses: LossCounter::new(step),
             skipped: 0,
             reconnects: 0,
@@ -159,18 +159,18 @@ impl Client {
                 let silent = |_| io::Error::new(io::ErrorKind::TimedOut, "no answer");
                 let link =
                     timeout(SILENCE, Link::open(&self.endpoint, &self.options)).await.map_err(silent)??;
-                self.state = State::Up { link, heard: Instant::now() };
+                self.state = State::Up { link, last_arrival: Instant::now() };
                 self.reconnects += 1;
                 Ok(None)
             }
-            State::Up { link, heard } => {
+            State::Up { link, last_arrival } => {
                 let message = if self.options.reconnect.is_some() && !matches!(link, Link::Udp { .. }) {
                     let silent = |_| io::Error::new(io::ErrorKind::TimedOut, "no message from the daemon");
-                    timeout_at(*heard + SILENCE, link.next()).await.map_err(silent)??
+                    timeout_at(*last_arrival + SILENCE, link.next()).await.map_err(silent)??
                 } else {
                     link.next().await?
                 };
-                *heard = Instant::now();
+                *last_arrival = Instant::now();
                 message.map(|message| self.note(message)).transpose()
             }
         }

@@ -65,7 +65,7 @@ mod tests {
     }
 
     #[test]
-    fn gaps_are_counted_and_a_restart_is_none() {
+    fn gaps_are_counted_and_a_restart_is_not_a_gap() {
         let frames = [(1, 100), (1, 101), (1, 105), (1, 103), (1, 106), (2, 0), (2, 1), (2, 3)];
         for step in [None, Some(1)] {
             let expected = Losses { missed_frames: 4, late_frames: 1, skipped_bytes: 0 };

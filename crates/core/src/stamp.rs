@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_known_is_nan_and_the_pose_is_there_exactly_if_it_is_valid() {
+    fn unknown_numbers_are_nan_and_only_a_valid_frame_has_a_pose() {
         let unknown = PoseReport {
             pose: None,
             offset: None,

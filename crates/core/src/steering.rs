@@ -144,7 +144,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn there_and_back() {
+    fn the_beam_map_and_its_inverse_agree() {
         let map = BeamMap::new([[0.0, -2.0], [0.5, 0.1]], BeamPoint([30e-6, -10e-6]));
         let close =
             |a: [f64; 2], b: [f64; 2]| assert!((0..2).all(|i| (a[i] - b[i]).abs() < 1e-15), "{a:?} {b:?}");

@@ -34,7 +34,7 @@ impl Optics {
     ///
     /// As the point of reflection moves on the plane, the reflected ray keeps its direction. The spot is
     /// therefore an affine function of the offset, and two equations give both components.
-    pub fn glimpse(&self, facet: usize, spot: [f64; 2], pose: &Pose) -> Option<FacetOffset> {
+    pub fn facet_offset(&self, facet: usize, spot: [f64; 2], pose: &Pose) -> Option<FacetOffset> {
         let mirror = self.mirror(pose.t, &pose.rotation());
         let normal = mirror.normals[facet];
         if normal.z < model::MIN_FACING {
@@ -70,7 +70,7 @@ mod tests {
                 let offset = Vec2::new(direction.cos(), direction.sin()) * distance;
                 let (spots, powers) = optics().trace_each(Model::Gaussian, &pose, offset);
                 assert!(powers[facet] > 0.9999);
-                let found = optics().glimpse(facet, spots[facet].unwrap(), &pose).unwrap();
+                let found = optics().facet_offset(facet, spots[facet].unwrap(), &pose).unwrap();
                 assert!((found.offset - offset).norm() < close, "{facet} {found:?} {offset:?}");
                 assert!(found.distance() > 0.5 * distance);
             }
@@ -83,16 +83,16 @@ mod tests {
         let after = Pose::from_array([0.2e-3, 1e-3, 0.0, 0.0, 0.0, 0.0]);
         let offset = Vec2::new(2e-3, 0.5e-3);
         let spot = optics().trace_each(Model::Gaussian, &after, offset).0[0].unwrap();
-        let found = optics().glimpse(0, spot, &before).unwrap();
+        let found = optics().facet_offset(0, spot, &before).unwrap();
         assert!((found.distance() - 2e-3).abs() < 1e-6, "{found:?}");
     }
 
     #[test]
-    fn nonsense_shows_nothing() {
+    fn invalid_spots_give_no_offset() {
         for spot in [[f64::NAN, 0.0], [0.0, f64::INFINITY]] {
-            assert_eq!(optics().glimpse(0, spot, &Pose::default()), None);
+            assert_eq!(optics().facet_offset(0, spot, &Pose::default()), None);
         }
         let turned = Pose::from_array([0.0, 0.0, 0.0, 0.0, 3.0, 0.0]);
-        assert_eq!(optics().glimpse(0, [0.0; 2], &turned), None);
+        assert_eq!(optics().facet_offset(0, [0.0; 2], &turned), None);
     }
 }

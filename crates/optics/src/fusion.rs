@@ -52,15 +52,15 @@ impl<'a> Innovation<'a> {
         optics: &Optics,
         solution: &Solution,
         spread: &'a ErrorPropagation<9>,
-        sighting: &BeamPosition,
+        beam_position: &BeamPosition,
     ) -> Option<Self> {
-        let residual = sighting.at - optics.across(solution.pose.t) - solution.offset;
+        let residual = beam_position.at - optics.across(solution.pose.t) - solution.offset;
         let across = optics.to_world.fixed_columns::<2>(0).transpose();
         let seen = across * spread.0.fixed_rows::<3>(0) + spread.0.fixed_rows::<2>(6);
-        let own = Matrix2::from_diagonal_element(sighting.sigma.powi(2));
+        let own = Matrix2::from_diagonal_element(beam_position.sigma.powi(2));
         let weight = (seen * seen.transpose() + own).try_inverse()?;
         let finite = residual.iter().chain(&weight).all(|x| x.is_finite());
-        finite.then_some(Self { residual, weight, spread, seen, sigma: sighting.sigma })
+        finite.then_some(Self { residual, weight, spread, seen, sigma: beam_position.sigma })
     }
 
     /// Length of the residual in its own standard uncertainties (Mahalanobis distance). By chance above 5

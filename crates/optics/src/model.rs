@@ -117,7 +117,7 @@ impl Optics {
         Ok(reading)
     }
 
-    /// As [`Optics::trace`], for each facet: the spot or the reason why there is none, and the fraction of
+    /// As [`Optics::trace`], for each facet: the spot or the reason for its absence, and the fraction of
     /// the beam that the facet reflects (NaN with the ray model).
     pub fn trace_each(
         &self,

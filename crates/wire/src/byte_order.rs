@@ -56,7 +56,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn network_order_reads_back_and_damage_is_seen() {
+    fn network_order_survives_a_round_trip_and_damage_is_detected() {
         let frame = PoseFrame::example();
         let little = frame.encode();
         let big = big_endian(&little);

@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_name_what_is_wrong() {
+    fn errors_name_the_cause() {
         let good = PoseFrame::example().encode();
         let with = |at: usize, value: u8| {
             let mut bytes = good;

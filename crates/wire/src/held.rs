@@ -32,7 +32,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_last_valid_pose_stays_marked_and_only_as_long_as_it_means_something() {
+    fn the_last_valid_pose_is_marked_as_held_and_dropped_when_it_is_meaningless() {
         let valid = PoseFrame::example();
         let dark = PoseFrame {
             sequence: 10,

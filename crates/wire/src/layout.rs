@@ -135,7 +135,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_fields_fill_the_frame_without_holes_and_are_aligned() {
+    fn the_fields_fill_the_frame_without_gaps_and_are_aligned() {
         let mut end = 0;
         for f in FIELDS {
             let bits: u16 = f.kind[1..].parse().unwrap();

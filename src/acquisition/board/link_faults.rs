@@ -29,7 +29,7 @@ pub(super) struct Tally {
     counters: Arc<Counters>,
     /// Counts since the last line: the name of each kind, and its number.
     recent: [(&'static str, u64); 8],
-    told: Option<Mono>,
+    reported_at: Option<Mono>,
 }
 
 impl Tally {
@@ -44,7 +44,7 @@ impl Tally {
             "overruns",
             "leases expired",
         ];
-        Self { counters, recent: names.map(|name| (name, 0)), told: None }
+        Self { counters, recent: names.map(|name| (name, 0)), reported_at: None }
     }
 
     /// Counts `n` lost scans.
@@ -74,14 +74,14 @@ impl Tally {
 
     /// Logs the faults since the last line, at most once a second.
     pub(super) fn tell(&mut self, now: Mono) {
-        let quiet = self.recent.iter().all(|(_, n)| *n == 0);
-        if quiet || self.told.is_some_and(|told| now - told < NS_PER_S) {
+        let no_faults = self.recent.iter().all(|(_, n)| *n == 0);
+        if no_faults || self.reported_at.is_some_and(|reported_at| now - reported_at < NS_PER_S) {
             return;
         }
         let what: Vec<_> =
             self.recent.iter().filter(|(_, n)| *n > 0).map(|(name, n)| format!("{name} {n}")).collect();
         tracing::warn!("board link: {}", what.join(", "));
         self.recent.iter_mut().for_each(|(_, n)| *n = 0);
-        self.told = Some(now);
+        self.reported_at = Some(now);
     }
 }

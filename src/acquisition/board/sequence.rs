@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn lost_repeated_and_late_are_told_apart() {
+    fn lost_repeated_and_late_scans_are_distinguished() {
         let mut sequence = Sequence::default();
         assert_eq!(sequence.arrived(0), new(0, 0));
         assert_eq!(sequence.arrived(3), new(3, 2));
@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn a_restart_keeps_the_index_growing_and_tells_what_was_missed() {
+    fn after_a_restart_the_index_grows_and_the_loss_is_known() {
         let mut sequence = Sequence::default();
         sequence.arrived(0);
         sequence.restart(500);

@@ -76,7 +76,7 @@ struct Running {
     /// Silence that counts as a stall, nanoseconds.
     patience_ns: i64,
     /// Arrival of the last new scan.
-    heard: Mono,
+    last_arrival: Mono,
     lease_expired: bool,
 }
 
@@ -92,7 +92,7 @@ pub struct Session {
     last: Option<Mono>,
     events: VecDeque<SourceEvent>,
     /// The last reported reason for missing scans.
-    told: Option<SourceError>,
+    reported: Option<SourceError>,
     /// Bytes that wait to be written.
     out: Vec<u8>,
     /// The newest command, not yet encoded.
@@ -112,7 +112,7 @@ impl Session {
             tally: Tally::new(counters),
             last: None,
             events: VecDeque::new(),
-            told: None,
+            reported: None,
             out: Vec::new(),
             command: None,
             garbage: 0,
@@ -176,7 +176,7 @@ impl Session {
             State::Identifying { until } | State::Starting { until, .. } | State::Resting { until, .. } => {
                 Some(*until)
             }
-            State::Running(running) => Some(running.heard + running.patience_ns),
+            State::Running(running) => Some(running.last_arrival + running.patience_ns),
         }
     }
 
@@ -192,7 +192,7 @@ impl Session {
             State::Starting { .. } => self.unanswered("start", now),
             State::Resting { .. } => self.identify(now),
             State::Running(running) => {
-                let silence_ms = ((now - running.heard) / MS) as u32;
+                let silence_ms = ((now - running.last_arrival) / MS) as u32;
                 self.rest(SourceError::Stalled { silence_ms }, now);
                 self.state = State::Resting { until: now + REST_NS, stalled: Some(running) };
             }
@@ -283,11 +283,11 @@ impl Session {
             channels: board.roles.len(),
             timebase: Timebase::new(board.tick_hz, self.settings.latency_ns, self.last),
             patience_ns: STALL_NS.max((STALL_PERIODS / rate_hz * NS_PER_S as f64) as i64),
-            heard: now,
+            last_arrival: now,
             lease_expired: true, // a lease of the previous daemon is not counted
         });
         tracing::debug!("board started: {}, {} channels at {rate_hz} Hz", board.name, board.roles.len());
-        self.told = None;
+        self.reported = None;
         self.events.push_back(SourceEvent::Up(compatibility::identity(&board, rate_hz)));
     }
 
@@ -312,7 +312,7 @@ impl Session {
             self.tally.count(LinkFault::LeaseExpired);
         }
         running.lease_expired = scan.lease_expired;
-        running.heard = now;
+        running.last_arrival = now;
         let moment = running.timebase.moment(scan.tick, now);
         self.last = Some(moment.time);
         self.events.push_back(SourceEvent::Scan(Scan {
@@ -333,7 +333,7 @@ impl Session {
         {
             tracing::info!("scans have resumed");
             self.state = State::Running(running);
-            self.told = None;
+            self.reported = None;
         }
     }
 
@@ -359,8 +359,8 @@ impl Session {
     /// Reports the reason for missing scans, once for each reason.
     fn down(&mut self, reason: SourceError) {
         self.command = None;
-        if self.told.as_ref() != Some(&reason) {
-            self.told = Some(reason.clone());
+        if self.reported.as_ref() != Some(&reason) {
+            self.reported = Some(reason.clone());
             self.events.push_back(SourceEvent::Down(reason));
         }
     }

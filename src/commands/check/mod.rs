@@ -29,8 +29,8 @@ pub(crate) struct CheckArgs {
 /// Prints the meaning of a configuration, or fails with its errors.
 pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
-    let beginning = RecordingHeader::of_source(&config)?;
-    let (config, id) = match &beginning {
+    let header = RecordingHeader::of_source(&config)?;
+    let (config, id) = match &header {
         None => {
             config.read_channels()?; // the correction tables are part of the configuration
             let id = config.config_id()?;
@@ -46,7 +46,7 @@ pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
     lines.say("configuration", format!("{name}: valid, id {id:08x}"));
     head(&config, &mut lines)?;
     source(&config, &mut lines);
-    if let Some(then) = &beginning {
+    if let Some(then) = &header {
         lines.say(
             "",
             format!("recorded {}; id, head, channels, estimation and frames", rfc3339(then.first.1)),
@@ -154,8 +154,8 @@ fn estimation(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
         powers: rest.powers.map(|power| power * estimation.power_noise / quieter),
     };
     let spread = estimator.sensitivity(&solution)?.spread(&noise);
-    let sighting = BeamPosition { at: Vec2::zeros(), sigma: config.steering.deviation_um * 1e-6 };
-    let covariance = Innovation::new(estimator.optics(), &solution, &spread, &sighting)
+    let beam_position = BeamPosition { at: Vec2::zeros(), sigma: config.steering.deviation_um * 1e-6 };
+    let covariance = Innovation::new(estimator.optics(), &solution, &spread, &beam_position)
         .filter(|_| estimation.fuse_steering)
         .map_or(spread.pose_covariance(), |innovation| innovation.fuse(&solution).spread.pose_covariance());
     let sigma = sigmas(&covariance) * 1e6;

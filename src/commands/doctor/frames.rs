@@ -70,8 +70,8 @@ impl ReceivedFrames {
     }
 
     fn replay(&self, last: &PoseFrame, report: &mut Report) {
-        let told = self.descriptor.as_ref().and_then(|descriptor| descriptor.replay.as_ref());
-        let what = match told {
+        let replayed = self.descriptor.as_ref().and_then(|descriptor| descriptor.replay.as_ref());
+        let what = match replayed {
             Some(replay) => format!("REPLAYED: a replay of {}, recorded {}", replay.file, replay.recorded),
             None => format!("REPLAYED: the newest frame is from {}", rfc3339(last.time_ns)),
         };
@@ -81,8 +81,8 @@ impl ReceivedFrames {
     /// Why a replay sends no samples, and what to do.
     fn nothing_due(&self) -> (&'static str, &'static str) {
         let ends = self.heartbeat.as_ref().and_then(|heartbeat| heartbeat.counters.get("replay_ends"));
-        let told = self.descriptor.as_ref().and_then(|descriptor| descriptor.replay.as_ref());
-        match (told, ends) {
+        let replayed = self.descriptor.as_ref().and_then(|descriptor| descriptor.replay.as_ref());
+        match (replayed, ends) {
             (Some(replay), Some(1..)) if !replay.repeat => (
                 "the recording has ended",
                 "restart the daemon to replay it again, or set replay.repeat = true",

@@ -42,7 +42,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_own_socket_is_found() {
+    fn the_socket_of_this_process_is_found() {
         let socket = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
         let holder = holder(socket.local_addr().unwrap().port()).unwrap();
         assert!(holder.contains(&format!("process {} (", std::process::id())), "{holder}");

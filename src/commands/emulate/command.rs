@@ -108,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn orders_are_understood_with_and_without_a_duration() {
+    fn orders_are_parsed_with_and_without_a_duration() {
         let fault = |kind, for_s| Ok(EmulatorCommand::Fault { kind, for_s });
         assert_eq!("beam-blocked 0.5".parse(), fault(FaultKind::BeamBlocked, Some(0.5)));
         assert_eq!(" psd-dark 1 ".parse(), fault(FaultKind::PsdDark { psd: 1 }, None));
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_order_is_answered_with_what_is_allowed() {
+    fn invalid_orders_are_answered_with_the_allowed_ones() {
         for line in [
             "",
             "jump",

@@ -46,7 +46,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_link_replaces_a_link_and_nothing_else_and_goes_with_its_port() {
+    fn a_link_replaces_only_a_link_and_is_removed_with_its_port() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("board");
         let old = Link::new(&path, Path::new("/dev/pts/old")).unwrap();

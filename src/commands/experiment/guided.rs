@@ -186,7 +186,7 @@ impl GuidedSession<'_> {
         self.feed.until(self.lines.recv()).await.map_err(|why| lost(&why))
     }
 
-    /// Takes the readings of a point. Returns `false` and prints the reason if there are none.
+    /// Takes the readings of a point. Returns `false` and prints the reason if there are no usable readings.
     async fn take(&mut self, step: &Step, reference: f64) -> anyhow::Result<bool> {
         let progress = bar(self.args.readings.into());
         let counted = |_: &[Observation]| {
@@ -244,7 +244,7 @@ impl GuidedSession<'_> {
         self.args.rest == 0.0 || self.record.readings.iter().any(|r| r.part == Part::StaticRecord)
     }
 
-    /// Takes the record at rest, or prints the reason why there is none.
+    /// Takes the record at rest, or prints the reason for its absence.
     async fn rest(&mut self) -> anyhow::Result<()> {
         eprintln!("recording");
         match self.record(self.args.rest).await {

@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_right_is_said() {
+    fn implausible_readings_are_reported() {
         let step = |point: u32| Step { axis: Axis::Tx, point, of: 3, target: 1e-6 * f64::from(point) };
         let steps = [step(1), step(2), step(3)];
         let readings: Vec<Reading> = (1..=4)

@@ -13,7 +13,7 @@ use trifacet::replay::{Comparison, Engine};
 type Read = (PathBuf, Box<Tally>);
 
 /// Prints irregularities of the files.
-pub(super) fn told(files: &[Read]) {
+pub(super) fn print_irregularities(files: &[Read]) {
     for (file, tally) in files {
         let file = file.display();
         for odd in tally.without_config().into_iter().chain(tally.unfinished()) {
@@ -60,8 +60,8 @@ pub(super) fn nothing(files: &[Read]) -> Failure {
 }
 
 /// The result as text.
-pub(super) fn text(verdict: &Comparison, engine: &Engine) -> String {
-    let Comparison { same, other, unrecorded, unrepeated, .. } = verdict;
+pub(super) fn text(comparison: &Comparison, engine: &Engine) -> String {
+    let Comparison { same, other, unrecorded, unrepeated, .. } = comparison;
     let mut text = format!("{same} of {} frames are identical, bit by bit\n", same + other);
     let mut say = |line: String| {
         let _ = writeln!(text, "{line}"); // writing to a String cannot fail

@@ -8,7 +8,8 @@ use trifacet_wire::{LockState, Status};
 use super::Known;
 
 /// Status bits that are shown elsewhere on the page, or are normal.
-const TOLD: Status = Status(Status::POSE_VALID.0 | Status::NOT_LOCKED.0 | Status::STEERING_MEASURED.0);
+const SHOWN_ELSEWHERE: Status =
+    Status(Status::POSE_VALID.0 | Status::NOT_LOCKED.0 | Status::STEERING_MEASURED.0);
 
 /// The lines of the page.
 pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
@@ -34,7 +35,7 @@ pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
     lines.push(row("steering", &format!("x    {x} um          y     {y} um    {how}")));
     lines.push(row("losses", &losses(known)));
     lines.extend(known.unanswered.as_ref().map(|why| row("control", why)));
-    lines.push(row("status", &names(Status(frame.status.0 & !TOLD.0))));
+    lines.push(row("status", &names(Status(frame.status.0 & !SHOWN_ELSEWHERE.0))));
     lines
 }
 
@@ -92,11 +93,14 @@ fn lock(frame: &PoseFrame, control: Option<&Value>) -> String {
     if frame.status.has(Status::REPLAYED) {
         return format!("{}   replayed: no steering", frame.lock.name());
     }
-    let told = control.map(|control| &control["loop"]);
-    let mode = told.and_then(|told| told["mode"].as_str()).map(|mode| format!("   loop {mode}"));
-    let vain = told.and_then(|told| told["searches_in_vain"].as_u64()).filter(|n| *n > 0);
-    let vain = vain.map(|n| format!("   {n} failed searches"));
-    [frame.lock.name(), &mode.unwrap_or_default(), &vain.unwrap_or_default()].concat()
+    let control_loop = control.map(|control| &control["loop"]);
+    let mode = control_loop
+        .and_then(|control_loop| control_loop["mode"].as_str())
+        .map(|mode| format!("   loop {mode}"));
+    let failed =
+        control_loop.and_then(|control_loop| control_loop["searches_in_vain"].as_u64()).filter(|n| *n > 0);
+    let failed = failed.map(|n| format!("   {n} failed searches"));
+    [frame.lock.name(), &mode.unwrap_or_default(), &failed.unwrap_or_default()].concat()
 }
 
 /// The share of each PSD, and the total power.
@@ -208,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_stand_under_each_other_also_with_long_numbers() {
+    fn columns_are_aligned_also_with_long_numbers() {
         let known = Known { frame: Some(frame()), ..Known::default() };
         let page = page("tcp://here:1", &known);
         let lengths: Vec<_> = page[2..5].iter().map(|line| line.find(" um   ").unwrap()).collect();
@@ -225,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_news_are_told_with_their_reason() {
+    fn faults_are_shown_with_their_reason() {
         let mut known = Known { frame: Some(frame()), ..Known::default() };
         known.between = Status::POWER_STEP;
         let counters = [("scans_lost".to_owned(), 7), ("scans".to_owned(), 9)].into();

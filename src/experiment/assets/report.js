@@ -1,4 +1,4 @@
-// Draws the figures of the report. All numbers are in the data element. Follows plot.js in one module.
+// Draws the figures of the report from the numbers in the data element. Is appended to plot.js in one module.
 
 const data = JSON.parse(document.getElementById("data").textContent);
 const MARKS = [["--line-1", "circle"], ["--line-2", "square"], ["--line-3", "diamond"]];
@@ -71,7 +71,7 @@ function bound({ names, ratio, half, paper }) {
 
 const three = (first) => data.rest.axes.slice(first, first + 3);
 
-/** Measured with its bars, and the white noise of what is stated. */
+/** The measured values with error bars, and white noise of the reported standard uncertainty. */
 function allan(first) {
   const { tau } = data.rest;
   const { unit } = data.rest.axes[first];
@@ -105,7 +105,7 @@ function figure(element) {
   return kind === "errors" ? errors(data.axes[which]) : displacement(data.axes[which]);
 }
 
-/** Draws at once: a browser prints when this returns. */
+/** Draws synchronously, because the browser prints when this returns. */
 function draw(paper) {
   for (const element of document.querySelectorAll(".chart")) {
     element.style.width = paper ? `${element.id === "bound" ? 2 * paper[0] : paper[0]}px` : "";

@@ -56,7 +56,7 @@ fn near(found: f64, sigma: f64, truth: f64) {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
     #[test]
-    fn the_loop_is_found_within_the_stated_deviations(
+    fn the_loop_is_identified_within_the_reported_standard_uncertainties(
         x in -2.0_f64..2.0, y in 0.3_f64..2.0, delay in 0.05_f64..8.0, lag in 0.4_f64..5.0, seed: u64,
     ) {
         let truth = Truth { gain: [x, y], delay: delay * 1e-3, lag: lag * 1e-3, seed, ..TRUTH };
@@ -71,7 +71,7 @@ proptest! {
 }
 
 #[test]
-fn the_stated_deviations_hold_on_average() {
+fn the_reported_standard_uncertainties_are_right_on_average() {
     let mut squares = [0.0; 4];
     for seed in 0..100 {
         let found = fit(&recorded(&Truth { seed, ..TRUTH })).unwrap();
@@ -98,7 +98,7 @@ fn without_a_lag_the_delay_is_that_of_the_first_sample_that_has_moved() {
 }
 
 #[test]
-fn jitter_is_found_and_steps_that_came_much_later_are_left_out() {
+fn jitter_is_found_and_very_late_steps_are_excluded() {
     let mut windows = recorded(&Truth { jitter: 0.2e-3, lag: 1.5e-3, ..TRUTH });
     let late = recorded(&Truth { delay: 9e-3, lag: 1.5e-3, seed: 2, ..TRUTH });
     for i in [3, 10, 11, 40] {
@@ -114,7 +114,7 @@ fn jitter_is_found_and_steps_that_came_much_later_are_left_out() {
 }
 
 #[test]
-fn a_stage_that_rings_does_not_fit_and_one_that_is_stuck_has_no_gain() {
+fn a_ringing_stage_does_not_fit_and_a_stuck_one_has_no_gain() {
     let mut ringing = recorded(&Truth { lag: 1e-5, ..TRUTH });
     for window in &mut ringing.offsets {
         for (value, t) in window.iter_mut().zip(&ringing.times) {
@@ -129,7 +129,7 @@ fn a_stage_that_rings_does_not_fit_and_one_that_is_stuck_has_no_gain() {
 }
 
 #[test]
-fn steps_that_were_not_followed_are_counted() {
+fn steps_without_response_are_counted() {
     let mut windows = recorded(&TRUTH);
     let still = recorded(&Truth { gain: [0.0; 2], seed: 2, ..TRUTH });
     windows.offsets[55..].clone_from_slice(&still.offsets[55..]);

@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_spike_is_seen_six_hours_later_and_the_mean_is_that_of_all() {
+    fn a_single_spike_is_visible_after_six_hours_and_the_mean_covers_all_samples() {
         let mut past = Past::default();
         let seconds = i64::from(LONGEST_S);
         for i in 0..seconds * 10 {
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_was_set_back_starts_a_new_past() {
+    fn a_clock_that_is_set_back_starts_a_new_history() {
         let mut past = past(3, 100);
         for i in 0..30 {
             past.frame(&frame(-NS_PER_S + i * FINE_NS, 1.0));

@@ -61,7 +61,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_policy_allows_nothing_within_the_page_and_nothing_from_elsewhere() {
+    fn the_policy_allows_no_inline_scripts_and_no_other_sites() {
         let allowed =
             ["default-src", "script-src", "connect-src", "img-src", "style-src", "'none'", "'self'"];
         let rest = POLICY.split([';', ' ']).filter(|word| !word.is_empty() && !allowed.contains(word));

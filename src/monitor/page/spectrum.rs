@@ -172,7 +172,7 @@ mod tests {
 
     /// The power of a sine of amplitude A is A^2 / 2, wherever it lies between two lines.
     #[test]
-    fn a_sine_has_its_amplitude_on_its_axis_and_nowhere_else() {
+    fn a_sine_has_its_amplitude_on_its_axis_only() {
         for (rate_hz, f_hz) in [(1000.0, 50.0), (10_000.0, 437.21), (125.0, 11.3)] {
             let welch = fed(rate_hz, 40.0, |axis, t| {
                 let amplitude = if axis == 1 { 3e-6 } else { 1e-9 * axis as f64 };
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn holes_do_not_become_spectra() {
+    fn gaps_give_no_spectra() {
         let mut samples = 0;
         let welch = fed(1000.0, 20.0, |axis, _| {
             samples += usize::from(axis == 0);

@@ -80,10 +80,10 @@ mod tests {
         take(15, Status::PSD_B_LOW | Status::UNCALIBRATED, LockState::Locked);
         let list = history.list();
         let of = |name| list.iter().find(|spell| Status::NAMES[spell.bit].1 == name).copied().unwrap();
-        let told = |name| (of(name).since_ms, of(name).until_ms, of(name).times);
-        assert_eq!(told("PSD_B_LOW"), (14.0, None, 2));
-        assert_eq!(told("POSE_VALID"), (12.0, Some(14.0), 2));
-        assert_eq!(told("UNCALIBRATED"), (15.0, None, 1));
+        let summary = |name| (of(name).since_ms, of(name).until_ms, of(name).times);
+        assert_eq!(summary("PSD_B_LOW"), (14.0, None, 2));
+        assert_eq!(summary("POSE_VALID"), (12.0, Some(14.0), 2));
+        assert_eq!(summary("UNCALIBRATED"), (15.0, None, 1));
         assert_eq!(list.len(), 3);
         assert!((history.lock_since_ms() - 12.0).abs() < 1e-9);
     }

@@ -79,7 +79,7 @@ impl Viewer {
         loop {
             tokio::select! {
                 () = view.ending.cancelled() => return self.bye(close_code::AWAY, "the daemon stops").await,
-                said = self.socket.recv() => self.heard(said.ok_or(Gone)?.map_err(|_| Gone)?).await?,
+                said = self.socket.recv() => self.handle(said.ok_or(Gone)?.map_err(|_| Gone)?).await?,
                 update = next(self.updates.as_mut()) => self.pass_on(update).await?,
                 Ok(()) = config.changed() => self.hello().await?,
                 Ok(()) = descriptor.changed() => self.hello().await?,
@@ -119,7 +119,7 @@ impl Viewer {
         self.say(&hello).await
     }
 
-    async fn heard(&mut self, said: Message) -> Result<(), Gone> {
+    async fn handle(&mut self, said: Message) -> Result<(), Gone> {
         let text = match said {
             Message::Text(text) => text,
             Message::Ping(_) | Message::Pong(_) => return Ok(()),

@@ -35,7 +35,7 @@ pub(super) struct Client {
     lines: Lines,
     bad_lines: u32,
     /// Time of the last complete line.
-    heard: Instant,
+    last_line: Instant,
     /// The client may still send.
     open: bool,
     sent: u64,
@@ -77,7 +77,7 @@ impl Client {
             heartbeat: beats(),
             lines: Lines::default(),
             bad_lines: 0,
-            heard: Instant::now(),
+            last_line: Instant::now(),
             open: true,
             sent: 0,
             dropped: 0,
@@ -124,8 +124,8 @@ impl Client {
                     None
                 }
                 Event::Bytes(n) => self.said(&buffer[..n?]).await?,
-                Event::Frame(Ok(frame_once)) => {
-                    self.send_batch(&frame_once).await?;
+                Event::Frame(Ok(encoded)) => {
+                    self.send_batch(&encoded).await?;
                     None
                 }
                 Event::Frame(Err(RecvError::Lagged(n))) => {
@@ -155,8 +155,8 @@ impl Client {
             biased;
             _ = self.heartbeat.tick(), if streaming => Event::Beat,
             n = read(&self.stream, buffer), if self.open => Event::Bytes(n),
-            frame_once = self.ring.recv(), if streaming => Event::Frame(frame_once),
-            () = sleep_until(self.heard + self.context.limits.idle), if !streaming => Event::Idle,
+            encoded = self.ring.recv(), if streaming => Event::Frame(encoded),
+            () = sleep_until(self.last_line + self.context.limits.idle), if !streaming => Event::Idle,
             () = self.context.ending.cancelled(), if !streaming => Event::Ending,
         }
     }
@@ -168,7 +168,7 @@ impl Client {
             let Ok(line) = line else {
                 return Ok(Some(End::Refused(format!("a line of more than {MAX_LINE} bytes"))));
             };
-            self.heard = Instant::now();
+            self.last_line = Instant::now();
             if let Some(end) = self.obey(&line).await? {
                 return Ok(Some(end));
             }
@@ -217,7 +217,7 @@ impl Client {
 
     fn ask(&self, say: impl Fn(&EncodedFrame, f64) -> String) -> String {
         match &*self.context.newest.borrow() {
-            Some(frame_once) => say(frame_once, self.context.descriptor.borrow().rate_hz),
+            Some(encoded) => say(encoded, self.context.descriptor.borrow().rate_hz),
             None => "error: no frame has been made yet; allowed: the same query later".into(),
         }
     }
@@ -241,7 +241,7 @@ impl Client {
         let mut count = self.append(first, &mut batch)?;
         for _ in 1..BATCH {
             match self.ring.try_recv() {
-                Ok(frame_once) => count += self.append(&frame_once, &mut batch)?,
+                Ok(encoded) => count += self.append(&encoded, &mut batch)?,
                 Err(TryRecvError::Lagged(n)) => self.lagged += n,
                 Err(TryRecvError::Empty | TryRecvError::Closed) => break,
             }
@@ -252,15 +252,15 @@ impl Client {
     }
 
     /// Appends a frame if the client wants it, and counts the frames lost before it. Returns frames appended.
-    fn append(&mut self, frame_once: &Arc<EncodedFrame>, to: &mut Vec<u8>) -> io::Result<u64> {
+    fn append(&mut self, encoded: &Arc<EncodedFrame>, to: &mut Vec<u8>) -> io::Result<u64> {
         let Some(form) = &self.form else { return Ok(0) };
-        let lost = form.wanted_before(frame_once, std::mem::take(&mut self.lagged));
+        let lost = form.wanted_before(encoded, std::mem::take(&mut self.lagged));
         self.dropped += lost;
         self.context.counters.tcp_dropped.add(lost);
-        if !form.wants(frame_once) {
+        if !form.wants(encoded) {
             return Ok(0);
         }
-        form.frame(frame_once, to)?;
+        form.frame(encoded, to)?;
         Ok(1)
     }
 
@@ -269,9 +269,9 @@ impl Client {
         loop {
             match self.ring.try_recv() {
                 Err(TryRecvError::Lagged(n)) => self.lagged += n,
-                Ok(frame_once) => {
+                Ok(encoded) => {
                     // An error could only come from encoding; its result is not used.
-                    let _ = self.append(&frame_once, &mut Vec::new());
+                    let _ = self.append(&encoded, &mut Vec::new());
                     return;
                 }
                 Err(TryRecvError::Empty | TryRecvError::Closed) => return,

@@ -86,10 +86,10 @@ impl Broadcaster {
     /// Runs until the channel closes.
     async fn run(&mut self, frames: &mut mpsc::Receiver<PoseFrame>) {
         while let Some(frame) = frames.recv().await {
-            let frame_once = Arc::new(EncodedFrame::new(frame, &mut self.hold));
-            self.newest.send_replace(Some(Arc::clone(&frame_once)));
+            let encoded = Arc::new(EncodedFrame::new(frame, &mut self.hold));
+            self.newest.send_replace(Some(Arc::clone(&encoded)));
             // Fails if there is no client, which is not a loss.
-            let _ = self.ring.send(frame_once);
+            let _ = self.ring.send(encoded);
         }
     }
 }

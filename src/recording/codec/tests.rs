@@ -112,7 +112,7 @@ proptest! {
     }
 
     #[test]
-    fn no_bytes_make_it_panic(data in prop::collection::vec(any::<u8>(), 0..300), plain: bool, topic in 0..9_usize) {
+    fn no_bytes_make_the_decoder_panic(data in prop::collection::vec(any::<u8>(), 0..300), plain: bool, topic in 0..9_usize) {
         let mut data = data;
         if plain {
             data.splice(..data.len().min(4), ENCAPSULATION);
@@ -188,7 +188,7 @@ fn a_keyframe_survives_without_the_secret() {
 }
 
 #[test]
-fn what_has_not_changed_is_not_written_with_each_keyframe() {
+fn unchanged_parts_are_not_written_with_each_keyframe() {
     let mut encoder = encoder();
     let keyframe = keyframe();
     let entry = Entry::Keyframe(Box::new(keyframe.clone()));
@@ -206,7 +206,7 @@ fn what_has_not_changed_is_not_written_with_each_keyframe() {
 }
 
 #[test]
-fn what_the_keyframes_rest_on_comes_again_now_and_then() {
+fn parts_that_keyframes_depend_on_are_repeated_periodically() {
     let mut encoder = encoder();
     let entry = Entry::Keyframe(Box::new(keyframe()));
     let messages: Vec<usize> = (0..2 * AGAIN).map(|_| encode(&mut encoder, &entry).len()).collect();
@@ -221,7 +221,7 @@ fn decode_error(decoder: &mut Decoder, messages: &Messages) -> String {
 }
 
 #[test]
-fn the_state_of_another_version_is_refused_and_what_it_rests_on_is_known() {
+fn the_state_of_another_version_is_refused_and_its_context_is_known() {
     let mut messages = encode(&mut encoder(), &Entry::Keyframe(Box::new(keyframe())));
     let mut decoder = Decoder::default();
     let (_, _, keyframe) = messages.last_mut().unwrap();
@@ -252,7 +252,7 @@ fn times_are_those_of_the_frames() {
 }
 
 #[test]
-fn a_file_reads_back_and_its_torn_end_costs_one_chunk() {
+fn a_file_is_readable_and_a_truncated_end_loses_one_chunk() {
     for compression in [None, Some(mcap::Compression::Lz4), Some(mcap::Compression::Zstd)] {
         let mut writer = Writer::new(Vec::new(), compression).unwrap();
         let mut encoder = encoder();

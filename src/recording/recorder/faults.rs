@@ -113,7 +113,7 @@ impl Recorder {
 
     /// Adds missing entries to those that the next file, or the next keyframe of this one, reports.
     pub(super) fn miss(&mut self, entries: u64, why: &str) {
-        let (so_far, why) = self.untold.take().unwrap_or_else(|| (0, why.to_owned()));
-        self.untold = Some((so_far + entries, why));
+        let (so_far, why) = self.unwritten.take().unwrap_or_else(|| (0, why.to_owned()));
+        self.unwritten = Some((so_far + entries, why));
     }
 }

@@ -57,7 +57,7 @@ impl Recorder {
 
     /// At a keyframe: reports missing entries, ends a file that is due to end, and begins a due one.
     pub(super) fn cut(&mut self, now: Mono) {
-        self.tell_gap();
+        self.write_gap();
         if self.over() {
             (self.wanted, self.until) = (false, None);
             self.end();
@@ -70,7 +70,7 @@ impl Recorder {
         {
             self.suffer(reason);
         }
-        self.tell_gap();
+        self.write_gap();
     }
 
     /// Opens a new file, and clears the fault.
@@ -118,15 +118,15 @@ impl Recorder {
     }
 
     /// Writes to the ring or the file that entries are missing before this point.
-    fn tell_gap(&mut self) {
-        let Self { encoder, output, ring, untold, .. } = self;
-        let Some((entries, why)) = untold.take_if(|(entries, _)| *entries > 0) else { return };
-        let told = match (ring, output) {
+    fn write_gap(&mut self) {
+        let Self { encoder, output, ring, unwritten, .. } = self;
+        let Some((entries, why)) = unwritten.take_if(|(entries, _)| *entries > 0) else { return };
+        let written = match (ring, output) {
             (Some(ring), _) => ring.gap(encoder, entries, &why),
             (None, Some(output)) => encoder.gap(entries, &why, |message| output.put(message).map(|_| ())),
-            (None, None) => return *untold = Some((entries, why)),
+            (None, None) => return *unwritten = Some((entries, why)),
         };
-        if let Err(e) = told {
+        if let Err(e) = written {
             self.fail(e);
         }
     }
@@ -183,7 +183,7 @@ impl Recorder {
 
     /// Clears the fault after the end of a recording, and starts a new ring.
     fn well(&mut self) {
-        (self.fault, self.untold) = (None, None);
+        (self.fault, self.unwritten) = (None, None);
         self.show();
         if self.config.mode == RecordingMode::OnFault && self.ring.is_none() {
             self.ring = Some(Ring::new(self.config.before_s, self.compression));

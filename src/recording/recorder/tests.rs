@@ -41,30 +41,30 @@ fn recorder(folder: &Path, mode: RecordingMode) -> (Recorder, Silent, mpsc::Send
     let context = Arc::new(CalibrationContext { config, tables: Tables::default() });
     let config = RecordingConfig { folder: folder.to_owned(), mode, ..Default::default() };
     let state = Arc::new(State::new(config.mode));
-    let (wishes, asked) = mpsc::channel(1);
+    let (requests, asked) = mpsc::channel(1);
     let recorder = Recorder::new(config, receiver, asked, Disk::start().unwrap(), state, counters);
     let fast =
         Silent { recorder: EstimationRecorder::new(records, context), memory, time: SystemClock.now() };
-    (recorder, fast, wishes)
+    (recorder, fast, requests)
 }
 
 /// Silences before the gap, the gaps, and silences after them.
 fn content(path: &Path) -> (usize, Vec<(u64, String)>, usize) {
     let mut reader = Reader::open(path, Reader::REPLAY).unwrap();
-    let (mut before, mut told, mut after) = (0, Vec::new(), 0);
+    let (mut before, mut gaps, mut after) = (0, Vec::new(), 0);
     while let Some(read) = reader.read().unwrap() {
         match read {
-            Read::Gap { entries, reason } => told.push((entries, reason)),
-            Read::Entry(Entry::Silence { .. }) if told.is_empty() => before += 1,
+            Read::Gap { entries, reason } => gaps.push((entries, reason)),
+            Read::Entry(Entry::Silence { .. }) if gaps.is_empty() => before += 1,
             Read::Entry(Entry::Silence { .. }) => after += 1,
             _ => {}
         }
     }
-    (before, told, after)
+    (before, gaps, after)
 }
 
 #[test]
-fn what_does_not_fit_into_the_queue_is_counted_and_told_where_it_is_missing() {
+fn entries_lost_at_a_full_queue_are_counted_and_recorded_as_a_gap() {
     for mode in [RecordingMode::Always, RecordingMode::OnFault] {
         let folder = tempfile::tempdir().unwrap();
         let (mut recorder, mut fast, _) = recorder(folder.path(), mode);
@@ -88,15 +88,15 @@ fn what_does_not_fit_into_the_queue_is_counted_and_told_where_it_is_missing() {
             recorder.empty_ring();
         }
         recorder.output.as_mut().unwrap().flush().unwrap();
-        let (before, told, after) = content(&recorder.output.as_ref().unwrap().path);
-        let [(entries, reason)] = told.as_slice() else { panic!("{told:?}") };
+        let (before, gaps, after) = content(&recorder.output.as_ref().unwrap().path);
+        let [(entries, reason)] = gaps.as_slice() else { panic!("{gaps:?}") };
         assert!(*entries == lost && reason.contains("behind"), "{entries} of {lost}: {reason}");
         assert!(before > 1000 && after == 1, "{before} before, {after} after");
     }
 }
 
 #[test]
-fn a_failed_end_of_an_old_file_is_told_and_the_new_one_goes_on() {
+fn a_failure_to_finish_an_old_file_is_reported_and_the_new_one_continues() {
     let folder = tempfile::tempdir().unwrap();
     let (mut recorder, mut fast, _) = recorder(folder.path(), RecordingMode::Always);
     recorder.drain();
@@ -116,12 +116,12 @@ fn a_failed_end_of_an_old_file_is_told_and_the_new_one_goes_on() {
 }
 
 #[test]
-fn a_stop_waits_for_the_disk_and_a_fault_that_overtakes_it_is_recorded() {
+fn a_stop_waits_for_the_disk_and_a_fault_before_it_is_recorded() {
     let folder = tempfile::tempdir().unwrap();
-    let (mut recorder, mut fast, wishes) = recorder(folder.path(), RecordingMode::OnFault);
+    let (mut recorder, mut fast, requests) = recorder(folder.path(), RecordingMode::OnFault);
     let stop = |recorder: &mut Recorder| {
         let (reply, answer) = oneshot::channel();
-        wishes.try_send((RecorderCommand::Stop, reply)).unwrap();
+        requests.try_send((RecorderCommand::Stop, reply)).unwrap();
         recorder.obey();
         answer
     };

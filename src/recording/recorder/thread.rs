@@ -37,7 +37,7 @@ pub fn start(
     let (records, receiver) = RecordSender::new(Arc::clone(counters));
     // Open before the first sample arrives.
     receiver.open.store(config.mode != RecordingMode::Off, Ordering::Relaxed);
-    let (wishes, asked) = mpsc::channel(4);
+    let (requests, asked) = mpsc::channel(4);
     let state = Arc::new(State::new(config.mode));
     let disk = Disk::start()?;
     let recorder =
@@ -51,7 +51,7 @@ pub fn start(
         // A closed channel means that `join` has given up.
         let _ = end.send(());
     })?;
-    Ok((records, Handle { state, wishes }, Thread { handle: thread, ended, stop }))
+    Ok((records, Handle { state, requests }, Thread { handle: thread, ended, stop }))
 }
 
 impl Thread {

@@ -68,15 +68,15 @@ impl Link {
     /// Waits until no more data arrives.
     async fn settle(&mut self) -> Result<(), Fault> {
         let mut buffer = [0; 256];
-        let mut heard = 0;
+        let mut received = 0;
         for _ in 0..LISTENS {
             match timeout(QUIET, read(&mut self.wire, &mut buffer)).await {
                 Err(_) => return Ok(()),
-                Ok(Ok(bytes)) => heard = bytes,
+                Ok(Ok(bytes)) => received = bytes,
                 Ok(Err(error)) => return Err(self.gone("the start", &error)),
             }
         }
-        Err(Fault::Unasked(buffer[..heard].iter().copied().map(char::from).collect()))
+        Err(Fault::Unasked(buffer[..received].iter().copied().map(char::from).collect()))
     }
 
     /// Sends lines, of which the last one is a query, and waits for its answer.

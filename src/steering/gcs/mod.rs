@@ -48,8 +48,8 @@ impl Report {
     }
 
     fn stands(&mut self, at: StagePosition) {
-        let told = self.at.map_or(0, |(count, _)| count);
-        self.at = Some((told + 1, at));
+        let reported = self.at.map_or(0, |(count, _)| count);
+        self.at = Some((reported + 1, at));
     }
 }
 
@@ -59,7 +59,7 @@ pub struct Gcs {
     commands: watch::Sender<Option<Addressed>>,
     reports: watch::Receiver<Report>,
     /// The part of the reports that has been passed on.
-    told: Report,
+    reported: Report,
 }
 
 /// The driver and its task, if such a stage is configured. `steering` receives the present limits.
@@ -68,7 +68,7 @@ pub fn pair(config: &Config, steering: watch::Receiver<SteeringConfig>) -> Optio
     let (commands, commanded) = watch::channel(None);
     let unknown = Report { down: Some("no controller has answered yet".into()), ..Report::default() };
     let (reports_in, reports) = watch::channel(unknown);
-    let driver = Gcs { commands, reports, told: Report::default() };
+    let driver = Gcs { commands, reports, reported: Report::default() };
     Some((driver, Task { settings, steering, commands: commanded, reports: reports_in }))
 }
 
@@ -76,21 +76,21 @@ impl Gcs {
     /// The next unreported event: a new connection first, then its results, then its end.
     fn news(&mut self) -> Option<StageEvent> {
         let report = self.reports.borrow_and_update();
-        let told = &mut self.told;
-        if report.connection != told.connection {
-            (told.connection, told.down) = (report.connection, None);
+        let reported = &mut self.reported;
+        if report.connection != reported.connection {
+            (reported.connection, reported.down) = (report.connection, None);
             return Some(StageEvent::Up);
         }
-        if report.at != told.at {
-            told.at = report.at;
+        if report.at != reported.at {
+            reported.at = report.at;
             return report.at.map(|(_, at)| StageEvent::At(at));
         }
-        if report.ack != told.ack {
-            told.ack = report.ack;
+        if report.ack != reported.ack {
+            reported.ack = report.ack;
             return report.ack.map(StageEvent::Ack);
         }
-        if report.down != told.down {
-            told.down.clone_from(&report.down);
+        if report.down != reported.down {
+            reported.down.clone_from(&report.down);
             return report.down.clone().map(StageEvent::Down);
         }
         None
@@ -100,8 +100,8 @@ impl Gcs {
 impl Driver for Gcs {
     /// A command is dropped while the position of the stage is unknown.
     fn steer(&mut self, command: Command) {
-        if self.told.connection > 0 && self.told.down.is_none() {
-            self.commands.send_replace(Some((self.told.connection, command)));
+        if self.reported.connection > 0 && self.reported.down.is_none() {
+            self.commands.send_replace(Some((self.reported.connection, command)));
         }
     }
 
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_is_new_is_told_once_in_order_and_commands_need_a_stage() {
+    async fn changes_are_reported_once_in_order_and_commands_need_a_stage() {
         let text = "steering.kind = 'gcs'\nsteering.gcs.address = 'stage:50000'\ntwin.steering.readback_noise_um = 'off'";
         let config = config::parse(text, None).unwrap();
         let (_steering_in, steering) = watch::channel(config.steering.clone());

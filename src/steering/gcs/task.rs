@@ -142,7 +142,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn beyond_the_limits_there_is_only_the_way_back() {
+    fn beyond_the_limits_only_motions_back_are_allowed() {
         for (to, at, fine) in [
             ([3e-4, -4e-4], [0.0; 2], true),
             ([4.1e-4, 0.0], [0.0; 2], false),

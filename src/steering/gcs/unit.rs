@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn units_are_held_against_the_configuration() {
+    fn units_are_compared_with_the_configuration() {
         for (name, um) in [("MM", 1000.0), ("um", 1.0), ("MICRON", 1.0), ("\u{b5}m", 1.0), ("count", 0.3)] {
             assert_eq!(check("1", name, um), Ok(()), "{name}");
         }

@@ -62,7 +62,7 @@ impl Bench {
 }
 
 #[test]
-fn it_says_nothing_unasked_and_numbers_its_scans_from_the_start() {
+fn nothing_is_sent_before_a_request_and_scans_are_numbered_from_the_start() {
     let mut bench = Bench::new();
     assert!(bench.run(50).is_empty());
     bench.ask(Request::Start { rate_mhz: 1_000_000, park: PARK });
@@ -75,7 +75,7 @@ fn it_says_nothing_unasked_and_numbers_its_scans_from_the_start() {
 }
 
 #[test]
-fn what_is_out_of_range_is_refused_and_changes_nothing() {
+fn values_out_of_range_are_refused_and_change_nothing() {
     let mut bench = Bench::new();
     assert_eq!(bench.steer([0, 0], 200, LeaseAction::Hold), SteerResult::NotStarted);
     for (rate_mhz, park, result) in
@@ -110,7 +110,7 @@ fn a_lease_that_ends_holds_or_parks_and_shows_in_the_scans() {
 }
 
 #[test]
-fn faults_of_the_link_use_up_numbers() {
+fn lost_scans_use_up_sequence_numbers() {
     let mut bench = Bench::started();
     bench.board.inject(FaultKind::Corrupted { fraction: 1.0 }, Some(0.01)).unwrap();
     bench.run(10);
@@ -124,7 +124,7 @@ fn faults_of_the_link_use_up_numbers() {
 }
 
 #[test]
-fn what_it_does_not_understand_it_says_and_what_nobody_takes_it_drops() {
+fn corrupted_messages_are_answered_and_unsent_scans_are_dropped() {
     let mut bench = Bench::started();
     bench.board.received(&[0, 3, 9, 9, 0], bench.now);
     let corrupted = Answer::Error { reason: ErrorReason::Corrupted, kind: 0 };

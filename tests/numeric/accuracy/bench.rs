@@ -1,4 +1,4 @@
-//! The twin's samples through the channel map into estimation, as fast as they can be computed.
+//! Samples of the twin through the channel map into estimation, without waiting for real time.
 
 use trifacet::config::Config;
 use trifacet::core::centering::LoopState;
@@ -7,7 +7,7 @@ use trifacet::core::estimation::{Estimation, PoseReport};
 use trifacet::core::time::Mono;
 use trifacet::twin::{Scene, Twin};
 
-/// A twin with estimation behind it; the noise of the twin can change.
+/// A twin followed by estimation; the noise of the twin can be changed.
 pub struct Bench {
     estimation: Estimation,
     channels: Channels,
@@ -34,7 +34,7 @@ impl Bench {
         self.run(&config, samples).into_iter().map(|(report, _)| report).collect()
     }
 
-    /// The next samples of the twin as configured, from its start, with what lies behind them.
+    /// The next samples of the twin as configured, from its start, each with its true state.
     pub fn with_truth(&mut self, samples: usize) -> Vec<(PoseReport, Scene)> {
         self.run(&self.config.clone(), samples)
     }
@@ -52,7 +52,7 @@ impl Bench {
     }
 }
 
-/// The stated deviations, um and urad.
+/// The reported standard uncertainties, um and urad.
 pub fn stated(report: &PoseReport) -> [f64; 6] {
     let covariance = report.covariance.unwrap();
     std::array::from_fn(|i| covariance[(i, i)].sqrt() * 1e6)

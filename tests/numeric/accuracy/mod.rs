@@ -1,4 +1,4 @@
-//! Noise and bias of the poses: as stated and as they are, 10 000 samples of the twin each.
+//! Noise and bias of the poses, reported and actual, over 10 000 samples of the twin each.
 
 use std::path::Path;
 use std::process::Command;
@@ -16,10 +16,10 @@ const SAMPLES: usize = 10_000;
 const AXES: [&str; 6] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "yaw_rad"];
 /// Table 2 of the paper, um and urad.
 const TABLE_2: [f64; 6] = [0.98, 0.95, 0.63, 1.83, 1.80, 2.43];
-/// What a ray takes the centroids' lowness for, metres.
+/// Bias of tz in the ray model, which takes the low centroids for a displacement, metres.
 const RAY_AT_REST: f64 = -119.2e-6;
 
-/// A mirror at rest at zero; the beam is off by this much, and nothing corrects it.
+/// A mirror at rest at zero, with this offset of the beam and without centering.
 fn at_rest(offset_um: [f64; 2]) -> String {
     format!("[twin]\nseed = 1\nmotion = []\nlaser_offset_um = {offset_um:?}\n[centering]\nmode = \"off\"\n")
 }
@@ -74,9 +74,9 @@ fn poses_scatter_as_in_table_2() {
     }
 }
 
-/// The noise is the same each time, so that only the direction of the offset makes a difference.
+/// The noise is identical in each run, so only the direction of the offset differs.
 #[test]
-fn a_beam_20_um_off_moves_the_ray_model_but_not_the_gaussian_one() {
+fn a_beam_offset_of_20_um_biases_the_ray_model_but_not_the_gaussian_model() {
     for step in 0..12 {
         let angle = std::f64::consts::FRAC_PI_6 * f64::from(step);
         let config = at_rest([20.0 * angle.cos(), 20.0 * angle.sin()]);
@@ -87,7 +87,7 @@ fn a_beam_20_um_off_moves_the_ray_model_but_not_the_gaussian_one() {
         let [tx, ty, tz, roll, pitch, yaw] = ray.map(|(mean, _)| mean * 1e6);
         let t = tx.hypot(ty).hypot(tz - RAY_AT_REST * 1e6);
         let turn = Rotation3::from_euler_angles(roll * 1e-6, pitch * 1e-6, yaw * 1e-6).angle() * 1e6;
-        println!("{:3} degrees: ray {t:.2} um, {turn:.2} urad off; Gaussian {errors:.1?} SE", 30 * step);
+        println!("{:3} degrees: ray {t:.2} um, {turn:.2} urad bias; Gaussian {errors:.1?} SE", 30 * step);
         // Onto a facet, along its rim, onto an edge: without noise 8.06 to 8.64 um.
         let expected = [8.06, 8.35, 8.64, 8.35][step as usize % 4];
         assert!((t - expected).abs() < 0.04, "{t}");
@@ -95,7 +95,7 @@ fn a_beam_20_um_off_moves_the_ray_model_but_not_the_gaussian_one() {
     }
 }
 
-/// By how much a stated deviation differs from the paper's at most, as a fraction.
+/// The largest relative difference between a reported standard uncertainty and that of the paper.
 fn off_table_2(report: &PoseReport) -> f64 {
     stated(report)
         .into_iter()
@@ -105,18 +105,18 @@ fn off_table_2(report: &PoseReport) -> f64 {
 }
 
 #[test]
-fn frames_state_the_deviations_of_table_2() {
+fn frames_report_the_standard_uncertainties_of_table_2() {
     for model in ["ray", "gaussian"] {
         let mut bench = Bench::new(&format!("{}[estimation]\nmodel = \"{model}\"\n", at_rest([0.0; 2])));
         let reports = bench.take(100_000, 1.0);
         let worst = reports.iter().map(off_table_2).fold(0.0, f64::max);
-        println!("{model}: stated {:.3?}, {:.1} % off at most", stated(&reports[0]), 100.0 * worst);
+        println!("{model}: reported {:.3?}, {:.1} % difference at most", stated(&reports[0]), 100.0 * worst);
         assert!(worst < 0.06, "{model}: {worst}");
     }
 }
 
 #[test]
-fn twice_the_noise_is_stated_within_20_ms_at_1_khz() {
+fn doubled_noise_is_reported_within_20_ms_at_1_khz() {
     let mut bench = Bench::new(&at_rest([0.0; 2]));
     for _ in 0..20 {
         let rest = stated(bench.take(3000, 1.0).last().unwrap());
@@ -127,7 +127,7 @@ fn twice_the_noise_is_stated_within_20_ms_at_1_khz() {
                 assert!((1.4..3.2).contains(&rise), "{k}: {rise}");
             }
         }
-        // The long memory has to fade before the next trial.
+        // The slow noise estimate has to decay before the next trial.
         bench.take(30_000, 1.0);
     }
 }

@@ -1,4 +1,5 @@
-//! How surely, and how soon, the loop finds the apex: 200 starts within 3 mm of it, and 50 beside the mirror.
+//! Success rate and duration of the search for the apex: 200 starts within 3 mm of it, and 50 beside the
+//! mirror.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -8,21 +9,24 @@ use trifacet_wire::LockState;
 
 use super::{motion, wide_bench};
 
-/// The stage reaches so far to each side, micrometres; the mirror has a radius of 5 mm.
+/// Travel of the stage to each side, micrometres; the mirror has a radius of 5 mm.
 const REACH_UM: f64 = 8000.0;
 /// The axes in the order of a pose.
 const AXES: [Axis; 6] = [Axis::Tx, Axis::Ty, Axis::Tz, Axis::Roll, Axis::Pitch, Axis::Yaw];
 
-/// Seconds until it says that it is locked, which must then be true; none within `most_s`.
+/// Seconds until the loop reports "locked", which must then be true; `None` if that takes more than `most_s`.
 fn seconds_to_lock(config: &Config, most_s: f64) -> Option<f64> {
-    let mut rig = ClosedLoopSim::new(config).unwrap();
+    let mut sim = ClosedLoopSim::new(config).unwrap();
     loop {
-        let turn = rig.step();
+        let turn = sim.step();
         let command = turn.command.map_or([0.0; 2], |command| command.position.0);
         assert!(command.iter().all(|p| p.abs() <= config.steering.limit_um * 1e-6));
         if turn.state.lock == LockState::Locked {
             let off = turn.scan.truth.offset.norm();
-            assert!(off < config.centering.lock_limit_um * 1e-6, "locked, and {off} m off");
+            assert!(
+                off < config.centering.lock_limit_um * 1e-6,
+                "reported as locked with an offset of {off} m"
+            );
             return Some(turn.scan.t_s);
         }
         if turn.scan.t_s > most_s {
@@ -46,8 +50,8 @@ fn report(label: &str, times: Vec<f64>) {
     );
 }
 
-/// A beam at a random place between two distances of the apex, over a mirror that stands somewhere and is turned
-/// by up to 2 mrad: which the loop does not know.
+/// A beam at a random place between two distances from the apex, over a mirror at a random position and
+/// rotated by up to 2 mrad. The loop does not know either.
 fn start(random: &mut Pcg64, from: f64, to: f64) -> Config {
     let mut config = wide_bench(REACH_UM);
     let mut symmetric = |most: f64| most * (2.0 * random.random::<f64>() - 1.0);
@@ -70,7 +74,7 @@ fn start(random: &mut Pcg64, from: f64, to: f64) -> Config {
 }
 
 #[test]
-fn from_anywhere_within_3_mm_it_finds_the_apex() {
+fn the_loop_finds_the_apex_from_anywhere_within_3_mm() {
     let mut random = Pcg64::seed_from_u64(4);
     let times: Vec<f64> = (0..200)
         .map(|k| {
@@ -82,7 +86,7 @@ fn from_anywhere_within_3_mm_it_finds_the_apex() {
 }
 
 #[test]
-fn from_beside_the_mirror_it_finds_the_apex() {
+fn the_loop_finds_the_apex_from_beside_the_mirror() {
     let mut random = Pcg64::seed_from_u64(5);
     let times: Vec<f64> = (0..50)
         .map(|k| {

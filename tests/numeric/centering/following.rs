@@ -1,4 +1,4 @@
-//! How well the loop follows a mirror that moves: the table of `docs/centering.md`.
+//! Tracking errors of the loop for a moving mirror: the table of `docs/centering.md`.
 //!
 //! 10 kHz; a command computed from sample k acts on sample k+4. One tuning for all rows.
 
@@ -7,10 +7,10 @@ use trifacet::config::{Axis, Config, Motion, MotionKind};
 
 use super::{bench, motion};
 
-/// From a sample to the effect of its command, in samples.
+/// Delay from a sample to the effect of its command, in samples.
 const DELAY: usize = 4;
 
-/// What a row changes of the bench.
+/// The change that a row makes to the bench.
 type Change = fn(&mut Config);
 
 /// The true offset of the beam along x, micrometres, of every scan.
@@ -18,8 +18,8 @@ fn offsets(change: Change, motion: &Motion, samples: usize) -> Vec<f64> {
     let mut config = bench();
     config.twin.motion.push(motion.clone());
     change(&mut config);
-    let mut rig = ClosedLoopSim::new(&config).unwrap();
-    (0..samples).map(|_| rig.step().scan.truth.offset.x * 1e6).collect()
+    let mut sim = ClosedLoopSim::new(&config).unwrap();
+    (0..samples).map(|_| sim.step().scan.truth.offset.x * 1e6).collect()
 }
 
 fn along_x(kind: MotionKind, amount_um: f64) -> Motion {
@@ -34,12 +34,12 @@ fn rms(x: &[f64]) -> f64 {
     (x.iter().map(|x| x * x).sum::<f64>() / x.len() as f64).sqrt()
 }
 
-/// What is asked of a step.
+/// The response to a step.
 #[derive(Debug)]
 struct Step {
-    /// Samples until it stays below 1 um.
+    /// Number of samples until the offset stays below 1 um.
     settled: usize,
-    /// Percent.
+    /// Overshoot, percent.
     overshoot: f64,
 }
 
@@ -59,7 +59,8 @@ struct Row {
     rest: f64,
 }
 
-/// Ramp and sines rms over whole periods after a start-up of 0.2 s; the ramp with its onset.
+/// Rms of the ramp and of the sines over whole periods after a start-up of 0.2 s; the ramp includes its
+/// onset.
 fn row(label: &'static str, change: Change) -> Row {
     let rms_of = |motion| rms(&offsets(change, &motion, 12_000)[2000..]);
     let ramp = Motion { from_s: 0.2, until_s: Some(0.5), ..along_x(MotionKind::Ramp, 300.0) };
@@ -79,7 +80,7 @@ fn nine(config: &mut Config, tracking_hz: f64) {
 }
 
 #[test]
-fn it_follows_as_the_documentation_says() {
+fn tracking_errors_are_those_of_the_documentation() {
     let rows = [
         row("PI alone", |c| c.centering.feed_forward = false),
         row("with feed-forward", |_| {}),

@@ -1,5 +1,5 @@
-//! The loop as a whole, in lockstep with the twin: how well it follows, how surely it finds the apex, and
-//! that it never claims what is not so.
+//! The whole loop in lockstep with the twin: tracking, search for the apex, and no false reports under
+//! faults.
 //!
 //! `cargo test --test numeric centering -- --nocapture` prints the tables.
 
@@ -9,8 +9,9 @@ mod following;
 
 use trifacet::config::{Axis, Config, Motion, MotionKind, parse};
 
-/// 10 kHz; a command computed from sample k acts on sample k+4: the dead time of the stage is a little less than
-/// four samples, so that it does. Spot noise 1.08 um, power noise 5e-4 of each power, readback noise 0.1 um.
+/// 10 kHz; a command computed from sample k acts on sample k+4: the dead time of the stage is a little less
+/// than
+/// four samples to achieve this. Spot noise 1.08 um, power noise 5e-4 of each power, readback noise 0.1 um.
 const BENCH: &str = "\
     acquisition.rate_hz = 10000\n\
     estimation.power_noise = 5e-4\n\
@@ -24,8 +25,8 @@ fn bench() -> Config {
     parse(BENCH, None).unwrap()
 }
 
-/// The bench with a stage that reaches so far to each side. All light on one PSD does not clip it: else its
-/// spot could not be seen, and only the search would help.
+/// The bench with a stage of this travel to each side. All light on one PSD does not clip it: with clipping,
+/// its spot would be unknown, and only the search would find the apex.
 fn wide_bench(limit_um: f64) -> Config {
     let mut config = bench();
     config.channels.power_mw_per_v = 0.1;
@@ -36,7 +37,7 @@ fn wide_bench(limit_um: f64) -> Config {
     config
 }
 
-/// A movement of the mirror along an axis, micrometres or microradians, that other fields may change.
+/// A movement of the mirror along an axis, micrometres or microradians. Callers may change the other fields.
 fn motion(axis: Axis, kind: MotionKind, amount: f64) -> Motion {
     Motion {
         axis,

@@ -1,4 +1,4 @@
-//! The split of a Gaussian beam against numerical integration in polar coordinates.
+//! The split of a Gaussian beam compared with numerical integration in polar coordinates.
 
 use std::f64::consts::{FRAC_PI_4, TAU};
 
@@ -7,7 +7,7 @@ use trifacet_optics::{Head, Model, Optics, Pose, TraceError, Vec2, Vec3};
 
 use super::heads::{self, Draw};
 
-/// Nodes and weights of Gauss and Legendre's rule on -1 to 1.
+/// Nodes and weights of the Gauss-Legendre rule on -1 to 1.
 fn legendre<const N: usize>() -> [(f64, f64); N] {
     std::array::from_fn(|i| {
         let mut x = (TAU / 2.0 * (i as f64 + 0.75) / (N as f64 + 0.5)).cos();
@@ -25,7 +25,7 @@ fn legendre<const N: usize>() -> [(f64, f64); N] {
     })
 }
 
-/// Integral of `f` over `panels` equal parts.
+/// Integral of `f`, composed of `panels` equal parts.
 fn integral(from: f64, to: f64, panels: usize, rule: &[(f64, f64)], mut f: impl FnMut(f64) -> Vec3) -> Vec3 {
     let half = (to - from) / (2.0 * panels as f64);
     let mut sum = Vec3::zeros();
@@ -110,9 +110,9 @@ fn powers_and_moments_agree_with_quadrature() {
     assert!(power_off < 1e-14 && moment_off < 1e-14, "{power_off:e} {moment_off:e}");
 }
 
-/// The centroid of a faint facet is good to the rounding of its power.
+/// The centroid of a dim facet is accurate to the rounding error of its power.
 #[test]
-fn centroids_agree_with_quadrature_while_a_facet_is_lit() {
+fn centroids_of_lit_facets_agree_with_quadrature() {
     let normals = &mirrors()[1];
     let mut faintest = 1.0_f64;
     for k in 0..40 {
@@ -128,7 +128,7 @@ fn centroids_agree_with_quadrature_while_a_facet_is_lit() {
 }
 
 #[test]
-fn no_step_where_the_series_gives_way_to_owens_t() {
+fn there_is_no_step_between_the_series_and_owens_t() {
     let mut draw = Draw::new(5);
     let mut worst = 0.0_f64;
     for normals in &mirrors() {

@@ -1,4 +1,4 @@
-//! Eleven signals against weighted least squares by brute force.
+//! The fusion of eleven signals compared with a direct weighted least-squares solution.
 
 use nalgebra::{SMatrix, SVector};
 use trifacet_optics::{BeamPosition, Estimator, Innovation, Model, Noise, Optics, Pose, Vec2};
@@ -6,16 +6,17 @@ use trifacet_optics::{BeamPosition, Estimator, Innovation, Model, Noise, Optics,
 use super::heads::{self, Draw};
 use super::slopes::{Unknowns, differences};
 
-const SIGHTING_DEVIATION: f64 = 0.1e-6;
+const BEAM_SIGMA: f64 = 0.1e-6;
 
-/// Where the beam crosses the plane of the apex, by its offset from a mirror there.
+/// The point at which the beam crosses the plane of the apex, from its offset.
 fn beam(optics: &Optics, x: &Unknowns) -> Vec2 {
     let pose = Pose::from_array([x[0], x[1], x[2], x[3], x[4], x[5]]);
     optics.across(pose.t) + Vec2::new(x[6], x[7])
 }
 
-/// All heads, also the oblique beam: the weighted solution of eleven equations, linearised by central
-/// differences and solved as a whole, is what the update of the nine gives.
+/// For all heads, including the oblique beam: the weighted solution of eleven equations, linearised by
+/// central
+/// differences and solved together, equals the update of the solution from nine signals.
 #[test]
 fn fusion_is_the_weighted_solution_of_eleven_equations() {
     for (name, mut head) in heads::all() {
@@ -35,12 +36,12 @@ fn fusion_is_the_weighted_solution_of_eleven_equations() {
             let x = Unknowns::from([p[0], p[1], p[2], p[3], p[4], p[5], offset.x, offset.y, total]);
 
             let residual = Vec2::new(draw.within(2e-6), draw.within(2e-6));
-            let sighting = BeamPosition { at: beam(&optics, &x) + residual, sigma: SIGHTING_DEVIATION };
+            let beam_position = BeamPosition { at: beam(&optics, &x) + residual, sigma: BEAM_SIGMA };
             let spread = estimator.sensitivity(&solution).unwrap().spread(&noise);
-            let innovation = Innovation::new(&optics, &solution, &spread, &sighting).unwrap();
+            let innovation = Innovation::new(&optics, &solution, &spread, &beam_position).unwrap();
             let fused = innovation.fuse(&solution);
 
-            // Each row in its deviations.
+            // Each row is divided by its standard uncertainty.
             let mut rows = SMatrix::<f64, 11, 9>::zeros();
             let nine = differences(&optics, Model::Gaussian, &at, total);
             for (i, deviation) in noise.spots.iter().chain(&noise.powers).enumerate() {
@@ -49,11 +50,11 @@ fn fusion_is_the_weighted_solution_of_eleven_equations() {
             for k in 0..9 {
                 let mut moved = x;
                 moved[k] += 1e-3;
-                let slope = (beam(&optics, &moved) - beam(&optics, &x)) / 1e-3 / SIGHTING_DEVIATION;
+                let slope = (beam(&optics, &moved) - beam(&optics, &x)) / 1e-3 / BEAM_SIGMA;
                 (rows[(9, k)], rows[(10, k)]) = (slope.x, slope.y);
             }
             let mut right = SVector::<f64, 11>::zeros();
-            right.fixed_rows_mut::<2>(9).copy_from(&(residual / SIGHTING_DEVIATION));
+            right.fixed_rows_mut::<2>(9).copy_from(&(residual / BEAM_SIGMA));
             let qr = rows.qr();
             let step = qr.r().solve_upper_triangular(&(qr.q().transpose() * right)).unwrap();
             let root = qr.r().try_inverse().unwrap();
@@ -70,12 +71,12 @@ fn fusion_is_the_weighted_solution_of_eleven_equations() {
                 }
             }
             for i in 0..2 {
-                worst = worst.max(((fused.offset - offset)[i] - step[6 + i]).abs() / SIGHTING_DEVIATION);
+                worst = worst.max(((fused.offset - offset)[i] - step[6 + i]).abs() / BEAM_SIGMA);
             }
             let by_hand = ((rows * step - right).norm_squared()).sqrt();
             worst = worst.max((innovation.normalized_residual() - by_hand).abs());
         }
-        println!("{name}: fusion off by {worst:.1e} deviations at most");
+        println!("{name}: error of the fusion {worst:.1e} sigma at most");
         assert!(worst < 1e-5, "{name}: {worst:e}");
     }
 }

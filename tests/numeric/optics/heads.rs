@@ -1,4 +1,4 @@
-//! Heads to test on, and random states of their mirrors.
+//! Sensor heads for the tests, and random states of their mirrors.
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, TAU};
 
@@ -15,20 +15,21 @@ pub fn nominal() -> Head {
     Head::nominal(0.25, 0.013, FRAC_PI_4, 0.46e-3).unwrap()
 }
 
-/// A head with its PSDs where the light of a mirror at rest goes.
+/// A head with its PSDs on the sub-beams of a mirror at rest.
 struct Build {
     /// Inclination of each facet to the base, degrees.
     inclination: [f64; 3],
-    /// Azimuth of each facet besides 0, 120 and -120 degrees, degrees.
+    /// Azimuth of each facet relative to 0, 120 and -120 degrees, degrees.
     azimuth: [f64; 3],
-    /// Direction of the light, to be made a unit vector.
+    /// Direction of the light; is normalised.
     beam: [f64; 3],
     diameter: f64,
-    /// From the apex to each PSD, metres.
+    /// Distance from the apex to each PSD, metres.
     distance: [f64; 3],
-    /// SimStep of each PSD about its v-axis and about its u-axis, away from facing the light, degrees.
+    /// Tilt of each PSD about its v-axis and about its u-axis, from the orientation that faces the light,
+    /// degrees.
     tilt: [[f64; 2]; 3],
-    /// SimStep of each PSD about its normal, degrees.
+    /// Rotation of each PSD about its normal, degrees.
     roll: [f64; 3],
 }
 
@@ -72,7 +73,7 @@ impl Build {
     }
 }
 
-/// The nominal head and heads that differ from it in every way that a head can.
+/// The nominal head, and heads that differ from it in each parameter.
 pub fn all() -> Vec<(&'static str, Head)> {
     let tilt = [[12.0, -7.0], [-20.0, 4.0], [3.0, 15.0]];
     let (inclination, azimuth) = ([44.0, 46.5, 45.3], [2.0, -1.5, 0.7]);
@@ -103,7 +104,7 @@ pub fn all() -> Vec<(&'static str, Head)> {
     ]
 }
 
-/// Random states of the mirror: repeatable.
+/// Random states of the mirror from a fixed seed.
 pub struct Draw(pub Pcg64Mcg);
 
 impl Draw {
@@ -119,7 +120,8 @@ impl Draw {
         deviation * self.0.sample::<f64, _>(StandardNormal)
     }
 
-    /// t within 5 mm; roll, pitch, yaw with deviations of 13, 13, 26 mrad; all times `scale`.
+    /// t within 5 mm; roll, pitch, yaw with standard deviations of 13, 13, 26 mrad; all multiplied by
+    /// `scale`.
     pub fn pose(&mut self, scale: f64) -> Pose {
         let t = [(); 3].map(|()| self.within(5e-3 * scale));
         let [roll, pitch, yaw] = [13e-3, 13e-3, 26e-3].map(|deviation| self.normal(deviation * scale));
@@ -144,7 +146,7 @@ impl Draw {
     }
 }
 
-/// A mirror, a beam, and what the PSDs see.
+/// A pose of the mirror, a beam offset, and the signals of the PSDs.
 #[derive(Clone, Copy, Debug)]
 pub struct State {
     pub pose: Pose,
@@ -153,7 +155,7 @@ pub struct State {
 }
 
 impl State {
-    /// By how much a solution is wrong, metres or radians, offset included.
+    /// The error of a solution, metres or radians, including the offset.
     pub fn error(&self, solution: &Solution) -> f64 {
         let pose = self.pose.to_array().into_iter().zip(solution.pose.to_array());
         let worst = pose.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
@@ -165,7 +167,7 @@ pub fn signals(reading: &Reading) -> Signals {
     Signals { spots: reading.spots, powers: reading.powers }
 }
 
-/// By how much a solution fails to explain the signals: metres, and fractions of the beam.
+/// The residuals of a solution: spots in metres, powers as fractions of the beam.
 pub fn misfit(
     estimator: &Estimator,
     solution: &Solution,

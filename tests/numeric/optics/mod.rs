@@ -1,4 +1,4 @@
-//! The sensor model and its inverse, on the nominal head and on heads that are not.
+//! The sensor model and its inverse, on the nominal head and on other heads.
 
 mod beam;
 mod fusion;

@@ -1,4 +1,5 @@
-//! Warm starts from far away, and signals that mean nothing: the right pose or a reason, never another pose.
+//! Distant warm starts and meaningless signals: the solver returns the right pose or an error, never a
+//! wrong pose.
 
 use proptest::prelude::*;
 use trifacet_optics::{
@@ -7,7 +8,7 @@ use trifacet_optics::{
 
 use super::heads::{self, Draw, State, misfit};
 
-/// Steps that a solve may take in all: twenty from a warm start, twenty from a cold one.
+/// Limit on the iterations of a solution: twenty from a warm start and twenty from a cold one.
 const BOUND: u8 = 40;
 
 fn jumped(draw: &mut Draw, from: &Pose) -> Pose {
@@ -39,7 +40,7 @@ fn a_beam_that_jumps_across_the_apex_is_followed() {
                 iterations = iterations.max(solution.iterations);
                 cases += 1;
             }
-            println!("{name}, {sigmas} sigma: {iterations} iterations, {worst:.1e} off at most");
+            println!("{name}, {sigmas} sigma: {iterations} iterations, error {worst:.1e} at most");
             assert!(worst < 1e-10, "{name}, {sigmas} sigma: {worst:e}");
             assert!(iterations <= limit, "{name}, {sigmas} sigma: {iterations} iterations");
         }
@@ -48,7 +49,7 @@ fn a_beam_that_jumps_across_the_apex_is_followed() {
 
 /// Any two states with light on all facets.
 #[test]
-fn a_far_off_warm_start_gives_the_right_pose_or_none() {
+fn a_distant_warm_start_gives_the_right_pose_or_an_error() {
     for (name, head) in heads::all() {
         let optics = Optics::new(&head);
         let estimator = Estimator::new(optics.clone(), Model::Gaussian);
@@ -80,7 +81,8 @@ fn a_far_off_warm_start_gives_the_right_pose_or_none() {
     }
 }
 
-/// The equations are kept from sample to sample: walks of all sizes, also along some axes only.
+/// The linearised equations are reused from sample to sample: random walks of all sizes, also along single
+/// axes.
 #[test]
 fn a_chain_of_warm_starts_stays_exact() {
     for (name, head) in heads::all() {
@@ -110,14 +112,14 @@ fn a_chain_of_warm_starts_stays_exact() {
                     warm = Some(solution);
                 }
             }
-            println!("{name}, {model:?}: {:.1e} off, signals missed by {:.1e} m", worst[0], worst[1]);
+            println!("{name}, {model:?}: error {:.1e}, residual of the signals {:.1e} m", worst[0], worst[1]);
             assert!(worst.iter().all(|w| *w < 1e-10), "{name}, {model:?}: {worst:?}");
         }
     }
 }
 
 #[test]
-fn every_refusal_has_its_reason() {
+fn every_error_states_its_reason() {
     let optics = Optics::new(&heads::nominal());
     let estimator = Estimator::new(optics.clone(), Model::Gaussian);
     let rest = heads::signals(&optics.trace(Model::Gaussian, &Pose::default(), Vec2::zeros()).unwrap());
@@ -137,10 +139,10 @@ fn every_refusal_has_its_reason() {
         assert_eq!(refusal(&|s| s.powers[1] = power), SolveError::Dark { psd: 'B', power });
     }
     assert_eq!(refusal(&|s| s.powers[0] = 1e-10), SolveError::Dark { psd: 'A', power: 1e-10 });
-    // Five deviations off the apex Newton's steps are too short to get there in time.
+    // Five sigma from the apex, Newton's steps are too short to converge within the limit.
     let far = refusal(&|s| s.powers = [1.0, 1.0, 1e-8]);
     assert_eq!(far, SolveError::NotConverged { iterations: 20 });
-    // A spot that a mirror could only throw there by turning a facet away from the light.
+    // A spot that requires a facet turned away from the light.
     let wide = Head::nominal(0.25, 0.5, std::f64::consts::FRAC_PI_4, 0.46e-3).unwrap();
     let signals = Signals { spots: [0.24, 0.24, 0.24, -0.24, -0.24, 0.24], powers: [1.0; 3] };
     let away = Estimator::new(Optics::new(&wide), Model::Ray).solve(&signals, None);
@@ -148,8 +150,9 @@ fn every_refusal_has_its_reason() {
 }
 
 #[test]
-fn three_detectors_side_by_side_see_too_little() {
-    // Facets that hardly differ throw all light back the same way: nothing tells of a turn about it.
+fn three_adjacent_detectors_are_singular() {
+    // Almost parallel facets reflect all light in one direction: a rotation about that direction is
+    // unobservable.
     let mut head = heads::nominal();
     for (facet, psd) in head.facets.iter_mut().zip(&mut head.psds) {
         *facet = Vec3::new(facet.x * 1e-9, facet.y * 1e-9, 1.0);
@@ -164,7 +167,7 @@ fn three_detectors_side_by_side_see_too_little() {
 }
 
 #[test]
-fn a_detector_without_a_plane_is_no_detector() {
+fn a_detector_without_a_plane_is_refused() {
     for (normal, up) in
         [(Vec3::x(), Vec3::x()), (Vec3::zeros(), Vec3::z()), (Vec3::x() * f64::NAN, Vec3::z())]
     {
@@ -174,7 +177,7 @@ fn a_detector_without_a_plane_is_no_detector() {
     }
 }
 
-/// Numbers that a solver may meet: plausible ones, and all the others.
+/// Inputs of the solver: plausible numbers and arbitrary ones.
 fn spot() -> impl Strategy<Value = f64> {
     prop_oneof![12 => -6.5e-3..6.5e-3, 1 => any::<f64>(), 1 => Just(0.0)]
 }
@@ -186,7 +189,7 @@ fn power() -> impl Strategy<Value = f64> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(20_000))]
 
-    /// What is returned explains the signals, cold as well as from a solution of other signals.
+    /// A returned solution reproduces the signals, from a cold start and from the solution of other signals.
     #[test]
     fn garbage_gives_a_pose_that_explains_it_or_a_reason(
         first in (prop::array::uniform6(spot()), prop::array::uniform3(power())),

@@ -1,4 +1,4 @@
-//! Derivatives against central differences of the traced signals.
+//! Derivatives of the model compared with central differences of the traced signals.
 
 use nalgebra::{SMatrix, SVector};
 use trifacet_optics::{Estimator, Model, Optics, Pose, Vec2};
@@ -39,7 +39,7 @@ pub fn differences(optics: &Optics, model: Model, at: &State, total: f64) -> SMa
     jacobian
 }
 
-/// The sensitivity undoes the differences: multiplied they are one, and nothing of the total power is left.
+/// The product of sensitivity and differences is the identity, and independent of the total power.
 #[test]
 fn sensitivity_is_the_inverse_of_central_differences() {
     for (name, mut head) in heads::all() {
@@ -76,7 +76,7 @@ fn sensitivity_is_the_inverse_of_central_differences() {
                 let error = (product - SMatrix::<f64, 8, 9>::identity()).amax();
                 worst = worst.max(error);
             }
-            println!("{name}, {model:?}: sensitivity off by {worst:.1e} at most");
+            println!("{name}, {model:?}: error of the sensitivity {worst:.1e} at most");
             assert!(worst < 1e-7, "{name}, {model:?}: {worst:e}");
         }
     }

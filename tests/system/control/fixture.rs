@@ -1,4 +1,4 @@
-//! A daemon on the twin with a file as people write it, and its datagrams.
+//! A daemon on the twin with a hand-written configuration file, and the datagrams of the daemon.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::SocketAddr;
@@ -28,7 +28,7 @@ amount_urad = 300.0
 pub(crate) struct Lab {
     daemon: Daemon,
     udp: Udp,
-    /// Where TCP clients connect.
+    /// The address for TCP clients.
     pub(crate) tcp: SocketAddr,
 }
 
@@ -47,8 +47,8 @@ impl DerefMut for Lab {
 }
 
 impl Lab {
-    /// Starts one and waits for its socket. The text must not have `[publishing]`, `[control]`, `[monitor]`
-    /// or `[log]`.
+    /// Starts a daemon and waits for its socket. The text must not contain `[publishing]`, `[control]`,
+    /// `[monitor]` or `[log]`.
     pub(crate) fn start(text: &str) -> Self {
         let (home, udp) = (Folder::new(), Udp::open());
         let text = format!(
@@ -64,7 +64,7 @@ impl Lab {
         Self { daemon, udp, tcp }
     }
 
-    /// A connection to the socket, for what `ctl` would not say.
+    /// A connection to the socket, for lines that `ctl` does not send.
     pub(crate) fn connect(&self) -> (BufReader<UnixStream>, UnixStream) {
         let stream = UnixStream::connect(self.socket()).unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
@@ -76,19 +76,19 @@ impl Lab {
         self.udp.frame()
     }
 
-    /// The next frame of which this is true.
+    /// The next frame that fulfils this condition.
     pub(crate) fn frame_with(&self, is: impl Fn(&PoseFrame) -> bool) -> PoseFrame {
         let mut frames = std::iter::repeat_with(|| self.frame()).take(60_000);
         frames.find(is).expect("such a frame in a minute")
     }
 
-    /// Ends it in order and starts it again with what is in its file.
+    /// Shuts the daemon down and starts it again with the current configuration file.
     pub(crate) fn restart(&mut self) {
         self.end();
         self.start_again();
     }
 
-    /// Starts it after it has ended.
+    /// Starts the daemon again after its end.
     pub(crate) fn start_again(&mut self) {
         self.daemon.start_again();
         self.daemon.message("control socket is open");
@@ -97,12 +97,12 @@ impl Lab {
 
     pub(crate) fn end(&mut self) {
         self.ends_in_order(Signal::TERM);
-        assert!(!self.socket().exists(), "the socket goes with the daemon");
-        self.udp.drain(); // frames of the past
+        assert!(!self.socket().exists(), "the socket file is removed at the end of the daemon");
+        self.udp.drain(); // frames from before the end
     }
 }
 
-/// Says a line and returns the answer.
+/// Sends a line and returns the answer.
 pub(crate) fn say((read, write): &mut (BufReader<UnixStream>, UnixStream), line: &str) -> Value {
     write.write_all(line.as_bytes()).unwrap();
     let mut answer = String::new();

@@ -1,4 +1,4 @@
-//! A running daemon is told what to do: through `trifacet ctl`, its socket, and SIGHUP.
+//! Control of a running daemon: through `trifacet ctl`, the control socket, and SIGHUP.
 
 mod fixture;
 mod reload;

@@ -11,7 +11,7 @@ use super::fixture::{AT_REST, Lab};
 use crate::testkit::PATIENCE;
 
 #[test]
-fn what_can_change_changes_without_dropping_a_client() {
+fn reloadable_keys_change_without_dropping_a_client() {
     let mut daemon = Lab::start(&format!("[centering]\nkp = 0.1\n{AT_REST}"));
     daemon.status_until(|status| status["loop"]["lock"] == "locked");
     let before = daemon.frame();
@@ -30,7 +30,7 @@ fn what_can_change_changes_without_dropping_a_client() {
 }
 
 #[test]
-fn eleven_signals_are_a_change_of_meaning_without_a_restart() {
+fn fusion_of_the_steering_can_be_switched_on_without_a_restart() {
     let daemon = Lab::start("[twin]\nmotion = []\n");
     let nine = daemon.frame_with(|frame| !frame.pose[0].is_nan());
     assert!(nine.deviations[0] > 0.9e-6, "{nine:?}");
@@ -39,14 +39,14 @@ fn eleven_signals_are_a_change_of_meaning_without_a_restart() {
     assert_eq!(answer["changed"], json!(["estimation.fuse_steering", "steering.deviation_um"]));
     let eleven = daemon.frame_with(|frame| frame.config != nine.config && frame.deviations[0] < 0.5e-6);
     assert_eq!(answer["config"], format!("{:08x}", eleven.config));
-    // From where the beam is, by the stage, to where the pose is: another number.
+    // With fusion, the origin of the stage changes the poses, and so the configuration id.
     daemon.rewrite("# our lab", "# our lab\nsteering.origin_um = [0.1, 0.0]");
     assert_eq!(daemon.told(&["reload"])["changed"], json!(["steering.origin_um"]));
     daemon.frame_with(|frame| ![nine.config, eleven.config].contains(&frame.config));
 }
 
 #[test]
-fn what_needs_a_restart_is_refused_by_name_and_the_rest_is_taken() {
+fn keys_that_need_a_restart_are_refused_by_name_and_the_rest_is_applied() {
     let daemon = Lab::start(AT_REST);
     daemon.rewrite("# our lab", "# our lab\nhead.psd_distance_mm = 300.0\nestimation.balance_limit = 0.2");
     daemon.rewrite("[control]", "tcp_clients = 3\n[control]");
@@ -60,7 +60,7 @@ fn what_needs_a_restart_is_refused_by_name_and_the_rest_is_taken() {
 }
 
 #[test]
-fn a_wrong_file_changes_nothing() {
+fn an_invalid_file_changes_nothing() {
     let mut daemon = Lab::start(&format!("[centering]\nkp = 0.1\n{AT_REST}"));
     daemon.rewrite("kp = 0.1", "kp = 0.3\nki_per_s = -5");
     let (code, _, errors) = daemon.ctl(&["reload"]);
@@ -95,7 +95,7 @@ fn a_correction_table_and_dark_offsets_are_read_again() {
     let frame = daemon.frame_with(|frame| frame.config != before.config);
     assert_eq!(first["config"], format!("{:08x}", frame.config));
     let u_a = f64::from(frame.spots[0]);
-    // The contents alone.
+    // Only the contents of the table change.
     std::fs::write(&file, table(50e-6)).unwrap();
     let second = daemon.told(&["reload"]);
     assert!(second["changed"][0].as_str().unwrap().contains("correction table"), "{second}");
@@ -107,7 +107,7 @@ fn a_correction_table_and_dark_offsets_are_read_again() {
     assert_eq!(daemon.told(&["status"])["config"], second["config"]);
 }
 
-/// What a TCP client sees of a daemon, on a thread of its own, until the daemon ends.
+/// The messages that a TCP client receives until the daemon ends, read on a separate thread.
 fn follow(address: SocketAddr) -> std::thread::JoinHandle<(Vec<u32>, u64)> {
     let endpoint = Endpoint::Tcp(address.to_string());
     let (connected, ready) = std::sync::mpsc::channel();
@@ -132,7 +132,7 @@ fn follow(address: SocketAddr) -> std::thread::JoinHandle<(Vec<u32>, u64)> {
 }
 
 #[test]
-fn clients_stay_and_lose_nothing_and_new_ones_are_told_the_new_meaning() {
+fn a_reload_drops_no_client_and_no_frame_and_new_clients_get_the_new_descriptor() {
     let mut daemon = Lab::start(AT_REST);
     let client = follow(daemon.tcp);
     let mut ids = vec![daemon.frame().config];

@@ -1,4 +1,4 @@
-//! The socket itself: who may use it, and what it makes of nonsense.
+//! The control socket: access to it, and its answers to invalid input.
 
 use std::io::{Read, Write};
 use std::os::unix::fs::PermissionsExt;
@@ -9,7 +9,7 @@ use super::fixture::{AT_REST, Lab, say};
 use crate::testkit::{Folder, on, run, trifacet, wait_for};
 
 #[test]
-fn status_is_one_line_that_says_what_is_going_on() {
+fn status_is_one_line_of_json_with_the_current_state() {
     let daemon = Lab::start(AT_REST);
     let status = daemon.status_until(|status| status["loop"]["lock"] == "locked");
     assert_eq!(status["loop"]["mode"], "on");
@@ -27,7 +27,7 @@ fn status_is_one_line_that_says_what_is_going_on() {
 }
 
 #[test]
-fn nonsense_is_refused_and_half_a_command_is_none() {
+fn invalid_commands_are_refused_and_incomplete_ones_are_not_executed() {
     let daemon = Lab::start(AT_REST);
     let mut client = daemon.connect();
     for line in ["steer 1 2\n", "\n", "\u{fc}\0\u{7f}\n", "setpoint 1\n", "gains nan 1\n", "loop sideways\n"]
@@ -37,29 +37,29 @@ fn nonsense_is_refused_and_half_a_command_is_none() {
         assert!(answer["error"].as_str().unwrap().contains("setpoint X_UM Y_UM"), "{answer}");
     }
     assert_eq!(say(&mut client, "Loop shadow\r\n")["loop"]["mode"], "shadow", "the connection stays");
-    // Two lines in one piece are two commands.
+    // Two lines in one write are two commands.
     assert_eq!(say(&mut client, "status\nstatus\n")["ok"], true);
     assert_eq!(say(&mut client, "")["ok"], true);
-    // Half a line: the half of a number would be another number.
+    // An incomplete line: a truncated number would be a different number.
     let (_, mut half) = daemon.connect();
     half.write_all(b"setpoint 1 2").unwrap();
     half.shutdown(std::net::Shutdown::Write).unwrap();
     let mut rest = String::new();
     assert_eq!(half.read_to_string(&mut rest).unwrap(), 0);
     assert_eq!(say(&mut client, "status\n")["loop"]["setpoint_um"][0], 0.0);
-    // A line without an end.
+    // A line that never ends.
     let (_, mut long) = daemon.connect();
     long.write_all(&[b'x'; 256]).unwrap();
     long.read_to_string(&mut rest).unwrap();
     assert!(rest.contains("at most 256 bytes"), "{rest}");
-    // Nobody is in the way of anybody.
+    // Clients do not block each other.
     let idle: Vec<_> = (0..5).map(|_| daemon.connect()).collect();
     daemon.told(&["status"]);
     drop(idle);
 }
 
 #[test]
-fn clients_beyond_the_cap_are_closed_and_places_become_free() {
+fn clients_beyond_the_limit_are_closed_and_slots_become_free_again() {
     let daemon = Lab::start(AT_REST);
     let mut clients: Vec<_> = (0..16).map(|_| daemon.connect()).collect();
     for client in &mut clients {
@@ -68,8 +68,8 @@ fn clients_beyond_the_cap_are_closed_and_places_become_free() {
     let (code, _, errors) = daemon.ctl(&["status"]);
     assert_eq!(code, i32::from(exit::UNAVAILABLE), "{errors}");
     clients.clear();
-    // The daemon need not have seen them go yet.
-    wait_for("a free place", || match daemon.ctl(&["status"]) {
+    // The daemon may not yet have noticed that the clients have closed.
+    wait_for("a free slot", || match daemon.ctl(&["status"]) {
         (0, ..) => Ok(()),
         (_, _, errors) => Err(errors),
     });
@@ -83,7 +83,7 @@ fn its_permissions_are_those_of_the_configuration() {
 }
 
 #[test]
-fn a_socket_in_use_is_left_alone_and_a_dead_one_is_replaced() {
+fn a_socket_in_use_is_kept_and_a_stale_one_is_replaced() {
     let mut daemon = Lab::start("");
     let file = daemon.file();
     let second = on(&["run", "--config"], &file);
@@ -101,7 +101,7 @@ fn a_socket_in_use_is_left_alone_and_a_dead_one_is_replaced() {
 }
 
 #[test]
-fn what_is_no_socket_is_not_replaced() {
+fn a_file_that_is_not_a_socket_is_not_replaced() {
     let folder = Folder::new();
     let notes = folder.write("notes", "precious");
     let text = format!(
@@ -114,10 +114,10 @@ fn what_is_no_socket_is_not_replaced() {
 }
 
 #[test]
-fn ctl_tells_mistakes_from_absence() {
-    let nobody = run(&mut trifacet(&["ctl", "--socket", "/no/such/socket", "status"]));
-    assert_eq!(nobody.code, i32::from(exit::UNAVAILABLE));
-    assert!(nobody.err.contains("/no/such/socket"));
+fn ctl_distinguishes_wrong_arguments_from_a_missing_daemon() {
+    let missing = run(&mut trifacet(&["ctl", "--socket", "/no/such/socket", "status"]));
+    assert_eq!(missing.code, i32::from(exit::UNAVAILABLE));
+    assert!(missing.err.contains("/no/such/socket"));
     for args in [
         &["ctl"][..],
         &["ctl", "dance"],

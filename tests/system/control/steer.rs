@@ -11,7 +11,7 @@ fn commands(status: &Value) -> u64 {
 }
 
 #[test]
-fn in_the_shadow_nothing_moves_and_all_is_said() {
+fn in_shadow_mode_the_stage_does_not_move_and_the_commands_are_reported() {
     let daemon = Lab::start(&format!("[centering]\nmode = \"shadow\"\n{AT_REST}"));
     let status = daemon.status_until(|status| status["loop"]["shadow"].is_object());
     let x = |v: &Value| v[0].as_f64().unwrap();
@@ -34,7 +34,7 @@ fn in_the_shadow_nothing_moves_and_all_is_said() {
     daemon.told(&["loop", "off"]);
     let sent = commands(&daemon.told(&["status"]));
     daemon.frame_with(|frame| frame.lock == LockState::Off);
-    // The stage stays where it was let go: the beam is still on the apex.
+    // The stage keeps its position: the beam is still on the apex.
     let mut worst = 0.0_f32;
     for _ in 0..500 {
         let frame = daemon.frame();
@@ -85,14 +85,14 @@ fn gains_change_while_locked() {
 }
 
 #[test]
-fn by_hand_the_stage_goes_where_it_is_sent_and_parks() {
+fn in_manual_mode_the_stage_moves_to_commanded_positions_and_parks() {
     let daemon = Lab::start(&format!("[steering]\npark_um = [30, -40]\n{AT_REST}"));
     daemon.status_until(|status| status["loop"]["lock"] == "locked");
     let (code, _, errors) = daemon.ctl(&["move", "10", "0"]);
     assert_eq!(code, i32::from(exit::USAGE));
     assert!(errors.contains("only while the loop is \"manual\""), "{errors}");
 
-    // From lock to manual nothing moves.
+    // The change from locked to manual does not move the stage.
     assert_eq!(daemon.told(&["loop", "manual"])["loop"]["lock"], "manual");
     let stays = daemon.frame_with(|frame| frame.lock == LockState::Manual);
     assert!((stays.steering[0] - 100e-6).abs() < 2e-6, "{stays:?}");
@@ -113,7 +113,7 @@ fn by_hand_the_stage_goes_where_it_is_sent_and_parks() {
     daemon.told(&["loop", "on"]);
     daemon.frame_with(|frame| frame.lock == LockState::Locked);
     daemon.told(&["search"]);
-    assert_eq!(daemon.told(&["status"])["loop"]["lock"], "locked", "what is found is not looked for");
+    assert_eq!(daemon.told(&["status"])["loop"]["lock"], "locked", "no search without a loss of the beam");
     let counters = &daemon.told(&["status"])["counters"];
     assert_eq!((&counters["lock_locked"], &counters["lock_released"]), (&json!(3), &json!(2)));
 }

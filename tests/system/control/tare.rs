@@ -5,7 +5,7 @@ use trifacet_wire::Status;
 
 use super::fixture::{AT_REST, Lab};
 
-/// Larger than the noise of every single pose, smaller than what was tared away.
+/// Larger than the noise of a single pose, smaller than the pose that was tared.
 const NOISE: f64 = 12e-6;
 
 fn mean(daemon: &Lab, component: usize) -> f64 {
@@ -14,7 +14,7 @@ fn mean(daemon: &Lab, component: usize) -> f64 {
 }
 
 #[test]
-fn after_a_tare_the_pose_is_zero_and_every_frame_says_by_its_config_id_which_it_is() {
+fn a_tare_sets_the_pose_to_zero_and_changes_the_config_id_of_the_frames() {
     let daemon = Lab::start(AT_REST);
     daemon.status_until(|status| status["loop"]["lock"] == "locked");
     let before = daemon.frame();
@@ -26,7 +26,7 @@ fn after_a_tare_the_pose_is_zero_and_every_frame_says_by_its_config_id_which_it_
         assert!(frame.status.has(Status::POSE_VALID), "{frame:?}");
         let (tx, yaw) = (frame.pose[0], frame.pose[5]);
         if frame.config == before.config {
-            assert_eq!(tared, 0, "no way back");
+            assert_eq!(tared, 0, "a frame with the old id after the tare");
             assert!((tx - 100e-6).abs() < NOISE && (yaw - 300e-6).abs() < 2.0 * NOISE, "{frame:?}");
         } else {
             assert!(tx.abs() < NOISE && yaw.abs() < 2.0 * NOISE, "{frame:?}");
@@ -35,7 +35,7 @@ fn after_a_tare_the_pose_is_zero_and_every_frame_says_by_its_config_id_which_it_
     }
     assert_eq!(answer["config"], format!("{:08x}", daemon.frame().config));
     assert!(!daemon.text().contains("frames"), "not saved");
-    // Tared again, by more poses: it is a tare of the pose, not of what is left of it.
+    // A second tare, from more poses, replaces the first one: it is not applied to the remainder.
     let again = daemon.told(&["tare", "--poses", "400"]);
     let x = again["tare"]["translation_mm"][0].as_f64().unwrap();
     assert!((x - 0.1).abs() < 1e-3, "{again}");
@@ -45,7 +45,7 @@ fn after_a_tare_the_pose_is_zero_and_every_frame_says_by_its_config_id_which_it_
 }
 
 #[test]
-fn a_saved_tare_survives_with_the_file_around_it() {
+fn a_saved_tare_survives_a_restart_and_keeps_the_rest_of_the_file() {
     let mut daemon =
         Lab::start(&format!("[frames.tool]\ntranslation_mm = [0.0, 0.0, -50.0] # below\n{AT_REST}"));
     daemon.status_until(|status| status["loop"]["lock"] == "locked");
@@ -58,7 +58,7 @@ fn a_saved_tare_survives_with_the_file_around_it() {
     let status = daemon.told(&["status"]);
     daemon.restart();
     let restarted = daemon.status_until(|status| status["pose"]["valid"] == true);
-    assert_eq!(restarted["config"], status["config"], "the same meaning of poses");
+    assert_eq!(restarted["config"], status["config"], "the same frames of reference");
     assert_eq!(restarted["frames"], status["frames"]);
     daemon.status_until(|status| status["loop"]["lock"] == "locked");
     let z = mean(&daemon, 2);
@@ -85,7 +85,7 @@ fn without_a_valid_pose_there_is_no_tare() {
 }
 
 #[test]
-fn a_pitch_of_90_degrees_is_out_of_range_and_centering_does_not_mind() {
+fn a_pitch_of_90_degrees_is_out_of_range_and_centering_continues() {
     let daemon = Lab::start(&format!("[frames.base]\nrotation_deg = [0.0, 90.0, 0.0]\n{AT_REST}"));
     daemon.status_until(|status| status["loop"]["lock"] == "locked");
     let frame = daemon.frame_with(|frame| !frame.status.has(Status::NOT_LOCKED));

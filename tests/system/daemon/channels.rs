@@ -1,4 +1,4 @@
-//! From codes to spots: the channel map against what the twin's electronics do.
+//! From converter codes to spots: the channel map inverts the electronics of the twin.
 
 use std::fmt::Write as _;
 
@@ -6,7 +6,7 @@ use trifacet_wire::Status;
 
 use crate::testkit::{Daemon, Frame, errors, truth};
 
-/// Runs a daemon until it is in lock, and then for so many samples.
+/// Runs a daemon until its loop is locked, and returns the next `samples` frames.
 fn run(config: &str, samples: usize) -> Vec<Frame> {
     let mut daemon = Daemon::start(config);
     let mut stream = daemon.client();
@@ -14,15 +14,15 @@ fn run(config: &str, samples: usize) -> Vec<Frame> {
     stream.samples(samples)
 }
 
-/// How the poses of a daemon with this configuration compare with the truth: means of the errors, and
-/// their rms in units of the stated deviations.
+/// Means of the pose errors of a daemon with this configuration, and their rms in units of the reported
+/// standard uncertainties.
 fn compare(config: &str, samples: usize) -> ([f64; 6], [f64; 6]) {
     let frames = run(config, samples);
     let truth = truth(config, frames.last().unwrap().sample_index as usize + 1);
     errors(&frames, &truth)
 }
 
-/// The poses are right, as well as their deviations say.
+/// The poses are right within their reported standard uncertainties.
 fn is_right(config: &str) {
     is_right_within(config, 0.85);
 }
@@ -33,7 +33,7 @@ fn is_right_within(config: &str, least: f64) {
 }
 
 #[test]
-fn amplifiers_gains_and_signs_are_undone() {
+fn amplifiers_gains_and_signs_are_corrected() {
     is_right(
         "channels.a.amplifier = \"difference\"\nchannels.b.gain = [-1.5, 0.8, 0.7]\n\
          channels.c = { amplifier = \"difference\", gain = [2.0, -1.0, 1.3] }",
@@ -41,21 +41,21 @@ fn amplifiers_gains_and_signs_are_undone() {
 }
 
 #[test]
-fn dark_readings_are_subtracted_and_matter() {
+fn dark_offsets_are_subtracted_and_cause_errors_otherwise() {
     let dark = "twin.dark_v = [0.1, -0.05, 0.2, -0.1, 0.02, 0.1, 0.03, 0.0, -0.1]";
     let known = "channels.a.dark_v = [0.1, -0.05, 0.2]\nchannels.b.dark_v = [-0.1, 0.02, 0.1]\n\
                  channels.c.dark_v = [0.03, 0.0, -0.1]";
     is_right(&format!("{dark}\n{known}"));
     let (mean, scatter) = compare(dark, 200);
-    // 0.1 V of 10 V is 65 um of 6.5 mm.
+    // 0.1 V at 10 V is 65 um at 6.5 mm.
     assert!(mean.iter().any(|error| error.abs() > 10e-6), "{mean:?}");
     assert!(scatter.iter().any(|s| *s > 10.0), "{scatter:?}");
 }
 
 #[test]
-fn channels_that_are_sampled_one_after_the_other_are_brought_together() {
-    // 15 mm/s on the PSDs, and 0.8 ms from the first signal to the last: 13 um apart.
-    // Interpolation between two samples is a mean of them: it takes out some of the noise.
+fn the_skew_between_channels_is_corrected() {
+    // 15 mm/s on the PSDs and 0.8 ms from the first signal to the last are 13 um.
+    // Interpolation between two samples averages them and reduces the noise.
     is_right_within(
         "twin.channel_skew_us = 90.0\n\
          twin.motion = [{ axis = \"yaw\", kind = \"sine\", amount_urad = 1000.0, frequency_hz = 5.0 }, \
@@ -65,7 +65,7 @@ fn channels_that_are_sampled_one_after_the_other_are_brought_together() {
 }
 
 #[test]
-fn a_converter_of_12_bits_is_as_good_as_its_steps() {
+fn a_converter_of_12_bits_is_accurate_to_its_steps() {
     is_right("twin.converter_bits = 12\ntwin.spot_noise_um = 0.57");
 }
 
@@ -73,14 +73,14 @@ const TURNED: &str = "twin.bow_um = 100.0\n\
     twin.motion = [{ axis = \"yaw\", kind = \"step\", amount_urad = 6000.0 }, \
                    { axis = \"roll\", kind = \"step\", amount_urad = -5000.0 }]";
 
-/// The correction table of a PSD with this bow: what its readings must be moved by.
+/// The correction table of a PSD with this bow: the correction of its readings.
 fn correction(half: f64, bow: f64) -> String {
     const STEPS: i32 = 32;
     let mut table = "u_m,v_m,du_m,dv_m\n".to_owned();
     for row in -STEPS..=STEPS {
         for column in -STEPS..=STEPS {
             let reading = [column, row].map(|k| f64::from(k) / f64::from(STEPS));
-            // The reading is the place stretched by 1 + b r^2: find the stretch.
+            // The reading is the true position times 1 + b r^2: solve for that factor.
             let radius = reading[0].hypot(reading[1]);
             let mut place = radius;
             for _ in 0..50 {
@@ -95,7 +95,7 @@ fn correction(half: f64, bow: f64) -> String {
 }
 
 #[test]
-fn a_correction_table_takes_the_bow_out_and_only_three_of_them_calibrate() {
+fn correction_tables_remove_the_bow_and_all_three_are_needed_for_calibrated() {
     let folder = tempfile::tempdir().unwrap();
     let table = folder.path().join("bow.csv");
     std::fs::write(&table, correction(6.5e-3, 100e-6)).unwrap();
@@ -114,9 +114,9 @@ fn a_correction_table_takes_the_bow_out_and_only_three_of_them_calibrate() {
     assert!(uncalibrated(&run(&with(&["a", "b"]), 10)));
     let corrected = run(&with(&["a", "b", "c"]), 1000);
     assert!(!corrected.iter().any(|f| f.has(Status::UNCALIBRATED)));
-    assert_ne!(corrected[0].config, bowed[0].config, "another calibration is another configuration");
+    assert_ne!(corrected[0].config, bowed[0].config, "another calibration has another configuration id");
     let (mean, scatter) = errors(&corrected, &truth);
-    // What bilinear interpolation leaves is below a tenth of a micrometre on the PSD.
+    // The residual of the bilinear interpolation is below a tenth of a micrometre on the PSD.
     assert!(mean.iter().all(|error| error.abs() < 0.4e-6), "{mean:?}");
     assert!(scatter.iter().all(|s| (0.85..1.15).contains(s)), "{scatter:?}");
 }

@@ -1,4 +1,4 @@
-//! Clients that do not behave.
+//! Clients that do not read, and clients that send invalid commands.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -8,14 +8,14 @@ use std::time::Duration;
 
 use crate::testkit::{Daemon, Stream};
 
-/// Talks all the time, whatever it hears.
+/// Sends invalid lines without pause and ignores all answers.
 fn babble(address: SocketAddr, stop: Arc<AtomicBool>) -> std::thread::JoinHandle<usize> {
     std::thread::spawn(move || {
         let mut said = 0;
         let noise: Vec<u8> = (0..40_000_u32).map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
         let mut heard = vec![0; 1 << 20];
         while !stop.load(Ordering::Relaxed) {
-            // It is sent away for that, and comes back.
+            // The daemon closes the connection; the client connects again.
             let mut stream = TcpStream::connect(address).unwrap();
             while stream.write_all(&noise).is_ok() && stream.read(&mut heard).is_ok_and(|n| n > 0) {
                 said += noise.len();
@@ -28,7 +28,7 @@ fn babble(address: SocketAddr, stop: Arc<AtomicBool>) -> std::thread::JoinHandle
 }
 
 #[test]
-fn one_that_never_reads_and_one_that_babbles_delay_nobody() {
+fn a_client_that_never_reads_and_one_that_sends_garbage_delay_no_other_client() {
     let mut daemon = Daemon::start("publishing.tcp_queue = 256");
     let address = daemon.address();
     let mut deaf = TcpStream::connect(address).unwrap();
@@ -39,7 +39,8 @@ fn one_that_never_reads_and_one_that_babbles_delay_nobody() {
     let gone = TcpStream::connect(address).unwrap();
     drop(gone);
     let mut streams = [Stream::tcp(address), Stream::tcp(address)];
-    // Every frame of these is checked for gaps, while the buffers for the deaf one fill up and it is cut off ...
+    // These streams are checked for gaps while the buffers of the stalled client fill up and it is
+    // disconnected ...
     daemon.message("disconnected: took nothing");
     // ... and after that.
     streams[0].skip_to_now();
@@ -52,11 +53,14 @@ fn one_that_never_reads_and_one_that_babbles_delay_nobody() {
         for counter in ["scans_lost", "estimation_overflows", "tcp_overflows"] {
             assert_eq!(heartbeat.counters[counter], 0, "{counter}");
         }
-        assert!(heartbeat.counters["tcp_dropped"] > 0, "what the deaf one missed is counted");
+        assert!(
+            heartbeat.counters["tcp_dropped"] > 0,
+            "the frames that the stalled client missed are counted"
+        );
     }
     stop.store(true, Ordering::Relaxed);
     assert!(babbler.join().unwrap() > 100_000);
-    // The deaf one does not hold up the end either.
+    // The stalled client does not delay the shutdown either.
     daemon.ends_in_order(rustix::process::Signal::TERM);
     drop(deaf);
 }

@@ -1,10 +1,10 @@
-//! What the daemon says of light that lies: a displaced laser, a power that steps, a burst of noise.
+//! Status of the frames for misleading light: a displaced laser, a step of the power, a burst of noise.
 
 use trifacet_wire::Status;
 
 use crate::testkit::{Daemon, Frame, truth};
 
-/// What the daemon says of samples up to this one.
+/// The frames of the daemon up to this sample.
 fn frames(daemon: &mut Daemon, last: u64) -> Vec<Frame> {
     let mut frames = daemon.client().through("the last", |f| f.sample_index >= last);
     frames.retain(Frame::of_samples);
@@ -12,7 +12,7 @@ fn frames(daemon: &mut Daemon, last: u64) -> Vec<Frame> {
 }
 
 #[test]
-fn a_bumped_laser_contradicts_the_readback_until_it_is_put_back() {
+fn a_displaced_laser_contradicts_the_readback_until_it_returns() {
     let fault = "twin.fault = [{ at_s = 3, for_s = 1, kind = 'laser-bump', shift_um = [24, -18] }]";
     let mut daemon = Daemon::start(fault);
     let frames = frames(&mut daemon, 5500);
@@ -24,7 +24,7 @@ fn a_bumped_laser_contradicts_the_readback_until_it_is_put_back() {
         let expected = if (3000..4000).contains(&frame.sample_index) { 25.0..35.0 } else { 0.0..6.0 };
         assert!(expected.contains(&residual_um), "{frame:?}");
     }
-    // The loop brings the beam back all the same.
+    // The loop still returns the beam to the apex.
     assert!(frames.iter().any(|f| f.has(Status::INCONSISTENT) && f.locked()));
     daemon.message("contradict each other");
     daemon.message("agree again");
@@ -34,8 +34,8 @@ fn a_bumped_laser_contradicts_the_readback_until_it_is_put_back() {
 }
 
 #[test]
-fn samples_beside_a_step_of_the_power_have_no_pose_and_the_others_have() {
-    // 0.12 ms into a scan: after some of its channels.
+fn samples_at_a_step_of_the_power_have_no_pose_and_the_others_have_one() {
+    // 0.12 ms after the start of a scan, between two of its channels.
     let step = "twin.channel_skew_us = 50\n\
         twin.fault = [{ at_s = 2.00012, for_s = 0.5, kind = 'laser-power', factor = 1.2 }]";
     for average in [1, 10] {
@@ -57,7 +57,7 @@ fn samples_beside_a_step_of_the_power_have_no_pose_and_the_others_have() {
 }
 
 #[test]
-fn a_burst_of_noise_is_in_the_deviations() {
+fn a_burst_of_noise_increases_the_standard_uncertainties() {
     let fault = "twin.fault = [{ at_s = 2, for_s = 1, kind = 'noise-burst', factor = 10 }]";
     let mut daemon = Daemon::start(fault);
     let frames = frames(&mut daemon, 3500);
@@ -75,7 +75,7 @@ fn a_burst_of_noise_is_in_the_deviations() {
     for frame in burst.iter().chain(&calm).filter(|f| f.valid()) {
         for (axis, true_value) in truth[frame.sample_index as usize].iter().enumerate() {
             let error = (frame.pose[axis] - true_value) / f64::from(frame.deviations[axis]);
-            assert!(error.abs() < 7.0, "{axis}: {error} deviations: {frame:?}");
+            assert!(error.abs() < 7.0, "{axis}: {error} sigma: {frame:?}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! How a daemon ends, what the board does then, and who may have the port.
+//! Shutdown of the daemon, the reaction of the board, and exclusive use of the serial port.
 
 use rustix::process::Signal;
 use serde_json::{Value, json};
@@ -11,7 +11,7 @@ fn output_um(status: &Value) -> [f64; 2] {
     [0, 1].map(|axis| status["output_um"][axis].as_f64().unwrap())
 }
 
-/// Whether the outputs are where they bring the beam to the apex.
+/// Whether the outputs bring the beam to the apex.
 fn on_the_apex(status: &Value) -> bool {
     let [x, y] = output_um(status);
     (x + 70.0).hypot(y - 70.0) < 3.0
@@ -36,7 +36,7 @@ fn when_the_daemon_is_killed_the_board_holds_or_parks_at_the_end_of_the_lease() 
             let [x, y] = output_um(&ended);
             assert!((x - 30.0).hypot(y + 20.0) < 0.05, "{ended}");
         }
-        // The next daemon takes over from there.
+        // The next daemon continues from that position.
         let mut next = Daemon::on_port(&board.link(), config);
         next.client().locked();
         assert!(on_the_apex(&board.status()));
@@ -44,7 +44,7 @@ fn when_the_daemon_is_killed_the_board_holds_or_parks_at_the_end_of_the_lease() 
 }
 
 #[test]
-fn at_the_end_the_steering_is_held_or_parked_and_that_is_acknowledged() {
+fn at_shutdown_the_steering_is_held_or_parked_and_acknowledged() {
     let parking = "steering.on_exit = \"park\"\nsteering.park_um = [-40.0, 10.0]";
     for (signal, config, there) in [(Signal::INT, "", [-70.0, 70.0]), (Signal::TERM, parking, [-40.0, 10.0])]
     {
@@ -56,14 +56,14 @@ fn at_the_end_the_steering_is_held_or_parked_and_that_is_acknowledged() {
         let stopped = board.until(|status| status["started"] == false);
         let [x, y] = output_um(&stopped);
         assert!((x - there[0]).hypot(y - there[1]) < 3.0, "{stopped}");
-        // Nobody is left to command anything: what the lease then does is to hold.
+        // No host sends commands any more: at the end of the lease the board holds the outputs.
         let held = board.until(|status| status["lease_expired"] == true);
         assert_eq!((&held["steering"], &held["output_codes"]), (&json!("held"), &stopped["output_codes"]));
     }
 }
 
 #[test]
-fn a_daemon_whose_board_is_gone_ends_in_order_and_says_what_it_could_not_do() {
+fn without_its_board_a_daemon_shuts_down_and_reports_the_missing_acknowledgement() {
     let mut board = Board::start(OFF);
     let mut daemon = Daemon::on_port(&board.link(), "");
     let mut stream = daemon.client();
@@ -72,17 +72,17 @@ fn a_daemon_whose_board_is_gone_ends_in_order_and_says_what_it_could_not_do() {
     stream.until("down", |f| !f.of_samples());
     daemon.ends_in_order(Signal::TERM);
     assert!(daemon.said("steering did not acknowledge its last command"), "{:#?}", daemon.log);
-    // Clients are told the end, and lose nothing before it.
+    // Clients receive the notice of the end, and all frames before it.
     while stream.next().is_some() {}
 }
 
 #[test]
-fn a_second_daemon_hears_who_has_the_port_and_the_first_goes_on() {
+fn a_second_daemon_reports_the_owner_of_the_port_and_the_first_continues() {
     let board = Board::start("");
     let mut first = Daemon::on_port(&board.link(), "");
     let mut stream = first.client();
     stream.locked();
-    // Root may open a terminal that is locked: it too is refused, where these tests run as root.
+    // Root may open a locked terminal: the second daemon is refused also where these tests run as root.
     let mut second = Daemon::on_port(&board.link(), "");
     assert_eq!(second.end().code(), Some(75));
     let holder = format!("in use by process {} (trifacet)", first.pid());

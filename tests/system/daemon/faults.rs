@@ -1,8 +1,9 @@
-//! What goes wrong with the light, the board and the line, under a running daemon.
+//! Faults of the light, the board and the line in a running daemon.
 //!
-//! A fault must be in the frames, and silence also in the log, within 100 ms, measured from before it was ordered to the
-//! daemon's own time stamps; both follow the system clock. The way of the order to the board counts against
-//! the daemon. The time for which daemon and board wait for a CPU does not count.
+//! A fault must appear in the frames within 100 ms, and missing samples also in the log. The time is measured
+//! from before the order to the board up to the time stamps of the daemon; both follow the system clock. It
+//! includes the transfer of the order to the board, and excludes the time in which daemon and board wait
+//! for a CPU.
 
 use trifacet_wire::{LockState, Status};
 
@@ -11,7 +12,7 @@ use crate::testkit::{Board, Daemon, Frame, Stream, now_ns, stamp_ns, waited_ns};
 const LIMIT_NS: i64 = 100_000_000;
 const LOW: Status = Status(Status::PSD_A_LOW.0 | Status::PSD_B_LOW.0 | Status::PSD_C_LOW.0);
 
-/// A board, a daemon and a client, in lock.
+/// A board, a daemon and a client, with the loop locked.
 struct Bench {
     board: Board,
     daemon: Daemon,
@@ -31,7 +32,7 @@ impl Bench {
         Self { board, daemon, stream }
     }
 
-    /// Lets a fault come: the first frame that shows it, which is sent in time.
+    /// Orders a fault and returns the first frame that shows it, which must be sent in time.
     fn fault(&mut self, order: &str, shows: impl Fn(&Frame) -> bool) -> Frame {
         let waits = self.waits();
         let ordered_ns = self.board.order(order);
@@ -40,7 +41,7 @@ impl Bench {
         frame
     }
 
-    /// The same of a fault after which no samples come, which the log must tell as soon.
+    /// The same for a fault that stops the samples, which the log must report within the same time.
     fn silenced(&mut self, what: &str, begin: impl FnOnce(&mut Board) -> i64) -> Frame {
         self.daemon.read_log();
         let waits = self.waits();
@@ -51,7 +52,7 @@ impl Bench {
         frame
     }
 
-    /// For how long daemon and board have waited for a CPU so far.
+    /// The total time in which daemon and board have waited for a CPU so far.
     fn waits(&self) -> [i64; 2] {
         [self.daemon.pid(), self.board.pid()].map(waited_ns)
     }
@@ -64,7 +65,7 @@ impl Bench {
         );
     }
 
-    /// In lock again, without anyone's help.
+    /// Waits for the next lock, without intervention.
     fn recovers(&mut self) -> Vec<Frame> {
         let frames = self.stream.through("locked", |f| f.valid() && f.locked());
         self.stream.skip_to_now();
@@ -76,7 +77,7 @@ impl Bench {
     }
 }
 
-/// Counters and frames tell the same, once both have told all. Returns the scans that were lost.
+/// Waits until counters and frames agree on the losses. Returns the number of lost scans.
 fn all_losses_are_counted(stream: &mut Stream) -> u64 {
     let mut told = Vec::new();
     for _ in 0..10 {
@@ -87,7 +88,7 @@ fn all_losses_are_counted(stream: &mut Stream) -> u64 {
         }
         told.push((counted, stream.lost));
     }
-    panic!("counted, and seen in frames: {told:?}");
+    panic!("losses by counters and by frames: {told:?}");
 }
 
 fn fatal(frame: &Frame, bits: Status) -> bool {
@@ -96,8 +97,8 @@ fn fatal(frame: &Frame, bits: Status) -> bool {
 }
 
 #[test]
-fn light_that_fails_is_told_psd_by_psd_and_comes_back() {
-    // The light fails, and the stage shall not make it fail more.
+fn missing_light_is_reported_for_each_psd_and_recovers() {
+    // Without the search, the stage does not change the light during the fault.
     let mut bench = Bench::with("centering.search = false");
     let cases = [
         ("beam-blocked 0.25", LOW),
@@ -120,13 +121,13 @@ fn light_that_fails_is_told_psd_by_psd_and_comes_back() {
         assert!(dark.iter().filter(blind).count() > 10, "{order}");
         bench.recovers();
     }
-    bench.stream.heartbeat(); // one that was under way
+    bench.stream.heartbeat(); // may have been sent before
     let (counted, seen) = (bench.counter("frames_invalid"), bench.stream.invalid);
     assert!(seen > 7 * 245 && counted >= seen && counted - seen < 300, "{counted} {seen}");
 }
 
 #[test]
-fn scans_that_are_dropped_or_damaged_are_gaps_and_counted_one_by_one() {
+fn dropped_and_damaged_scans_are_gaps_and_are_counted() {
     let mut bench = Bench::new();
     for order in ["dropped 0.3 0.4", "corrupted 0.3 0.4"] {
         let first = bench.fault(order, |f| f.has(Status::SAMPLE_GAP));
@@ -144,23 +145,23 @@ fn scans_that_are_dropped_or_damaged_are_gaps_and_counted_one_by_one() {
     assert!(bench.daemon.said("board link: ") && bench.daemon.said("corrupted"), "{:#?}", bench.daemon.log);
 }
 
-/// What a daemon says while no samples come, for as long as that lasted.
+/// Checks the frames that the daemon sends without samples. `seconds` is the duration.
 fn is_silence(frames: &[Frame]) {
     assert!(frames.len() > 5);
     let (first, last) = (frames[0], frames[frames.len() - 1]);
     assert!(frames.iter().all(|f| !f.of_samples() && !f.valid() && !f.locked()));
     assert!(frames.iter().all(|f| f.sample_index == first.sample_index), "no sample, no index");
     let seconds = (last.time_ns - first.time_ns) as f64 * 1e-9;
-    // At most 100 a second, and one more for each new reason.
+    // At most 100 frames a second, and one more for each new status.
     assert!(frames.len() as f64 <= 100.0 * seconds + 5.0, "{} in {seconds} s", frames.len());
-    // Their time is now.
+    // Their time is the time of sending.
     let quickest = frames.iter().map(|f| f.arrived_ns - f.time_ns).min().unwrap();
     assert!((-1_000_000..20_000_000).contains(&quickest), "{quickest} ns");
     assert!(frames.iter().all(|f| f.send_delay_ns < 1_000_000_000));
     assert!(matches!(last.lock, LockState::Held | LockState::Lost));
 }
 
-/// Silence until samples come again; the first of them says how many were lost.
+/// Checks the frames until samples arrive again; the first sample contains the number of lost ones.
 fn silence_of(bench: &mut Bench, first: Frame, about_s: f64) {
     let through = bench.stream.through("samples", Frame::of_samples);
     let (back, mut silence) = (through[through.len() - 1], through[..through.len() - 1].to_vec());
@@ -173,7 +174,7 @@ fn silence_of(bench: &mut Bench, first: Frame, about_s: f64) {
 }
 
 #[test]
-fn a_board_that_stalls_is_down_and_comes_back_by_itself() {
+fn a_stalled_board_is_reported_down_and_recovers_by_itself() {
     let mut bench = Bench::new();
     for (order, seconds) in [("stalled 0.3", 0.25), ("stalled 1.8", 1.7)] {
         let first = bench.silenced(order, |board| board.order(order));
@@ -185,7 +186,7 @@ fn a_board_that_stalls_is_down_and_comes_back_by_itself() {
 }
 
 #[test]
-fn a_pulled_cable_is_told_at_once_and_found_again() {
+fn an_unplugged_cable_is_reported_at_once_and_reconnected() {
     let mut bench = Bench::new();
     let first = bench.silenced("unplug", |board| board.order("unplug 0.5"));
     silence_of(&mut bench, first, 0.45);
@@ -194,12 +195,12 @@ fn a_pulled_cable_is_told_at_once_and_found_again() {
 }
 
 #[test]
-fn a_board_that_dies_is_replaced_by_the_next_one_without_a_restart() {
+fn a_board_that_dies_can_be_replaced_without_a_restart() {
     let mut bench = Bench::new();
     let session = bench.stream.next().unwrap().session;
     let killed_ns = now_ns();
     let first = bench.silenced("kill", Board::kill);
-    // Nobody is there: that does not change by itself.
+    // Without a board, the state does not change by itself.
     let waiting = bench.stream.take(30);
     assert!(waiting.iter().all(|f| !f.of_samples()));
     bench.board = bench.board.another("");
@@ -221,7 +222,7 @@ fn with_averages_a_gap_leaves_no_pose() {
 }
 
 #[test]
-fn the_twin_in_the_daemon_fails_the_same_way() {
+fn faults_of_the_internal_twin_are_reported_the_same_way() {
     let faults = "twin.fault = [{ at_s = 1.0, for_s = 0.4, kind = \"stalled\" }, \
         { at_s = 2.0, for_s = 0.4, kind = \"dropped\", fraction = 0.3 }, \
         { at_s = 3.0, for_s = 0.4, kind = \"corrupted\", fraction = 0.3 }]";
@@ -233,7 +234,7 @@ fn the_twin_in_the_daemon_fails_the_same_way() {
     let (back, silence) = silence.split_last().unwrap();
     assert_eq!((before[before.len() - 2].sample_index, back.sample_index, back.lost), (999, 1400, 400));
     is_silence(silence);
-    stream.until("the end of all that", |f| f.sample_index > 3500 && f.locked());
+    stream.until("samples after all faults", |f| f.sample_index > 3500 && f.locked());
     all_losses_are_counted(&mut stream);
     let counters = stream.heartbeat().counters;
     assert_eq!(counters["source_downs"], 1);

@@ -1,7 +1,7 @@
-//! A daemon whose stage is at a controller of PI: what that controller is told, whatever it does.
+//! A daemon with a stage at a PI controller: the commands it sends, also while the controller misbehaves.
 //!
-//! The light is that of the twin, which does not see the stage: the loop asks for more and more, up to
-//! the limits.
+//! The light is that of the twin, which does not follow the stage: the commands of the loop grow up to the
+//! limits.
 
 use std::path::Path;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use crate::testkit::{Controller, Daemon, Stream, Trouble, now_ns};
 
-/// Slow enough to be seen: 100 um/s.
+/// A slew rate that is slow enough to be observed: 100 um/s.
 const SLEW_UM_PER_S: f64 = 100.0;
 const LIMIT_UM: f64 = 80.0;
 
@@ -31,7 +31,7 @@ fn on_port(port: &Path, more: &str) -> String {
     config(&format!("port = \"{}\"", port.display()), more)
 }
 
-/// Waits until the stage is down, for a reason that contains this.
+/// Waits until the stage is down for a reason that contains `why`.
 fn down(daemon: &mut Daemon, why: &str) {
     daemon.says(&format!("down: {why}"), |line| {
         line["message"] == "the stage takes no commands"
@@ -43,7 +43,7 @@ fn up(daemon: &mut Daemon) -> Value {
     daemon.message("steering stage is up")
 }
 
-/// Every motion in metres of the stage, held to the limits.
+/// All motions in metres of the stage; each must be within the limits.
 fn moves_um(controller: &Controller) -> Vec<(i64, [f64; 2])> {
     let moves = controller.state().moves.clone();
     for (_, position) in &moves {
@@ -53,7 +53,7 @@ fn moves_um(controller: &Controller) -> Vec<(i64, [f64; 2])> {
 }
 
 #[test]
-fn it_asks_who_is_there_and_then_moves_within_limits_and_not_faster_than_allowed() {
+fn the_controller_is_identified_first_and_then_moved_within_limits_and_slew_rate() {
     let controller = Controller::new();
     let mut daemon = Daemon::start(&on_tcp(&controller, ""));
     let identified = daemon.message("steering stage identified");
@@ -66,23 +66,24 @@ fn it_asks_who_is_there_and_then_moves_within_limits_and_not_faster_than_allowed
     let heard = controller.state().heard.clone();
     let questions =
         ["*IDN?", "ERR?", "FRF? 1 2", "PUN? 1 2", "TMN? 1 2", "TMX? 1 2", "VEL? 1 2", "SVO? 1 2", "POS? 1 2"];
-    assert_eq!(heard[..questions.len()], questions, "before anything moves");
+    assert_eq!(heard[..questions.len()], questions, "before the first motion");
     let moves = moves_um(&controller);
     let (begin, first) = moves[0];
     assert!(first.iter().all(|um| um.abs() < 20.0), "{first:?}");
     for (time, position) in &moves {
-        // What is late has come less far, not farther; the first one may have been late itself.
+        // A late command has moved less than the slew rate allows, not more; the first one may have been
+        // late itself.
         let most = SLEW_UM_PER_S * (*time - begin) as f64 * 1e-9 + 20.0;
         assert!(position.iter().all(|um| um.abs() <= most), "{position:?} after {most}");
     }
     let (end, before) = (moves[moves.len() - 1].1, moves[moves.len() - 2].1);
     let step = (end[0] - before[0]).hypot(end[1] - before[1]);
     assert!(step < 20.0 && end[0].hypot(end[1]) > 0.0, "held: {before:?} {end:?}");
-    assert_eq!(controller.state().position, end, "it stays there");
+    assert_eq!(controller.state().position, end, "the position is held");
 }
 
 #[test]
-fn a_stage_that_counts_in_millimetres_from_another_zero_parks_where_it_shall() {
+fn a_stage_in_millimetres_with_another_zero_parks_at_the_configured_position() {
     let controller = Controller::new();
     (controller.state().unit, controller.state().travel) = ("MM", [0.0, 25.0]);
     controller.state().position = [12.5, 12.5];
@@ -101,7 +102,7 @@ fn a_stage_that_counts_in_millimetres_from_another_zero_parks_where_it_shall() {
 }
 
 #[test]
-fn a_stage_is_taken_over_where_it_stands_again_and_again() {
+fn after_each_reconnection_the_stage_continues_from_its_position() {
     let controller = Controller::new();
     controller.state().position = [-70.0, 50.0];
     let mut daemon = Daemon::start(&on_tcp(&controller, ""));
@@ -123,7 +124,7 @@ fn a_stage_is_taken_over_where_it_stands_again_and_again() {
 }
 
 #[test]
-fn a_slow_controller_gets_the_newest_command_and_no_queue() {
+fn a_slow_controller_receives_only_the_newest_command() {
     let controller = Controller::new();
     controller.state().trouble = Trouble::Slow(Duration::from_millis(40));
     let mut daemon = Daemon::start(&on_tcp(&controller, ""));
@@ -137,7 +138,7 @@ fn a_slow_controller_gets_the_newest_command_and_no_queue() {
     assert!(told > 2.0 && told <= passed_s / 0.04 + 2.0, "{told} motions in {passed_s} s");
     let counters = stream.heartbeat().counters;
     assert!(counters["commands_sent"] < counters["scans"] / 5, "{counters:?}");
-    // The last one is not behind those that were never sent.
+    // The last command is not delayed by commands that were never sent.
     daemon.signal(Signal::TERM);
     daemon.message("steering acknowledged its last command");
     let after = controller.state().moves.len() as f64 - told - before as f64;
@@ -147,7 +148,7 @@ fn a_slow_controller_gets_the_newest_command_and_no_queue() {
 }
 
 #[test]
-fn whatever_a_controller_does_is_said_and_when_it_is_over_the_stage_is_back() {
+fn each_misbehaviour_of_the_controller_is_reported_and_the_stage_recovers() {
     let controller = Controller::new();
     let mut daemon = Daemon::start(&on_tcp(&controller, ""));
     up(&mut daemon);
@@ -176,7 +177,7 @@ fn whatever_a_controller_does_is_said_and_when_it_is_over_the_stage_is_back() {
 }
 
 #[test]
-fn a_position_that_the_stage_refuses_is_said_and_the_conversation_goes_on() {
+fn a_refused_position_is_reported_and_the_connection_stays_open() {
     let controller = Controller::new();
     let mut daemon = Daemon::start(&on_tcp(&controller, ""));
     let mut stream = daemon.client();
@@ -195,7 +196,7 @@ fn a_position_that_the_stage_refuses_is_said_and_the_conversation_goes_on() {
 }
 
 #[test]
-fn a_stage_that_cannot_be_used_is_not_moved_until_it_can() {
+fn an_unusable_stage_is_not_moved_until_it_is_usable() {
     let controller = Controller::new();
     let set = |change: fn(&mut crate::testkit::State)| change(&mut controller.state());
     set(|state| (state.servo, state.referenced, state.travel) = (false, false, [-20.0, 90.0]));
@@ -216,7 +217,7 @@ fn a_stage_that_cannot_be_used_is_not_moved_until_it_can() {
     set(|state| state.position = [0.0; 2]);
     up(&mut daemon);
     controller.moved(2);
-    // Limits that are widened beyond the travel are as wrong as those of the start.
+    // Limits that a reload widens beyond the travel are refused as at the start.
     let address = daemon.log.iter().find_map(|line| line["line"].as_str()).unwrap().to_owned();
     let wider = config(&format!("address = \"{address}\""), "").replace("limit_um = 80", "limit_um = 100");
     daemon.reload(&wider);
@@ -228,7 +229,7 @@ fn a_stage_that_cannot_be_used_is_not_moved_until_it_can() {
 }
 
 #[test]
-fn a_servo_is_switched_on_if_that_is_allowed_and_unknown_questions_are_left_out() {
+fn the_servo_is_switched_on_if_allowed_and_unknown_queries_are_skipped() {
     let controller = Controller::new();
     (controller.state().servo, controller.state().unknown) = (false, &["FRF?", "PUN?", "VEL?"]);
     let mut daemon = Daemon::start(&on_tcp(&controller, "steering.gcs.servo_on = true"));
@@ -242,13 +243,13 @@ fn a_servo_is_switched_on_if_that_is_allowed_and_unknown_questions_are_left_out(
 }
 
 #[test]
-fn without_samples_nothing_moves() {
+fn without_samples_the_stage_does_not_move() {
     let controller = Controller::new();
     let fault = "twin.fault = [{ at_s = 0.5, for_s = 2.0, kind = \"stalled\" }]";
     let mut daemon = Daemon::start(&on_tcp(&controller, fault));
     let mut stream = daemon.client();
     controller.moved(2);
-    // Frames of silence come 100 times a second.
+    // Frames without samples are sent 100 times a second.
     let silence = |stream: &mut Stream| {
         stream.skip_to_now();
         let silent = stream.take(30).iter().all(|frame| !frame.of_samples());
@@ -256,7 +257,7 @@ fn without_samples_nothing_moves() {
         controller.state().position
     };
     stream.until("silent", |frame| !frame.of_samples());
-    let stands = silence(&mut stream); // what was under way has arrived
+    let stands = silence(&mut stream); // commands in transit have arrived
     assert_eq!(silence(&mut stream), stands);
     let moves = controller.state().moves.len();
     controller.moved(moves + 2);
@@ -264,18 +265,18 @@ fn without_samples_nothing_moves() {
 }
 
 #[test]
-fn a_controller_that_is_not_there_is_waited_for() {
+fn the_daemon_waits_for_a_missing_controller() {
     let nowhere = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let mut daemon = Daemon::start(&config(&format!("address = \"{nowhere}\""), ""));
     let mut stream = daemon.client();
     down(&mut daemon, &format!("cannot connect to {nowhere}: Connection refused"));
-    assert!(stream.samples(50).iter().all(|frame| !frame.locked()), "poses go on, and nothing is locked");
+    assert!(stream.samples(50).iter().all(|frame| !frame.locked()), "poses continue without a lock");
     let mut on_null = Daemon::start(&on_port(Path::new("/dev/null"), ""));
     down(&mut on_null, "/dev/null: is not a serial port");
 }
 
 #[test]
-fn on_a_serial_port_it_is_the_same_and_an_unplugged_cable_is_said() {
+fn on_a_serial_port_an_unplugged_cable_is_reported_and_reconnected() {
     let controller = Controller::new();
     let port = controller.plug_in();
     let mut daemon = Daemon::start(&on_port(&port, ""));

@@ -1,10 +1,10 @@
-//! The beam comes to the apex and stays there, and the lock state says what is so.
+//! The loop brings the beam to the apex and keeps it there, and the lock state is true.
 
 use trifacet_wire::{LockState, Status};
 
 use crate::testkit::{Board, Daemon, Frame, Stream, mean, waited_ns};
 
-/// 99 um off, and a mirror at rest.
+/// A beam offset of 99 um and a mirror at rest.
 const OFF: &str = "twin.laser_offset_um = [70.0, -70.0]\ntwin.motion = []";
 
 fn offset_um(frames: &[Frame]) -> f64 {
@@ -12,17 +12,17 @@ fn offset_um(frames: &[Frame]) -> f64 {
     x.hypot(y) * 1e6
 }
 
-/// From where the stream stands now: locked for so long, and each 100 ms below 1 um, by the estimate and by
-/// the readback of the stage, which must stand where it undoes the offset of the laser.
+/// For the next `tenths` intervals of 100 ms: the loop is locked and the offset below 1 um in each interval,
+/// by the estimate and by the readback of the stage, which must compensate the offset of the laser.
 ///
-/// A machine that lets the board or the daemon sleep opens the loop for that time, and the daemon says so:
-/// such pauses, and the time in which the loop closes again, do not count.
+/// While the machine suspends the board or the daemon, the loop is open, and the frames report it. Such
+/// pauses are excluded, with the time in which the loop closes again.
 fn stays_on_the_apex(stream: &mut Stream, tenths: usize) {
     let mut smooth = Smooth::default();
     (0..tenths).for_each(|_| smooth.stays_on_the_apex(stream));
 }
 
-/// Leaves out what a pause of the machine has disturbed.
+/// Excludes the frames that a pause of the machine has disturbed.
 #[derive(Default)]
 struct Smooth {
     disturbed_until_ns: i64,
@@ -42,18 +42,18 @@ impl Smooth {
         frames
     }
 
-    /// For the next 100 ms.
+    /// Checks the next 100 ms.
     fn stays_on_the_apex(&mut self, stream: &mut Stream) {
         let frames = self.frames(stream, 100);
         let unlocked = frames.iter().filter(|f| !f.locked()).count();
-        assert_eq!(unlocked, 0, "it stays locked");
+        assert_eq!(unlocked, 0, "frames without a lock");
         assert!(offset_um(&frames) < 1.0, "{} um", offset_um(&frames));
         let stage = [0, 1].map(|i| mean(&frames, |f| f64::from(f.steering[i])) * 1e6);
         assert!((stage[0] + 70.0).hypot(stage[1] - 70.0) < 1.0, "{stage:?}");
     }
 }
 
-/// The lock states that came one after the other while there was something to see.
+/// The sequence of lock states while samples arrived.
 fn states(frames: &[Frame]) -> Vec<LockState> {
     let blind = [LockState::Held, LockState::Lost];
     let mut states: Vec<_> = frames.iter().map(|f| f.lock).filter(|lock| !blind.contains(lock)).collect();
@@ -62,25 +62,25 @@ fn states(frames: &[Frame]) -> Vec<LockState> {
 }
 
 #[test]
-fn on_the_twin_it_closes_from_100_um_off_and_stays() {
-    // It begins with the first frame, which only a datagram can show.
+fn on_the_twin_the_loop_closes_from_an_offset_of_100_um_and_stays_closed() {
+    // The first frame of the daemon is visible only by UDP.
     let mut stream = Stream::udp();
     let udp = stream.local();
     let _daemon = Daemon::start(&format!("publishing.udp = [\"{udp}\"]\n{OFF}"));
     let closing = stream.through("locked", Frame::locked);
     let first = closing.iter().find(|f| f.valid()).unwrap();
     let [x, y] = first.beam_offset.map(|x| f64::from(x) * 1e6);
-    assert!((x - 70.0).hypot(y + 70.0) < 5.0, "the first estimate is that of the laser: {x} {y}");
+    assert!((x - 70.0).hypot(y + 70.0) < 5.0, "the first estimate is the offset of the laser: {x} {y}");
     assert_eq!(states(&closing), [LockState::Acquiring, LockState::Locked]);
     stream.samples(100);
     stays_on_the_apex(&mut stream, 20);
 }
 
-/// So much the line holds while nobody reads it, at the least.
+/// The line buffers scans for at least this time while the daemon does not read, nanoseconds.
 const LINE_NS: i64 = 40_000_000;
 
-/// So many tenths of a second on the apex without the loss of a sample. Samples may be lost only where the machine
-/// has let the board or the daemon wait for a CPU for longer than the line can hold.
+/// Runs for `tenths` intervals of 100 ms on the apex without a lost sample. Samples may be lost only where
+/// the board or the daemon has waited for a CPU for longer than the line can buffer.
 fn loses_nothing(stream: &mut Stream, pids: [u32; 2], tenths: usize) {
     let waits = || pids.map(waited_ns).iter().sum::<i64>();
     let (mut smooth, mut before_ns) = (Smooth::default(), 0);
@@ -97,7 +97,7 @@ fn loses_nothing(stream: &mut Stream, pids: [u32; 2], tenths: usize) {
 }
 
 #[test]
-fn through_a_board_it_closes_and_in_10_s_no_sample_is_lost() {
+fn through_a_board_the_loop_closes_and_loses_no_sample_in_10_s() {
     let mut board = Board::start(OFF);
     let mut daemon = Daemon::on_port(&board.link(), "");
     let mut stream = daemon.client();
@@ -111,7 +111,7 @@ fn through_a_board_it_closes_and_in_10_s_no_sample_is_lost() {
     let seconds = (last.time_ns - first.time_ns) as f64 * 1e-9;
     let samples = (last.sample_index - first.sample_index) as f64;
     assert!((seconds - samples * 1e-3).abs() < 5e-3, "{samples} samples in {seconds} s");
-    // Nothing on this line ever is damaged, doubled or out of order.
+    // On this line no message is damaged, repeated or out of order.
     let harm = ["scans_repeated", "scans_late", "frames_corrupted", "frames_unknown", "board_errors"];
     for counter in harm.iter().chain(&["commands_refused", "estimation_overflows"]) {
         assert_eq!(after[*counter], 0, "{counter}");
@@ -125,7 +125,7 @@ fn through_a_board_it_closes_and_in_10_s_no_sample_is_lost() {
 }
 
 #[test]
-fn a_step_of_the_mirror_is_followed_and_not_called_locked_meanwhile() {
+fn a_step_of_the_mirror_is_followed_and_not_reported_as_locked_meanwhile() {
     let mut daemon =
         Daemon::start("twin.motion = [{ axis = \"tx\", kind = \"step\", amount_um = 60.0, from_s = 1.0 }]");
     let mut stream = daemon.client();
@@ -142,7 +142,7 @@ fn a_step_of_the_mirror_is_followed_and_not_called_locked_meanwhile() {
 }
 
 #[test]
-fn a_loop_that_is_off_says_so_and_moves_nothing() {
+fn with_the_loop_off_the_state_is_off_and_the_stage_does_not_move() {
     let mut board = Board::start(OFF);
     let mut daemon = Daemon::on_port(&board.link(), "centering.mode = \"off\"");
     let mut stream = daemon.client();
@@ -172,7 +172,7 @@ fn an_apex_beyond_the_limits_is_railed_and_never_locked() {
 }
 
 #[test]
-fn when_the_apex_comes_within_reach_the_rail_is_left() {
+fn the_loop_leaves_the_rail_when_the_apex_comes_within_reach() {
     let board = Board::start(&format!(
         "{BEYOND}[{{ axis = \"ty\", kind = \"step\", amount_um = -70.0, from_s = 1.5 }}]"
     ));
@@ -187,7 +187,7 @@ fn when_the_apex_comes_within_reach_the_rail_is_left() {
 }
 
 #[test]
-fn a_stage_at_a_limit_of_its_own_is_railed_too() {
+fn a_stage_at_its_own_limit_is_railed_too() {
     let mut daemon =
         Daemon::start("twin.laser_offset_um = [100.0, 0.0]\ntwin.motion = []\ntwin.steering.limit_um = 60");
     let mut stream = daemon.client();
@@ -201,7 +201,7 @@ fn a_stage_at_a_limit_of_its_own_is_railed_too() {
 const BLOCKED: &str = "twin.fault = [{ at_s = 1.0, for_s = 0.3, kind = \"beam-blocked\" }]";
 
 #[test]
-fn a_blocked_beam_is_held_then_lost_then_acquired_again() {
+fn for_a_blocked_beam_the_loop_is_held_then_lost_then_acquires_again() {
     let mut daemon = Daemon::start(&format!("centering.search = false\n{BLOCKED}\n{OFF}"));
     let mut stream = daemon.client();
     stream.locked();
@@ -209,12 +209,12 @@ fn a_blocked_beam_is_held_then_lost_then_acquired_again() {
     let dark = stream.through("light", Frame::valid);
     let (light, dark) = dark.split_last().unwrap();
     assert!((1300..1303).contains(&light.sample_index), "{light:?}");
-    // Lost after lost_time_ms, which is 50; the loop may look some samples earlier or later than the frames.
+    // Lost after lost_time_ms, which is 50; the loop may be some samples ahead of the frames or behind them.
     let held = dark.iter().filter(|f| f.lock == LockState::Held).count();
     assert!((10..=90).contains(&held), "held for {held} ms");
     assert_eq!(dark.last().unwrap().lock, LockState::Lost);
     let stage = |f: &Frame| f64::from(f.steering[0]);
-    assert!(dark.iter().all(|f| (stage(f) + 70e-6).abs() < 5e-6), "the stage stays where it is");
+    assert!(dark.iter().all(|f| (stage(f) + 70e-6).abs() < 5e-6), "the stage keeps its position");
     let again = stream.through("locked", Frame::locked);
     assert!(states(&again).ends_with(&[LockState::Acquiring, LockState::Locked]), "{:?}", states(&again));
     stream.samples(100);
@@ -222,7 +222,7 @@ fn a_blocked_beam_is_held_then_lost_then_acquired_again() {
 }
 
 #[test]
-fn a_loss_confirmed_twice_is_searched_for_and_found() {
+fn a_confirmed_loss_starts_a_search_that_finds_the_beam() {
     let mut daemon = Daemon::start(&format!("{BLOCKED}\n{OFF}"));
     let mut stream = daemon.client();
     stream.locked();
@@ -236,7 +236,7 @@ fn a_loss_confirmed_twice_is_searched_for_and_found() {
     let searching = |f: &&Frame| f.lock == LockState::Searching;
     let away = |f: &Frame| f64::from(f.steering[0]) + 70e-6;
     let farthest = found.iter().filter(searching).map(|f| away(f).abs()).fold(0.0, f64::max);
-    assert!(farthest > 100e-6, "the stage looks around, as far as {farthest} m");
+    assert!(farthest > 100e-6, "the search reaches {farthest} m");
     stream.samples(100);
     stays_on_the_apex(&mut stream, 2);
 }

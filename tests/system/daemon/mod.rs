@@ -1,6 +1,6 @@
-//! The daemon through its front door: the real binary, its sockets, a pseudo-terminal, signals.
+//! The daemon through its public interfaces: the binary, its sockets, a pseudo-terminal, signals.
 //!
-//! Whatever a test looks for, every frame that it receives is held to the rules of `testkit::honest`.
+//! Every frame that a test receives is also checked against the rules of `testkit::honest`.
 
 mod channels;
 mod clients;

@@ -1,4 +1,4 @@
-//! What a daemon on its twin sends, and how it starts and ends.
+//! The frames of a daemon on the twin, its start and its end.
 
 use rustix::process::Signal;
 use trifacet_wire::Status;
@@ -6,12 +6,12 @@ use trifacet_wire::Status;
 use crate::testkit::{Daemon, Frame, Stream, errors, mean, now_ns, truth};
 
 #[test]
-fn every_sample_becomes_a_frame_on_both_ways_with_a_true_pose() {
+fn every_sample_becomes_a_frame_over_tcp_and_udp_with_a_true_pose() {
     let begin_ns = now_ns();
     let mut datagrams = Stream::udp();
     let mut daemon = Daemon::start(&format!("publishing.udp = [\"{}\"]", datagrams.local()));
     let mut stream = daemon.client();
-    // Datagrams are not late by a connection: they begin with the first sample.
+    // Datagrams need no connection: they start with the first sample.
     let first = datagrams.take(1)[0];
     assert_eq!((first.sequence, first.sample_index), (0, 0));
     assert!(first.has(Status::NOT_LOCKED));
@@ -30,13 +30,16 @@ fn every_sample_becomes_a_frame_on_both_ways_with_a_true_pose() {
     assert_eq!((descriptor.session, descriptor.config), (locked.session, locked.config));
     assert_eq!((descriptor.rate_hz, descriptor.calibrated), (1000.0, false));
     let sent = datagrams.through("as far", |frame| frame.sequence == frames[1999].sequence);
-    assert!(sent.iter().zip(0..).all(|(frame, k)| frame.sequence == k + 1), "both ways carry the same");
+    assert!(
+        sent.iter().zip(0..).all(|(frame, k)| frame.sequence == k + 1),
+        "TCP and UDP carry the same frames"
+    );
 
-    // The twin samples at k / rate from its start on, and nobody knows that better than the frames.
+    // The twin samples at k / rate from its start, so the times of the frames are known.
     assert!(first.time_ns > begin_ns && locked.arrived_ns < now_ns());
     for frame in sent.iter().filter(|f| f.of_samples()) {
         let due_ns = first.time_ns + frame.sample_index as i64 * 1_000_000;
-        // What the offset to UTC may slew in these seconds, and no jitter at all.
+        // The limit covers the slew of the offset to UTC during these seconds; there is no jitter.
         assert!((frame.time_ns - due_ns).abs() < 100_000, "{first:?} {frame:?}");
         assert!(frame.sent_ns() < frame.arrived_ns + 1_000_000, "{frame:?}");
     }
@@ -47,7 +50,10 @@ fn every_sample_becomes_a_frame_on_both_ways_with_a_true_pose() {
     for axis in 0..6 {
         let sd = f64::from(samples[0].deviations[axis]);
         assert!(offset[axis].abs() < 5.0 * sd / (samples.len() as f64).sqrt(), "{offset:?}");
-        assert!((0.9..1.1).contains(&scatter[axis]), "the stated deviations are the true ones: {scatter:?}");
+        assert!(
+            (0.9..1.1).contains(&scatter[axis]),
+            "scatter in units of the reported standard uncertainties: {scatter:?}"
+        );
     }
     let counters = stream.heartbeat().counters;
     assert_eq!((counters["scans_lost"], counters["tcp_overflows"], counters["udp_dropped"]), (0, 0, 0));
@@ -56,7 +62,7 @@ fn every_sample_becomes_a_frame_on_both_ways_with_a_true_pose() {
 }
 
 #[test]
-fn averages_are_means_with_their_time() {
+fn averaged_frames_are_means_with_the_mean_time() {
     let mut daemon = Daemon::start("estimation.average = 10\ntwin.motion = []");
     let mut stream = daemon.client();
     stream.locked();
@@ -67,11 +73,11 @@ fn averages_are_means_with_their_time() {
         assert_eq!(pair[1].sample_index, pair[0].sample_index + 10);
         assert!((pair[1].time_ns - pair[0].time_ns - 10_000_000).abs() < 20_000);
     }
-    // The mean of ten times lies 4.5 ms before the last of them; the quickest frame is sent soon after that.
+    // The mean of ten times is 4.5 ms before the last of them; the fastest frame is sent soon after that.
     let quickest = frames.iter().filter(|f| f.of_samples()).map(|f| f.send_delay_ns).min().unwrap();
     assert!((4_500_000..6_500_000).contains(&quickest), "{quickest} ns");
     let sd = f64::from(frames[50].deviations[5]);
-    assert!((0.6e-6..1.0e-6).contains(&sd), "2.5 urad over the root of ten: {sd}");
+    assert!((0.6e-6..1.0e-6).contains(&sd), "2.5 urad divided by the root of ten: {sd}");
     daemon.ends_in_order(Signal::INT);
 }
 
@@ -91,7 +97,7 @@ fn the_ray_model_has_its_bias_and_no_beam_offset() {
 }
 
 #[test]
-fn without_tcp_datagrams_go_on() {
+fn datagrams_are_sent_without_tcp() {
     let mut datagrams = Stream::udp();
     let udp = datagrams.local();
     let mut daemon = Daemon::start(&format!("publishing.tcp = \"off\"\npublishing.udp = [\"{udp}\"]"));
@@ -107,8 +113,8 @@ fn at_10_khz_no_sample_is_lost() {
     let first = stream.next().unwrap();
     let frames = stream.samples(25_000);
     let last = frames.last().unwrap();
-    // With the rules that every frame is held to: all are there, none is lost. Late ones were made up, and
-    // not skipped, if the last one has the index that belongs to its time.
+    // The rules for every frame exclude gaps and losses. The last index belongs to its time only if late
+    // samples were processed and not skipped.
     assert_eq!(last.sample_index, first.sample_index + 25_000);
     let passed_s = (last.time_ns - first.time_ns) as f64 * 1e-9;
     assert!((passed_s - 2.5).abs() < 0.0025, "{passed_s} s");
@@ -118,7 +124,7 @@ fn at_10_khz_no_sample_is_lost() {
 }
 
 #[test]
-fn a_port_in_use_and_a_wrong_configuration_have_their_exit_codes() {
+fn a_port_in_use_and_an_invalid_configuration_have_their_own_exit_codes() {
     let mut first = Daemon::start("");
     let taken = first.address();
     let mut second = Daemon::start(&format!("publishing.tcp = \"{taken}\""));

@@ -1,4 +1,4 @@
-//! Under a supervisor: what systemd hears, what happens when a task stalls, and what a person sees.
+//! The daemon under systemd: notifications, stalled tasks, `trifacet park` and `trifacet status`.
 
 use std::os::unix::net::UnixDatagram;
 use std::path::Path;
@@ -9,7 +9,7 @@ use rustix::process::Signal;
 
 use crate::testkit::{self, Board, Daemon, PATIENCE, Stream, now_ns};
 
-/// The socket that systemd would listen on.
+/// The notification socket, in place of systemd.
 struct Systemd {
     socket: UnixDatagram,
     folder: tempfile::TempDir,
@@ -23,7 +23,7 @@ impl Systemd {
         Self { socket, folder }
     }
 
-    /// A daemon that talks to it.
+    /// Starts a daemon that notifies this socket.
     fn start(&self, config: &str, watchdog_us: Option<&str>) -> Daemon {
         let notify = self.folder.path().join("notify");
         let mut environment = vec![("NOTIFY_SOCKET", notify.to_str().unwrap())];
@@ -33,11 +33,11 @@ impl Systemd {
 
     fn next(&self) -> String {
         let mut bytes = [0; 1000];
-        let n = self.socket.recv(&mut bytes).expect("systemd hears nothing");
+        let n = self.socket.recv(&mut bytes).expect("no notification");
         String::from_utf8(bytes[..n].to_vec()).unwrap()
     }
 
-    /// What comes up to the first message with this in it, which is the last of them.
+    /// The notifications up to the first one that contains this text, including it.
     fn until(&self, text: &str) -> Vec<String> {
         let mut heard = vec![self.next()];
         while !heard.last().unwrap().contains(text) {
@@ -47,7 +47,7 @@ impl Systemd {
         heard
     }
 
-    /// What lies there.
+    /// The notifications that have arrived.
     fn rest(&self) -> Vec<String> {
         self.socket.set_nonblocking(true).unwrap();
         let mut bytes = [0; 1000];
@@ -67,9 +67,9 @@ fn text(bytes: &[u8]) -> &str {
 }
 
 #[test]
-fn ready_is_said_after_the_first_frame_and_then_reload_and_end() {
+fn ready_follows_the_first_frame_and_reload_and_stop_are_notified() {
     let systemd = Systemd::new();
-    // The first frame comes after three seconds.
+    // The first frame is sent after three seconds.
     let mut daemon = systemd.start("estimation.average = 3000", None);
     let mut stream = daemon.client();
     assert_eq!(systemd.next(), "READY=1");
@@ -86,11 +86,11 @@ fn ready_is_said_after_the_first_frame_and_then_reload_and_end() {
     daemon.ends_in_order(Signal::TERM);
     let end = systemd.rest();
     assert!(end.last().unwrap().starts_with("STOPPING=1"), "{end:?}");
-    assert!(!end.iter().any(|message| message.contains("WATCHDOG")), "nobody asked for it: {end:?}");
+    assert!(!end.iter().any(|message| message.contains("WATCHDOG")), "no watchdog is configured: {end:?}");
 }
 
 #[test]
-fn a_laser_that_is_off_is_ready_and_the_status_says_it() {
+fn with_the_laser_off_the_daemon_is_ready_and_the_status_states_it() {
     let systemd = Systemd::new();
     let fault = "twin.fault = [{ at_s = 0, for_s = 2, kind = 'beam-blocked' }]";
     let _daemon = systemd.start(fault, None);
@@ -102,7 +102,7 @@ fn a_laser_that_is_off_is_ready_and_the_status_says_it() {
 }
 
 #[test]
-fn a_cable_that_is_pulled_is_no_reason_to_start_again() {
+fn an_unplugged_cable_does_not_end_the_daemon() {
     let systemd = Systemd::new();
     let config =
         "acquisition.source = 'serial'\nacquisition.serial.port = '/nowhere/board'\nrealtime.stall_ms = 500";
@@ -115,7 +115,7 @@ fn a_cable_that_is_pulled_is_no_reason_to_start_again() {
 }
 
 #[test]
-fn the_watchdog_is_fed_by_turns_of_every_task_and_the_log_says_which_makes_none() {
+fn a_stalled_task_stops_the_watchdog_notifications_and_the_log_names_it() {
     for task in ["acquisition", "centering", "estimation"] {
         let systemd = Systemd::new();
         let mut daemon = systemd.start("realtime.stall_ms = 0", Some("1000000"));
@@ -126,7 +126,7 @@ fn the_watchdog_is_fed_by_turns_of_every_task_and_the_log_says_which_makes_none(
         });
         systemd.until(&format!("STATUS=task {task} stalls"));
         systemd.rest();
-        // Longer than systemd would wait.
+        // Longer than the watchdog time.
         std::thread::sleep(Duration::from_millis(1200));
         let rest = systemd.rest();
         assert!(!rest.iter().any(|message| message.contains("WATCHDOG")), "{task}: {rest:?}");
@@ -134,7 +134,7 @@ fn the_watchdog_is_fed_by_turns_of_every_task_and_the_log_says_which_makes_none(
 }
 
 #[test]
-fn a_task_that_stalls_blocks_or_ends_ends_the_daemon_with_its_name() {
+fn a_task_that_stalls_blocks_or_ends_shuts_the_daemon_down_and_is_named() {
     for task in ["acquisition", "centering", "estimation"] {
         for what in ["stall", "block", "end"] {
             let systemd = Systemd::new();
@@ -155,7 +155,7 @@ fn a_task_that_stalls_blocks_or_ends_ends_the_daemon_with_its_name() {
 }
 
 #[test]
-fn a_drill_is_not_for_real_hardware() {
+fn drills_are_refused_on_real_hardware() {
     let systemd = Systemd::new();
     let mut board = Board::start("");
     let port =
@@ -182,7 +182,7 @@ fn with_board(board: &Board, folder: &Path, more: &str) -> String {
 }
 
 #[test]
-fn park_parks_without_a_daemon_and_not_against_the_configuration() {
+fn park_works_without_a_daemon_and_respects_the_configuration() {
     let folder = tempfile::tempdir().unwrap();
     let mut board = Board::start("");
     let at =
@@ -216,7 +216,7 @@ fn park_parks_without_a_daemon_and_not_against_the_configuration() {
 }
 
 #[test]
-fn status_says_it_once_or_goes_on() {
+fn status_prints_once_or_follows() {
     let systemd = Systemd::new();
     let mut daemon = systemd.start("", None);
     let address = format!("tcp://{}", daemon.address());
@@ -241,9 +241,9 @@ fn status_says_it_once_or_goes_on() {
     ] {
         assert!(row(name, part), "{name} {part}: {page}");
     }
-    assert!(!page.contains('\x1b'), "no terminal, no colours: {page:?}");
+    assert!(!page.contains('\x1b'), "colours without a terminal: {page:?}");
 
-    // Piped: a line each time, until the reader has seen enough.
+    // In a pipe: one line for each update, until the reader closes.
     let follow = format!(
         "{} status {address} --follow --interval 0.1 --socket /none | head -n 4",
         env!("CARGO_BIN_EXE_trifacet")
@@ -261,7 +261,7 @@ fn status_says_it_once_or_goes_on() {
 }
 
 #[test]
-fn status_tells_of_a_blocked_beam() {
+fn status_reports_a_blocked_beam() {
     let mut daemon = Daemon::start("twin.fault = [{ at_s = 0, kind = 'beam-blocked' }]");
     let address = daemon.address();
     Stream::tcp(address).next();

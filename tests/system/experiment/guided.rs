@@ -1,4 +1,4 @@
-//! A person at the stage, played by this test, and the real daemon on its twin.
+//! The guided experiment, with this test as the operator and a real daemon on the twin.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -11,19 +11,19 @@ use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use super::{command, deviation, number, points, rows, said, table2};
 use crate::testkit::{Daemon, PATIENCE, Stream};
 
-/// Starts it with this input.
+/// Starts the command with this input.
 fn reading(out: &Path, arguments: &[&str], input: Stdio) -> Child {
     command(out, arguments).stdin(input).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
 }
 
-/// All that is typed is known beforehand, and comes through a pipe.
+/// The whole input is known in advance and is written to a pipe.
 fn typed(out: &Path, arguments: &[&str], text: &str) -> Output {
     let mut child = reading(out, arguments, Stdio::piped());
     child.stdin.take().unwrap().write_all(text.as_bytes()).unwrap_or_default();
     child.wait_with_output().unwrap()
 }
 
-/// The command, what it says as it goes, and a hand at the keyboard of a terminal.
+/// The command, its output as it appears, and a terminal on its standard input.
 struct Person {
     child: Child,
     keys: File,
@@ -41,7 +41,7 @@ impl Person {
         let (sender, heard) = mpsc::channel();
         let mut errors = BufReader::new(child.stderr.take().unwrap());
         std::thread::spawn(move || {
-            // Questions end with ": " and no line.
+            // Prompts end with ": " and without a line feed.
             let mut text = String::new();
             let mut byte = [0];
             while errors.read(&mut byte).unwrap() > 0 {
@@ -54,8 +54,8 @@ impl Person {
         Self { keys: File::from(keys), child, heard, all: String::new() }
     }
 
-    /// Waits until it has said this.
-    fn hears(&mut self, what: &str) {
+    /// Waits until the command has printed this text.
+    fn expects(&mut self, what: &str) {
         let mut since = String::new();
         while !since.contains(what) {
             let Ok(text) = self.heard.recv_timeout(PATIENCE) else { panic!("never {what}: {}", self.all) };
@@ -68,9 +68,9 @@ impl Person {
         writeln!(self.keys, "{line}").unwrap();
     }
 
-    /// The code it ends with, and all that it said.
+    /// The exit code of the command, and its whole output.
     fn end(mut self) -> (Option<i32>, String) {
-        // The end of the input, behind what was typed: to hang up would take that away.
+        // The end of the input, after the typed text: closing the terminal would discard that text.
         let _ = self.keys.write_all(b"\x04");
         let mut out = String::new();
         BufReader::new(self.child.stdout.take().unwrap())
@@ -83,7 +83,7 @@ impl Person {
     }
 }
 
-/// A daemon that stays locked also on a machine that is busy: its loop is slow, and the twin's mirror has time.
+/// A daemon that stays locked also on a busy machine: its loop is slow, and so is the mirror of the twin.
 fn daemon(config: &str) -> (Daemon, Stream, String) {
     let mut daemon = Daemon::start(&format!("{PATIENT}{config}"));
     let address = daemon.address();
@@ -94,7 +94,7 @@ const PATIENT: &str = "centering.loop_delay_ms = 100.0\nrealtime.stall_ms = 0\n"
 const REST: &str = "twin.motion = []\n";
 
 #[test]
-fn a_person_moves_the_stage_and_types_what_the_interferometer_says() {
+fn the_operator_moves_the_stage_and_types_the_interferometer_readings() {
     let step = |um: u32, from: u32, until: &str| {
         format!("{{ axis = \"tx\", kind = \"step\", amount_um = {um}, from_s = {from}{until} }}")
     };
@@ -104,21 +104,22 @@ fn a_person_moves_the_stage_and_types_what_the_interferometer_says() {
     let out = folder.path().join("out");
     let arguments = ["--connect", &at, "--axes", "tx", "--points", "3", "--interval", "tx=20", "--rest", "1"];
     let mut person = Person::at(&out, &arguments);
-    // The stage of the twin moves by itself; this person types when it is there. The interferometer has its own zero.
+    // The mirror of the twin moves by itself; the test answers when it has arrived. The interferometer has
+    // its own zero.
     for (point, level) in [(1, 0.0), (2, 20e-6), (3, 40e-6)] {
-        person.hears(&format!("tx point {point} of 3: move the stage to "));
+        person.expects(&format!("tx point {point} of 3: move the stage to "));
         stream.skip_to_now();
         stream.until("the mirror is there", |frame| frame.locked() && (frame.pose[0] - level).abs() < 5e-6);
         person.types(&format!("{}", (level + 7e-6) * 1e6));
-        person.hears("50 readings: ");
+        person.expects("50 readings: ");
     }
-    person.hears("do not move the mirror for 1 s");
+    person.expects("do not move the mirror for 1 s");
     person.types("");
     let (code, said) = person.end();
     assert_eq!(code, Some(0), "{said}");
     let [measured, paper, predicted] = table2(&out)["tx"];
     assert_eq!(paper, 0.98);
-    assert!((measured / predicted - 1.0).abs() < 0.4, "{measured} {predicted}"); // of three deviations of 10 %
+    assert!((measured / predicted - 1.0).abs() < 0.4, "{measured} {predicted}"); // three points, each uncertain by 10 %
     for (point, level) in points(&out, "table2", "tx").iter().zip([0.0, 20.0, 40.0]) {
         let mean = point.iter().sum::<f64>() / 50.0;
         assert!((mean - level).abs() < 1.0 && deviation(point) < 2.0, "{mean} {level}");
@@ -138,7 +139,7 @@ fn a_person_moves_the_stage_and_types_what_the_interferometer_says() {
 }
 
 #[test]
-fn references_come_from_a_file_and_bad_answers_are_asked_again() {
+fn references_come_from_a_file_and_invalid_answers_are_prompted_again() {
     let (_daemon, _stream, at) = daemon(REST);
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("lab.csv");
@@ -160,7 +161,7 @@ fn references_come_from_a_file_and_bad_answers_are_asked_again() {
     let mut person = Person::at(&out, &arguments);
     for line in ["b", "", "5", "", ""] {
         person.types(line);
-        person.hears("then Enter: ");
+        person.expects("then Enter: ");
     }
     let (code, told) = person.end();
     assert_eq!(code, Some(0), "{told}");
@@ -176,25 +177,25 @@ fn references_come_from_a_file_and_bad_answers_are_asked_again() {
 }
 
 #[test]
-fn nothing_is_lost_with_the_daemon_and_a_point_can_be_taken_again() {
+fn readings_survive_the_end_of_the_daemon_and_a_point_can_be_repeated() {
     let (mut first, _stream, at) = daemon(REST);
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     let options = ["--axes", "tz,pitch", "--points", "3", "--readings", "10", "--rest", "0"];
     let mut person = Person::at(&out, &[&["--connect", &at], &options[..]].concat());
-    person.hears("tz point 1 of 3: move the stage to -0.93 um, type the interferometer's reading in um: ");
+    person.expects("tz point 1 of 3: move the stage to -0.93 um, type the interferometer's reading in um: ");
     for bad in ["", "1,5", "three", "1 urad", "1 m"] {
         person.types(bad);
-        person.hears("type the interferometer's reading in um: ");
+        person.expects("type the interferometer's reading in um: ");
     }
     for line in ["0", "1", "b", "0.0011 mm", "2", "0"] {
         person.types(line);
-        person.hears("type the interferometer's reading in ");
+        person.expects("type the interferometer's reading in ");
     }
     assert!(person.all.contains("pitch point 2 of 3"), "{}", person.all);
     let lost = at;
     first.signal(rustix::process::Signal::KILL);
-    person.hears("continue with the same options and --resume");
+    person.expects("continue with the same options and --resume");
     let (code, told) = person.end();
     assert_eq!(code, Some(69), "{told}");
     for word in [
@@ -241,7 +242,7 @@ fn nothing_is_lost_with_the_daemon_and_a_point_can_be_taken_again() {
 }
 
 #[test]
-fn poses_that_do_not_count_are_told_and_the_point_is_asked_again() {
+fn unusable_poses_are_reported_and_the_point_is_prompted_again() {
     for (config, told) in [
         ("centering.mode = \"off\"\n", "the pose is valid, the loop is off"),
         ("twin.fault = [{ kind = \"psd-dark\", psd = 2, at_s = 0.0 }]\n", "PSD_C_LOW"),
@@ -258,17 +259,17 @@ fn poses_that_do_not_count_are_told_and_the_point_is_asked_again() {
 }
 
 #[test]
-fn a_tare_between_points_of_an_axis_is_noticed() {
+fn a_tare_between_points_of_an_axis_is_detected() {
     let folder = tempfile::tempdir().unwrap();
     let (daemon, _stream, at) = daemon(REST);
     let out = folder.path().join("out");
     let mut person =
         Person::at(&out, &["--connect", &at, "--axes", "roll", "--points", "3", "--readings", "5"]);
     person.types("0");
-    person.hears("roll point 2 of 3");
+    person.expects("roll point 2 of 3");
     daemon.reload(&format!("{PATIENT}{REST}frames.tare.rotation_deg = [0.1, 0.0, 0.0]\n"));
     person.types("15");
-    person.hears("geometry, calibration or frames of the sensor have changed");
+    person.expects("geometry, calibration or frames of the sensor have changed");
     person.types("q");
     let (code, told) = person.end();
     assert_eq!(code, Some(130), "{told}");
@@ -276,7 +277,7 @@ fn a_tare_between_points_of_an_axis_is_noticed() {
 }
 
 #[test]
-fn a_tare_within_the_record_at_rest_begins_it_anew() {
+fn a_tare_during_the_record_at_rest_restarts_the_record() {
     let folder = tempfile::tempdir().unwrap();
     let (daemon, mut stream, at) = daemon(REST);
     let file = folder.path().join("lab.csv");
@@ -288,13 +289,13 @@ fn a_tare_within_the_record_at_rest_begins_it_anew() {
     for _ in 0..3 {
         person.types("");
     }
-    person.hears("Enter starts it");
+    person.expects("Enter starts it");
     person.types("");
-    person.hears("recording");
+    person.expects("recording");
     stream.skip_to_now();
     stream.take(1500); // half of the record
     daemon.reload(&format!("{PATIENT}{REST}frames.tare.rotation_deg = [0.1, 0.0, 0.0]\n"));
-    person.hears("have changed (a tare?): the record starts again");
+    person.expects("have changed (a tare?): the record starts again");
     let (code, told) = person.end();
     assert_eq!(code, Some(0), "{told}");
     let all = rows(&out.join("readings.csv"));
@@ -304,7 +305,7 @@ fn a_tare_within_the_record_at_rest_begins_it_anew() {
 }
 
 #[test]
-fn a_pipe_ends_at_the_point_that_is_refused() {
+fn input_from_a_pipe_ends_at_a_refused_point() {
     let (_daemon, _stream, at) = daemon(REST);
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
@@ -323,7 +324,7 @@ fn a_pipe_ends_at_the_point_that_is_refused() {
         assert_eq!(rows(&out.join("readings.csv")).len(), 5);
         std::fs::remove_dir_all(&out).unwrap();
     }
-    // As many as there are points: no record at rest, but a report.
+    // One answer for each point: there is no record at rest, but a report.
     let output = typed(&out, &options, "0\n1\n2\n");
     assert!(output.status.success(), "{}", said(&output));
     assert!(said(&output).contains("the report is made without a record at rest"), "{}", said(&output));
@@ -336,13 +337,13 @@ fn a_pipe_ends_at_the_point_that_is_refused() {
 }
 
 #[test]
-fn a_folder_is_for_one_session_and_is_empty_again_after_b() {
+fn a_folder_belongs_to_one_session_and_is_empty_again_after_b() {
     let (_daemon, _stream, at) = daemon(REST);
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     let options = ["--connect", &at, "--axes", "tx", "--points", "3", "--readings", "5", "--rest", "1"];
     let mut person = Person::at(&out, &options);
-    person.hears("tx point 1 of 3");
+    person.expects("tx point 1 of 3");
     let second = typed(&out, &options, "0\n");
     assert_eq!(second.status.code(), Some(75), "{}", said(&second));
     assert!(said(&second).contains("another session uses"), "{}", said(&second));
@@ -359,7 +360,7 @@ fn a_folder_is_for_one_session_and_is_empty_again_after_b() {
         ("b", "point 1 of 3"),
     ] {
         person.types(line);
-        person.hears(heard);
+        person.expects(heard);
     }
     person.types("q");
     let (code, told) = person.end();

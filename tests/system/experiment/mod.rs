@@ -24,7 +24,7 @@ fn run(out: &Path, arguments: &[&str]) -> Output {
     command(out, arguments).output().unwrap()
 }
 
-/// Runs it in a new folder, and it works.
+/// Runs the command in a new folder; it must succeed.
 fn done(arguments: &[&str]) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
@@ -47,7 +47,7 @@ fn number(row: &BTreeMap<String, String>, column: &str) -> f64 {
     row[column].parse().unwrap()
 }
 
-/// Table 2 as it was written: measured, paper, predicted, by axis.
+/// Table 2 as written: measured, paper, predicted, by axis.
 fn table2(out: &Path) -> BTreeMap<String, [f64; 3]> {
     let stds = ["measured_std", "paper_std", "predicted_std"];
     rows(&out.join("table2.csv"))
@@ -72,7 +72,7 @@ fn deviation(values: &[f64]) -> f64 {
     (values.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt()
 }
 
-/// The middle of an odd number of values.
+/// The median of an odd number of values.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     assert_eq!(values.len() % 2, 1);

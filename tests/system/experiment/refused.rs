@@ -1,11 +1,11 @@
-//! What is wrong is said, with its place, and nothing is overwritten.
+//! Errors name the cause and its place, and nothing is overwritten.
 
 use std::fs;
 use std::path::Path;
 
 use super::{done, run, said};
 
-/// It ends with this code, says this, and has made no report.
+/// The command must exit with this code and these messages, and must not write a report.
 fn refuses(arguments: &[&str], code: i32, told: &[&str]) {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
@@ -17,7 +17,7 @@ fn refuses(arguments: &[&str], code: i32, told: &[&str]) {
 }
 
 #[test]
-fn wrong_options_are_named() {
+fn invalid_options_are_named() {
     for (arguments, told) in [
         (&["--axes", "tx,x"][..], "allowed are tx, ty, tz, roll, pitch, yaw"),
         (&["--points", "2"], "3..=10000"),
@@ -42,7 +42,7 @@ fn wrong_options_are_named() {
 }
 
 #[test]
-fn a_folder_with_something_in_it_is_left_alone() {
+fn a_folder_that_is_not_empty_is_refused_and_not_changed() {
     let folder = tempfile::tempdir().unwrap();
     let precious = folder.path().join("readings.csv");
     fs::write(&precious, "mine").unwrap();
@@ -54,7 +54,7 @@ fn a_folder_with_something_in_it_is_left_alone() {
 }
 
 #[test]
-fn a_full_disk_leaves_nothing_hidden() {
+fn a_full_disk_is_reported_and_leaves_no_files() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     // Files may not grow beyond 100 kB in this shell: writing fails as on a full disk.
@@ -66,7 +66,7 @@ fn a_full_disk_leaves_nothing_hidden() {
         .unwrap();
     assert_eq!(output.status.code(), Some(74), "{}", said(&output));
     assert!(said(&output).contains("cannot write") && said(&output).contains("readings.csv"));
-    assert!(!out.exists(), "the folder was new, and nothing is in it");
+    assert!(!out.exists(), "the new folder is removed");
 }
 
 fn file(folder: &Path, text: &str) -> String {
@@ -76,7 +76,7 @@ fn file(folder: &Path, text: &str) -> String {
 }
 
 #[test]
-fn bad_references_are_named_with_their_line() {
+fn invalid_references_are_reported_with_their_line() {
     let folder = tempfile::tempdir().unwrap();
     for (text, told) in [
         ("axis,unit,reference\n", "the column point is missing; required are axis,unit,point,reference"),
@@ -102,11 +102,11 @@ fn bad_references_are_named_with_their_line() {
 }
 
 #[test]
-fn bad_readings_are_named_with_their_line() {
+fn invalid_readings_are_reported_with_their_line() {
     let (folder, out) =
         done(&["--axes", "tx", "--points", "4", "--readings", "3", "--paper-only", "--rest", "0"]);
     let text = fs::read_to_string(out.join("readings.csv")).unwrap();
-    let text = &text[text.find("part,").unwrap()..]; // without the lines that say where they come from
+    let text = &text[text.find("part,").unwrap()..]; // without the lines that state the source
     let lines = |n: usize| text.split_inclusive('\n').take(n).collect::<String>();
     let wrong = |from: &str, to: &str| {
         let (head, rest) = text.split_at(text.find('\n').unwrap());
@@ -138,7 +138,7 @@ fn bad_readings_are_named_with_their_line() {
 }
 
 #[test]
-fn a_twin_without_a_pose_says_where_and_why() {
+fn a_twin_without_a_valid_pose_reports_the_point_and_the_reason() {
     let folder = tempfile::tempdir().unwrap();
     let config = |text: &str| {
         let file = folder.path().join("lab.toml");
@@ -168,7 +168,7 @@ fn a_twin_without_a_pose_says_where_and_why() {
 }
 
 #[test]
-fn a_daemon_that_is_not_there_is_named() {
+fn the_address_of_a_missing_daemon_is_reported() {
     let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
     refuses(&["--connect", &free], 69, &["nothing listens at tcp://127.0.0.1:", "trifacet run"]);
 }

@@ -1,11 +1,11 @@
-//! The report in a real browser.
+//! The report in a browser.
 
 use std::path::Path;
 
 use super::done;
 use crate::testkit::Browser;
 
-/// Every chart has something in it: pixels in the colour of its first line.
+/// Every chart must contain pixels in the colour of its first line.
 const CHARTS: &str = "(() => {
     const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim().match(/[0-9a-f]{2}/g).map((x) => parseInt(x, 16));
     return [...document.querySelectorAll('.chart')].every((chart) => {
@@ -22,11 +22,11 @@ const CHARTS: &str = "(() => {
 })()";
 
 #[test]
-fn the_report_stands_alone_and_fits_desks_phones_and_paper() {
+fn the_report_is_self_contained_and_fits_desktops_phones_and_paper() {
     let (_folder, out) = done(&["--seed", "2", "--rest", "4"]);
     let mut page = Browser::open(&format!("file://{}", out.join("report.html").display()), [1280, 900]);
     page.until("document.body?.dataset.drawn === 'yes'");
-    // Six axes with two each, the bound, two Allan, two courses.
+    // Two charts for each of six axes, the bound, two Allan charts, two time series.
     assert_eq!(page.eval("document.querySelectorAll('.chart').length"), 17);
     let pictures = Path::new(env!("CARGO_TARGET_TMPDIR"));
     for size in [[1280, 900], [390, 844]] {
@@ -48,7 +48,7 @@ fn the_report_stands_alone_and_fits_desks_phones_and_paper() {
             assert!(!text.contains("NaN") && !text.contains("{{") && !text.contains("undefined"), "{text}");
         }
     }
-    // What is printed is light, and as wide as a page.
+    // The printed report has the light theme and the width of a page.
     page.eval("dispatchEvent(new Event('beforeprint'))");
     assert_eq!(page.eval("document.documentElement.dataset.theme"), "light");
     page.until(
@@ -63,7 +63,7 @@ fn the_report_stands_alone_and_fits_desks_phones_and_paper() {
     readme(&mut page, &pictures.join("experiment-figure.png"));
 }
 
-/// The figure of the README: the first pair of charts, alone.
+/// The figure of the README: only the first pair of charts.
 fn readme(page: &mut Browser, to: &Path) {
     page.eval("dispatchEvent(new Event('afterprint'))");
     page.eval("document.body.replaceChildren(document.querySelector('.pair'))");

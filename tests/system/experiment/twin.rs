@@ -1,16 +1,16 @@
-//! On the twin: the paper's numbers, ten times.
+//! The experiment on the twin, compared with the numbers of the paper for ten seeds.
 
 use std::collections::BTreeMap;
 use std::fs;
 
 use super::{AXES, deviation, done, median, number, points, rows, run, table2};
 
-/// The median of deviations of fifty readings is smaller than what they scatter by: the root of the median of
-/// chi-square with 49 degrees of freedom over 49.
+/// The median of the standard deviations of fifty readings is smaller than their true standard deviation, by
+/// the factor sqrt(m / 49), where m is the median of chi-square with 49 degrees of freedom.
 const MEDIAN: f64 = 1.0 - 0.0068;
 
 #[test]
-fn ten_seeds_give_the_papers_table_and_their_mean_what_is_predicted() {
+fn ten_seeds_agree_with_the_table_of_the_paper_and_their_mean_with_the_prediction() {
     let mut pooled = BTreeMap::<String, [f64; 2]>::new();
     for seed in 1..=10 {
         let (_folder, out) = done(&["--seed", &seed.to_string(), "--paper-only", "--rest", "0"]);
@@ -28,7 +28,7 @@ fn ten_seeds_give_the_papers_table_and_their_mean_what_is_predicted() {
 }
 
 #[test]
-fn the_table_is_what_the_readings_say_and_beyond_the_paper_it_is_quieter() {
+fn the_table_follows_from_the_readings_and_the_noise_beyond_the_paper_is_lower() {
     let (_folder, out) = done(&["--seed", "4", "--rest", "2"]);
     let text = fs::read_to_string(out.join("table2.csv")).unwrap();
     assert!(text.starts_with("axis,unit,measured_std,paper_std,predicted_std\ntx,um,"), "{text}");
@@ -36,7 +36,7 @@ fn the_table_is_what_the_readings_say_and_beyond_the_paper_it_is_quieter() {
         rows(&out.join("table2.csv")).iter().map(|r| (r["axis"].clone(), r["unit"].clone())).collect();
     assert_eq!(units.iter().map(|(axis, _)| axis.as_str()).collect::<Vec<_>>(), AXES);
     assert!(units[3..].iter().all(|(_, unit)| unit == "urad"));
-    // 1.08 um of noise through the linearised model, as the paper's geometry has it.
+    // 1.08 um of noise through the linearised model with the geometry of the paper.
     let theory = [0.986, 0.986, 0.623, 1.764, 1.764, 2.494];
     for (axis, theory) in AXES.iter().zip(theory) {
         let [measured, paper, predicted] = table2(&out)[*axis];
@@ -54,7 +54,7 @@ fn the_table_is_what_the_readings_say_and_beyond_the_paper_it_is_quieter() {
 }
 
 #[test]
-fn the_mirror_was_where_the_reference_says() {
+fn the_readings_agree_with_the_references() {
     let (_folder, out) = done(&[
         "--axes",
         "ty,roll",
@@ -91,7 +91,7 @@ fn the_mirror_was_where_the_reference_says() {
     for ((axis, at), errors) in seen {
         let n = errors.len() as f64;
         let mean = errors.iter().sum::<f64>() / n;
-        // A few deviations of the mean.
+        // 4.5 standard uncertainties of the mean.
         assert!(mean.abs() < 4.5 * deviation(&errors) / n.sqrt(), "{axis} at {at}: {mean}");
     }
 }
@@ -108,7 +108,7 @@ fn the_same_seed_gives_the_same_files() {
 }
 
 #[test]
-fn the_report_is_made_anew_from_its_readings() {
+fn the_report_can_be_recreated_from_its_readings() {
     let (folder, out) = done(&["--seed", "3", "--axes", "tz", "--rest", "1"]);
     let again = folder.path().join("again");
     let file = out.join("readings.csv");
@@ -119,14 +119,14 @@ fn the_report_is_made_anew_from_its_readings() {
     assert!(before == ["readings.csv", "table2.csv"].map(|name| read(&again, name)));
     assert!(read(&again, "report.html").contains("digital twin, seed 3"));
     assert!(read(&out, "report.html") == read(&again, "report.html"));
-    // And in place, where it was lost.
+    // Also in place, after the report was deleted.
     fs::remove_file(out.join("report.html")).unwrap();
     let output = run(&out, &["--from", file.to_str().unwrap()]);
     assert!(output.status.success() && out.join("report.html").exists(), "{}", super::said(&output));
 }
 
 #[test]
-fn the_twin_stands_where_a_lab_measured() {
+fn the_twin_takes_the_positions_of_a_reference_file() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("lab.csv");
     fs::write(
@@ -145,7 +145,7 @@ fn the_twin_stands_where_a_lab_measured() {
 }
 
 #[test]
-fn a_hole_in_the_record_at_rest_costs_the_allan_deviation_alone() {
+fn a_gap_in_the_record_at_rest_omits_only_the_allan_deviation() {
     let (folder, out) =
         done(&["--axes", "tz", "--points", "3", "--readings", "3", "--paper-only", "--rest", "1"]);
     let text = fs::read_to_string(out.join("readings.csv")).unwrap();

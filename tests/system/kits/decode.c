@@ -1,4 +1,4 @@
-/* Decodes datagrams, each behind its length (u16), and prints every field, numbers with a point as their bits. */
+/* Decodes datagrams, each preceded by its length (u16), and prints every field, with floating-point numbers as bits. */
 #include "trifacet.h"
 
 #include <inttypes.h>

@@ -1,4 +1,4 @@
-//! The same datagrams through all decoders.
+//! All decoders compared on the same datagrams.
 
 use std::io::{Seek, Write};
 use std::process::Command;
@@ -9,10 +9,10 @@ use trifacet::client::{FrameError, PoseFrame};
 use super::fixture::{daemon, datagrams, frames_over_tcp};
 use super::tools::{compile, python, succeeded};
 
-/// Undefined behaviour ends the program.
+/// Undefined behaviour aborts the program.
 const UNDEFINED_TRAPS: [&str; 2] = ["-fsanitize=undefined", "-fsanitize-undefined-trap-on-error"];
 
-/// What a decoder of a kit says of these datagrams.
+/// The output of the decoder of a kit for these datagrams.
 fn decoded_by(program: &mut Command, datagrams: &[Vec<u8>]) -> Vec<Value> {
     let mut file = tempfile::tempfile().unwrap();
     for datagram in datagrams {
@@ -25,7 +25,7 @@ fn decoded_by(program: &mut Command, datagrams: &[Vec<u8>]) -> Vec<Value> {
     lines.map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
-/// A frame as the Rust client reads it; numbers with a point as their bits.
+/// A frame as the Rust client decodes it, with floating-point numbers as bits.
 fn expected(frame: &PoseFrame) -> Value {
     let bits = |x: &[f32]| x.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
     let long_bits = |x: &[f64]| x.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
@@ -46,7 +46,8 @@ fn expected(frame: &PoseFrame) -> Value {
     })
 }
 
-/// Every kit says of every datagram what the Rust client says, or refuses it for the same reason.
+/// For every datagram, every kit must return the same frame as the Rust client, or refuse it for the same
+/// reason.
 fn compare(datagrams: &[Vec<u8>]) {
     let (_place, c) = compile("tests/system/kits/decode.c", &UNDEFINED_TRAPS);
     let kits = [
@@ -68,7 +69,7 @@ fn compare(datagrams: &[Vec<u8>]) {
     }
 }
 
-/// A word that must stand in what a kit says of it.
+/// A word that the error message of a kit must contain.
 fn reason(error: &FrameError) -> &'static str {
     match error {
         FrameError::Length(_) | FrameError::Size(_) => "bytes",
@@ -80,12 +81,12 @@ fn reason(error: &FrameError) -> &'static str {
 }
 
 #[test]
-fn datagrams_of_a_daemon_are_read_bit_by_bit() {
+fn datagrams_of_a_daemon_are_decoded_bit_by_bit() {
     let datagrams = datagrams();
     let frames: Vec<_> = datagrams.iter().map(|d| PoseFrame::decode(d).unwrap()).collect();
     let valid = frames.iter().filter(|f| f.status.0 & 1 != 0).count();
     assert!((100..600).contains(&valid), "with and without light: {valid}");
-    // While there is no pose, there is none in any number of it.
+    // Without a valid pose, every number of the pose is NaN.
     for frame in frames.iter().filter(|f| f.status.0 & 1 == 0) {
         assert!(frame.pose.iter().all(|x| x.is_nan()) && frame.deviations.iter().all(|x| x.is_nan()));
     }
@@ -93,7 +94,7 @@ fn datagrams_of_a_daemon_are_read_bit_by_bit() {
 }
 
 #[test]
-fn frames_over_tcp_are_read_bit_by_bit() {
+fn frames_over_tcp_are_decoded_bit_by_bit() {
     let mut daemon = daemon(&[]);
     compare(&frames_over_tcp(daemon.address(), 50));
 }
@@ -104,7 +105,7 @@ fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
     bytes
 }
 
-/// Whether a number is a signalling NaN, which no daemon sends: Python makes a quiet one of it.
+/// Whether a number is a signalling NaN. No daemon sends one; Python converts it to a quiet NaN.
 fn signals(frame: &PoseFrame) -> bool {
     let singles = frame.deviations.iter().chain(&frame.spots).chain(&frame.powers).chain(&frame.beam_offset);
     let mut singles = singles.chain(&frame.steering).chain([&frame.steering_residual]);
@@ -112,7 +113,7 @@ fn signals(frame: &PoseFrame) -> bool {
 }
 
 #[test]
-fn what_is_possible_is_read_and_what_is_damaged_refused() {
+fn extreme_frames_are_decoded_and_damaged_ones_refused() {
     let good = datagrams()[0].clone();
     let with = |at: usize, value: u8| {
         let mut bytes = good.clone();
@@ -121,7 +122,7 @@ fn what_is_possible_is_read_and_what_is_damaged_refused() {
     };
     let mut cases =
         vec![good.clone(), vec![], b"TFP1".to_vec(), good[..191].to_vec(), [&good[..], &[0]].concat()];
-    // Every byte of the largest and smallest value, and every byte damaged.
+    // Every byte set to the largest and to the smallest value, and every byte damaged.
     for (at, byte) in good.iter().enumerate() {
         cases.extend([0, 1, 0x7f, 0x80, 0xff].map(|value| sealed(with(at, value))));
         cases.push(with(at, byte ^ 1 << (at % 8)));

@@ -1,4 +1,4 @@
-//! A daemon on its twin whose light is blocked for a while, and what it sends.
+//! A daemon on its twin with a beam that is blocked at times, and the frames that it sends.
 
 use std::fmt::Write as _;
 use std::io::{Read, Write};
@@ -7,8 +7,8 @@ use std::sync::OnceLock;
 
 use crate::testkit::{Daemon, PATIENCE, Udp};
 
-/// A daemon with 200 frames a second, slow enough for every reader, to these ports; from second 1 on every other
-/// second without light.
+/// A daemon that sends 200 frames a second, slow enough for every reader, to these ports. From second 1 on,
+/// the beam is blocked in every other second.
 pub(crate) fn daemon(udp: &[u16]) -> Daemon {
     let ports: Vec<_> = udp.iter().map(|port| format!("'127.0.0.1:{port}'")).collect();
     let mut text = format!(
@@ -30,12 +30,12 @@ for_s = 1"
     Daemon::start(&text)
 }
 
-/// So many datagrams.
+/// Receives `count` datagrams.
 pub(crate) fn receive(udp: &Udp, count: usize) -> Vec<Vec<u8>> {
     (0..count).map(|_| udp.datagram()).collect()
 }
 
-/// What a daemon sent in its first three seconds, over UDP: with light, without, and with light again.
+/// The datagrams of the first three seconds of a daemon: with light, without light, and with light again.
 pub(crate) fn datagrams() -> &'static [Vec<u8>] {
     static SENT: OnceLock<Vec<Vec<u8>>> = OnceLock::new();
     SENT.get_or_init(|| {
@@ -45,7 +45,7 @@ pub(crate) fn datagrams() -> &'static [Vec<u8>] {
     })
 }
 
-/// So many frames of a daemon over TCP, as they stand between the other messages.
+/// The next `count` frames of a daemon over TCP, without the other messages.
 pub(crate) fn frames_over_tcp(address: SocketAddr, count: usize) -> Vec<Vec<u8>> {
     let mut stream = TcpStream::connect(address).unwrap();
     stream.set_read_timeout(Some(PATIENCE)).unwrap();

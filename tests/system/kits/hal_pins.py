@@ -1,4 +1,4 @@
-"""Waits until an expression of HAL pins holds at one moment: hal_pins.py 'valid and not locked'
+"""Waits until an expression of HAL pins is true at one moment: hal_pins.py 'valid and not locked'
 
 Pins of the component stand without its name, the others with theirs; `-` and `.` are `_`. At no moment may a NaN get
 past the gate of example.hal.

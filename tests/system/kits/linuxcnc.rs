@@ -1,4 +1,4 @@
-//! The LinuxCNC component under the real HAL. The script says what it needs, and installs it if it may.
+//! The LinuxCNC component under the real HAL. The script installs its requirements if it has the permission.
 
 #[test]
 fn the_component_follows_the_daemon_under_the_real_hal() {

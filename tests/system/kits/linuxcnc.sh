@@ -3,7 +3,7 @@
 #
 #     tests/system/kits/linuxcnc.sh [path of trifacet]
 #
-# Needs Debian's linuxcnc-uspace, which it installs if it may (root).
+# Needs Debian's linuxcnc-uspace, and installs it if run as root.
 set -euo pipefail
 cd "$(dirname "$0")/../../.."
 
@@ -31,7 +31,7 @@ daemon=
 hal=
 finish() {
     if [ -n "$hal" ]; then
-        exec 9>&- # the end of its commands: halrun unloads everything
+        exec 9>&- # the end of the commands: halrun unloads everything
         for _ in $(seq 100); do
             kill -0 "$hal" 2>/dev/null || break
             sleep 0.1
@@ -43,13 +43,13 @@ finish() {
 }
 trap finish EXIT
 
-# There is one HAL on a machine, and it may be moving something.
+# A machine has only one HAL, and a running one may be moving hardware.
 for program in rtapi_app linuxcncsvr milltask; do
     ! pgrep -x "$program" --runstates D,I,R,S,T >/dev/null ||
         fail "$program runs on this machine: the test would disturb it"
 done
 
-# HAL's realtime side refuses to be root altogether, and wants a place for its socket.
+# The realtime side of HAL refuses to run as root and needs a folder for its socket.
 chmod 777 "$work"
 export RTAPI_FIFO_PATH=$work/rtapi
 [ "$(id -u)" != 0 ] || export RTAPI_UID=65534
@@ -57,7 +57,7 @@ export PATH=$PWD/clients/linuxcnc:$PATH PYTHONPATH=$PWD/clients/python PYTHONDON
 
 port=$(python3 -c 'import socket; s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])')
 
-# The mirror stands still at a place of its own. The beam is blocked for three seconds of every nine.
+# The mirror is at rest at a fixed pose. The beam is blocked for three seconds of every nine.
 start_daemon() {
     {
         printf 'monitor.listen = "off"\n[publishing]\ntcp = "off"\nudp = ["127.0.0.1:%s"]\n' "$port"
@@ -71,7 +71,7 @@ start_daemon() {
     daemon=$!
 }
 
-# Loads the shipped example, then does what comes through the pipe. Ends when the pipe is closed.
+# Loads the shipped example, then runs the commands from the pipe. Ends when the pipe is closed.
 start_hal() {
     mkfifo "$work/commands"
     sed "s/--port 7362/--port $port/" clients/linuxcnc/example.hal >"$work/example.hal"
@@ -87,7 +87,7 @@ start_hal() {
     fail "HAL does not come up: $(cat "$work/hal.log")"
 }
 
-# becomes EXPRESSION: the pins come to be so, all at one moment.
+# becomes EXPRESSION: waits until the expression of pins is true at one moment.
 becomes() { python3 tests/system/kits/hal_pins.py "$1" || fail "the pins are wrong"; }
 
 start_hal
@@ -95,7 +95,7 @@ becomes 'ramp_maxv == 1' # near the end of the file
 diff <(grep -o '^| `trifacet\.[a-z-]*`' docs/clients.md | tr -d '|` ' | sort) \
     <({ halcmd -s show pin trifacet; halcmd -s show param trifacet; } | grep -o 'trifacet\.[a-z-]*' | sort) ||
     fail "docs/clients.md has other pins and parameters than the component"
-# The machine of the test may be busy: what it shows is the order of things.
+# The machine of the test may be busy, so the test checks the order of events and not their times.
 halcmd setp trifacet.max-age 0.2
 halcmd setp watchdog.timeout-0 2
 halcmd setp watchdog.enable-in 1
@@ -106,7 +106,7 @@ start_daemon
 becomes 'status & 1 and simulated and age < 0.2 and not valid and isnan(tx)'
 echo "computed light: not taken for real"
 halcmd setp trifacet.allow-simulated 1
-# 30 um in mm, 400 urad in degrees, deviations of about 1 um and 2.5 urad.
+# 30 um in mm, 400 urad in degrees, standard uncertainties of about 1 um and 2.5 urad.
 light='valid and locked and good_out and status & 1 and lock == 4 and age < 0.2
     and 0.02 < tx < 0.04 and 0.0217 < yaw < 0.0241 and 0.0005 < sd_tx < 0.002 and 0.0001 < sd_yaw < 0.0003
     and 0.02 < choose_out < 0.04 and missed == 0 and late == 0 and damaged == 0'
@@ -114,7 +114,7 @@ becomes "$light"
 echo "light: valid and locked, tx and yaw as the twin has them"
 
 for round in 1 2; do
-    # Dark on all three PSDs; frames go on, fresh ones, without a pose.
+    # No light on all three PSDs: new frames arrive, without a pose.
     becomes 'not valid and not locked and status & 15 == 14 and age < 0.2 and isnan(tx) and isnan(sd_tz)
         and not good_out and choose_out == 0'
     echo "round $round, beam blocked: valid fell, tx nan, the gate gives 0"
@@ -137,7 +137,7 @@ for _ in range(3): s.sendto(b"TFP1" + bytes(188), ("127.0.0.1", int(sys.argv[1])
 becomes 'damaged == 576 and valid and missed == 0'
 echo "foreign datagrams: refused and counted"
 
-# A component that hangs leaves its pins as they are: the watchdog must tell.
+# A hung component leaves its pins unchanged: the watchdog must detect it.
 component=$(pgrep -f "trifacet_hal.py --port $port" | head -n 1)
 becomes 'valid and good_out'
 kill -STOP "$component"

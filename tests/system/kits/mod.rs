@@ -1,6 +1,6 @@
-//! The consumer kits of `clients/`, each beside the Rust client: same bytes in, same bits out.
+//! The consumer kits of `clients/`, each compared with the Rust client: same bytes in, same bits out.
 //!
-//! The LinuxCNC component runs under the real HAL, by way of `linuxcnc.sh`.
+//! The LinuxCNC component runs under the real HAL, through `linuxcnc.sh`.
 
 mod decoding;
 mod fixture;

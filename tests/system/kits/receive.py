@@ -1,4 +1,4 @@
-"""Reads a stream with the kit, and says in a line of JSON what came: receive.py udp|tcp PORT COUNT DIVIDER"""
+"""Reads a stream with the kit and prints a summary as a line of JSON: receive.py udp|tcp PORT COUNT DIVIDER"""
 
 import json
 import sys

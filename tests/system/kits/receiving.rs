@@ -1,4 +1,4 @@
-//! The kits as receivers: beside a running daemon, and of a stream with every kind of loss.
+//! The kits as receivers of a running daemon, and of a stream with every kind of loss.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, UdpSocket};
@@ -15,7 +15,7 @@ use super::fixture::{daemon, datagrams, receive};
 use super::tools::{compile, python, python_of, succeeded};
 use crate::testkit::{Killed, PATIENCE, Udp};
 
-/// A program of a kit that has opened its port.
+/// A running program of a kit with its port open.
 struct Receiver {
     process: Killed,
     output: BufReader<std::process::ChildStdout>,
@@ -38,7 +38,7 @@ impl Receiver {
         Self::start(python("tests/system/kits/receive.py").args(arguments))
     }
 
-    /// The last line, after the end of the program.
+    /// The last line of the output, after the end of the program.
     fn last_line(mut self) -> String {
         let mut text = String::new();
         self.output.read_to_string(&mut text).unwrap();
@@ -52,7 +52,7 @@ impl Receiver {
     }
 }
 
-/// "missed=3" in a line of the C receiver.
+/// The number from an entry such as "missed=3" in a line of the C receiver.
 fn number(line: &str, name: &str) -> u64 {
     let found = line.split(' ').find_map(|word| word.strip_prefix(name)?.strip_prefix('='));
     found.unwrap_or_else(|| panic!("no {name} in {line}")).parse().unwrap()
@@ -63,7 +63,7 @@ fn valid(datagrams: &[Vec<u8>]) -> u64 {
 }
 
 #[test]
-fn every_frame_of_a_daemon_arrives_over_udp() {
+fn all_frames_of_a_daemon_arrive_over_udp() {
     let udp = Udp::open();
     let (_place, receiver) = compile("clients/c/udp_receiver.c", &[]);
     let (_place_2, trusting) = compile("clients/c/udp_receiver.c", &["-DTRIFACET_NOT_REAL=0"]);
@@ -82,9 +82,9 @@ fn every_frame_of_a_daemon_arrives_over_udp() {
     assert_eq!(
         (&told["usable"], &told["simulated"]),
         (&0.into(), &valid.into()),
-        "computed light moves nothing"
+        "simulated frames are not usable"
     );
-    assert_eq!(told["future"], 0, "one machine has one clock");
+    assert_eq!(told["future"], 0, "sender and receiver have the same clock");
 
     let [strict, trusting] = c.map(Receiver::last_line);
     for line in [&strict, &trusting] {
@@ -92,11 +92,11 @@ fn every_frame_of_a_daemon_arrives_over_udp() {
         assert_eq!(told, [600, valid, 0, 0, 0], "{line}");
     }
     assert_eq!(number(&strict, "usable"), 0);
-    // With its limit of 20 ms a busy machine may find some too old, but not nearly all.
+    // On a busy machine, some frames exceed the age limit of 20 ms, but not all.
     assert!((1..=valid).contains(&number(&trusting, "usable")), "{trusting}");
 }
 
-/// Real frames, with losses, a repetition, one out of order, and damage.
+/// Real frames, with losses, a repetition, one frame out of order, and damage.
 fn troubled() -> Vec<Vec<u8>> {
     let mut sent = datagrams()[..100].to_vec();
     sent.swap(50, 51);
@@ -108,7 +108,7 @@ fn troubled() -> Vec<Vec<u8>> {
     sent
 }
 
-/// Sends slowly enough for any receive buffer.
+/// Sends the datagrams slowly enough for any receive buffer.
 fn send(datagrams: &[Vec<u8>], port: u16) {
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     for datagram in datagrams {
@@ -119,7 +119,8 @@ fn send(datagrams: &[Vec<u8>], port: u16) {
 
 #[test]
 fn losses_are_counted_and_damage_is_refused() {
-    // Of 100 frames: three dropped, two damaged; one twice; one overtaken, which counts as missed and as late.
+    // Of 100 frames: three dropped, two damaged; one twice; one overtaken, which counts as missed and as
+    // late.
     let (_place, program) = compile("clients/c/udp_receiver.c", &[]);
     let (py, c) =
         (Receiver::python("udp", 0, 94, 1), Receiver::start(Command::new(program).args(["0", "94"])));
@@ -131,7 +132,7 @@ fn losses_are_counted_and_damage_is_refused() {
     assert_eq!(told["damaged"], 5 + 192 + 193);
     let sequences: Vec<_> =
         told["sequences"].as_array().unwrap().iter().map(|n| n.as_u64().unwrap()).collect();
-    assert!(sequences.is_sorted(), "only younger frames are handed out");
+    assert!(sequences.is_sorted(), "only newer frames are returned");
     let line = c.last_line();
     assert_eq!(["frames", "missed", "late", "refused"].map(|n| number(&line, n)), [94, 6, 2, 3], "{line}");
 }
@@ -150,7 +151,7 @@ fn a_divider_is_no_loss() {
 }
 
 #[test]
-fn every_frame_that_was_asked_for_arrives_over_tcp() {
+fn all_requested_frames_arrive_over_tcp() {
     let mut daemon = daemon(&[]);
     let told = Receiver::python("tcp", daemon.address().port(), 200, 4).told();
     let sequences: Vec<_> =
@@ -178,7 +179,8 @@ fn the_python_kit_of_0_1_0_reads_the_stream() {
     assert!(told["valid"].as_u64().unwrap() > 0, "{told}");
 }
 
-/// A server that expects the Python kit's line, sends these bytes and closes. Says what the kit told.
+/// A server that expects the request of the Python kit, sends these bytes and closes. Returns the output of
+/// the kit.
 fn over_tcp(bytes: &[u8]) -> Value {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let receiver = Receiver::python("tcp", listener.local_addr().unwrap().port(), 1000, 1);
@@ -201,7 +203,7 @@ impl Receiver {
 }
 
 #[test]
-fn a_damaged_tcp_stream_is_found_again() {
+fn after_damage_in_a_tcp_stream_the_next_message_is_found() {
     let mut unknown = json(Kind::Heartbeat, &"of a later version").unwrap();
     unknown[..4].copy_from_slice(b"TFX1");
     let at = unknown.len() - 4;
@@ -234,7 +236,7 @@ fn a_damaged_tcp_stream_is_found_again() {
 }
 
 #[test]
-fn a_refusal_is_told_in_the_daemons_words() {
+fn a_refusal_is_reported_with_the_message_of_the_daemon() {
     let told = over_tcp(b"error: 192.168.1.9 is not in [publishing] allow\n");
     assert_eq!(told["end"], "Closed: error: 192.168.1.9 is not in [publishing] allow");
     let refusal = json(Kind::Refusal, &serde_json::json!({"error": "busy"})).unwrap();
@@ -270,10 +272,10 @@ fn the_python_example_shows_poses() {
 }
 
 #[test]
-fn silence_is_told_and_can_be_read_past() {
+fn silence_is_reported_and_reading_can_continue() {
     let script = "import socket, sys, trifacet\n\
                   stream = trifacet.udp(0, silence=0.1)\n\
-                  try:\n    next(stream)\n    sys.exit('a frame of nobody')\n\
+                  try:\n    next(stream)\n    sys.exit('a frame without a sender')\n\
                   except trifacet.Silence as e:\n    assert '[publishing] udp' in str(e), e\n\
                   frame = bytes(map(int, sys.argv[1:]))\n\
                   stream.silence = 60\n\

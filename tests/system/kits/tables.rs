@@ -1,4 +1,4 @@
-//! What the kits repeat of the stream's tables is what the code says.
+//! The tables of the stream in the kits agree with the code.
 
 use serde_json::{Value, json};
 use trifacet_wire::layout::{FIELDS, FRAME_SIZE};
@@ -21,7 +21,7 @@ fn python_knows_every_status_bit_lock_state_and_field() {
     assert_eq!(told, json!([bits, locks, fields]));
 }
 
-/// A field as NumPy names it.
+/// A field in the notation of NumPy.
 fn numpy(name: &str, offset: u16, kind: &str, count: u16) -> Value {
     let (class, bits) = kind.split_at(1);
     let bytes = bits.parse::<u16>().unwrap() / 8;
@@ -33,7 +33,7 @@ fn numpy(name: &str, offset: u16, kind: &str, count: u16) -> Value {
 }
 
 #[test]
-fn numpy_sees_in_a_recording_what_the_module_decodes() {
+fn numpy_views_of_frames_agree_with_the_decoder_of_the_module() {
     let script = "import numpy, sys, trifacet\n\
                   data = open(sys.argv[1], 'rb').read()\n\
                   array = numpy.frombuffer(data, trifacet.dtype())\n\

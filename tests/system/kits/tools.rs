@@ -1,4 +1,5 @@
-//! The programs that the kits are made for. A missing one fails the test: it would have tested nothing.
+//! The programs that the kits are made for. A missing program fails the test, which could test nothing
+//! without it.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -19,14 +20,14 @@ pub(crate) fn read(path: &str) -> String {
     std::fs::read_to_string(root(path)).unwrap()
 }
 
-/// Python with the kit's module, and nothing but the standard library besides.
+/// Python with the module of the kit and only the standard library.
 pub(crate) fn python(script: &str) -> Command {
     python_of("clients/python", script)
 }
 
 /// The same with the module of another folder.
 pub(crate) fn python_of(kit: &str, script: &str) -> Command {
-    need("python3", "the Python kit is tested with it");
+    need("python3", "it runs the Python kit");
     let mut command = Command::new("python3");
     for_python(&mut command).env("PYTHONPATH", root(kit)).args(["-W", "error"]).arg(root(script));
     command
@@ -36,11 +37,11 @@ fn for_python(command: &mut Command) -> &mut Command {
     command.env("PYTHONPATH", root("clients/python")).env("PYTHONDONTWRITEBYTECODE", "1")
 }
 
-/// Python with NumPy and a parser of TwinCAT's Structured Text, which are installed under `target/` once.
+/// Python with NumPy and a parser for the Structured Text of TwinCAT, installed once under `target/`.
 pub(crate) fn python_with_packages() -> Command {
     static VENV: OnceLock<PathBuf> = OnceLock::new();
     let python = VENV.get_or_init(|| {
-        need("python3", "the Python kit is tested with it");
+        need("python3", "it runs the Python kit");
         venv::python("kits-venv", "numpy, blark", &["numpy", "blark==0.8.3"])
     });
     let mut command = Command::new(python);
@@ -48,9 +49,9 @@ pub(crate) fn python_with_packages() -> Command {
     command
 }
 
-/// Compiles a C program as strictly as its users may.
+/// Compiles a C program with the strictest warnings that its users may choose.
 pub(crate) fn compile(source: &str, more: &[&str]) -> (TempDir, PathBuf) {
-    need("cc", "the C kit is tested with it");
+    need("cc", "it compiles the C kit");
     let place = tempfile::tempdir().unwrap();
     let program = place.path().join("program");
     let strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-O2", "-I"];

@@ -1,12 +1,12 @@
-//! The TwinCAT kit: its type has the layout of the stream's byte table, its constants are those of the
-//! code, and TwinCAT's grammar accepts every file. No PLC runs here.
+//! The TwinCAT kit: its type has the layout of the byte table of the stream, its constants are those of the
+//! code, and the grammar of TwinCAT accepts every file. The tests need no PLC.
 
 use trifacet_wire::Status;
 use trifacet_wire::layout::{FIELDS, FRAME_SIZE};
 
 use super::tools::{python_with_packages, read, root, succeeded};
 
-/// The part of a TwinCAT file that begins with this tag.
+/// The section of a TwinCAT file with this tag.
 fn part(file: &str, tag: &str) -> String {
     let text = read(&format!("clients/twincat/{file}"));
     let (_, rest) =
@@ -26,7 +26,7 @@ fn element(text: &str) -> (String, u16) {
     (kind.to_owned(), last.parse::<u16>().unwrap() + 1)
 }
 
-/// The types of the stream that a type of Structured Text holds bit by bit.
+/// The stream type with the same bits as a type of Structured Text, and its size.
 fn same(st: &str) -> (&'static str, u16) {
     match st {
         "BYTE" | "USINT" => ("u8", 1),
@@ -36,11 +36,11 @@ fn same(st: &str) -> (&'static str, u16) {
         "LINT" => ("i64", 8),
         "REAL" => ("f32", 4),
         "LREAL" => ("f64", 8),
-        other => panic!("{other} stands in no frame"),
+        other => panic!("{other} is not a type of the frame"),
     }
 }
 
-/// Name, offset, type and count of every field, as TwinCAT lays them out with pack_mode 1.
+/// Name, offset, type and count of every field, in the layout of TwinCAT with pack_mode 1.
 fn structure() -> Vec<(String, u16, &'static str, u16)> {
     let declaration = part("ST_TrifacetFrame.TcDUT", "Declaration");
     assert!(declaration.contains("{attribute 'pack_mode' := '1'}\nTYPE ST_TrifacetFrame :\nSTRUCT\n"));
@@ -53,7 +53,7 @@ fn structure() -> Vec<(String, u16, &'static str, u16)> {
             let (st, count) = element(kind.trim());
             let (kind, size) = same(&st);
             let offset = end;
-            assert_eq!(offset % size, 0, "{name} is aligned, so that no packing moves it");
+            assert_eq!(offset % size, 0, "{name} is aligned, so its offset does not depend on packing");
             end += size * count;
             (name.trim().to_owned(), offset, kind, count)
         })
@@ -109,7 +109,7 @@ fn the_status_bits_are_those_of_the_code() {
     assert_eq!(bits, coded);
 }
 
-/// Takes the table out of the file and does with it what the file's two lines do.
+/// Extracts the table from the file and computes the two steps of the file with it.
 #[test]
 fn the_crc_is_that_of_the_stream() {
     let declaration = part("F_TrifacetCrc32.TcPOU", "Declaration");
@@ -127,14 +127,14 @@ fn the_crc_is_that_of_the_stream() {
 }
 
 #[test]
-fn every_file_is_structured_text_as_twincat_writes_it() {
+fn every_file_is_valid_structured_text_of_twincat() {
     let mut count = 0;
     for entry in std::fs::read_dir(root("clients/twincat")).unwrap() {
         let path = entry.unwrap().path();
         let mut command = python_with_packages();
         command.args(["-m", "blark", "parse", "--summary"]).arg(&path);
         let output = succeeded(&mut command, &path.display().to_string());
-        // An empty answer would mean that it did not look.
+        // Without the name in the output, the parser has not read the file.
         let name = path.file_stem().unwrap().to_str().unwrap();
         assert!(String::from_utf8_lossy(&output.stdout).contains(name), "{name} was not parsed");
         count += 1;

@@ -1,4 +1,4 @@
-//! Healthy, ready, and the way there and back.
+//! `/healthz` and `/readyz`, and their changes.
 
 use std::io::Write;
 use std::net::SocketAddr;
@@ -20,26 +20,30 @@ fn since_ns(ready: &Value, name: &str) -> i64 {
     since.as_nanosecond() as i64
 }
 
-/// By the daemon's time stamps it was so within a second of the order; or before it, for samples that were due
-/// by then and are made up for have it already.
+/// Checks that the state changed within a second of the order, by the time stamps of the daemon. The change
+/// may precede the order: samples that were due before it and are sent late already contain the fault.
 fn within_a_second(ready: &Value, name: &str, ordered_ns: i64) {
     let late_ns = since_ns(ready, name) - ordered_ns;
     assert!(late_ns.abs() < 1_000_000_000, "{late_ns} ns: {ready}");
 }
 
-/// A fault of a while, seen to come and to go.
+/// Orders a fault of 1 s and waits for its begin and its end.
 fn comes_and_goes(at: SocketAddr, board: &mut Board, fault: &str, name: &str, reason: &str) {
     let ordered = board.order(&format!("{fault} 1"));
     let gone = until(at, fault, |ready| check(ready, name)["reason"] == reason);
     within_a_second(&gone, name, ordered);
     let page = get(at, "/healthz");
-    assert_eq!((page.code, &page.body[..]), (200, "ok\n"), "neither light nor board is the daemon");
+    assert_eq!(
+        (page.code, &page.body[..]),
+        (200, "ok\n"),
+        "the health of the daemon depends neither on the light nor on the board"
+    );
     let back = until(at, "ready again", |ready| ready["ready"] == true);
     within_a_second(&back, name, ordered + 1_000_000_000);
 }
 
 #[test]
-fn readiness_turns_within_a_second_and_names_the_reason() {
+fn readiness_changes_within_a_second_and_states_the_reason() {
     let mut board = Board::start("");
     let mut daemon = Daemon::on_port(&board.link(), ON);
     let at = daemon.monitor();
@@ -57,7 +61,7 @@ fn readiness_turns_within_a_second_and_names_the_reason() {
 }
 
 #[test]
-fn without_a_board_the_daemon_lives_and_is_not_ready() {
+fn without_a_board_the_daemon_is_healthy_and_not_ready() {
     let mut daemon = Daemon::on_port("/dev/no-such-board".as_ref(), ON);
     let at = daemon.monitor();
     let ready = until(at, "seen", |ready| check(ready, "samples")["reason"] == "SOURCE_DOWN");
@@ -74,13 +78,13 @@ fn a_loop_that_is_off_is_not_ready() {
     assert_eq!(get(at, "/healthz").code, 200);
 }
 
-/// A daemon whose fast thread can be held, as a debugger or a defect would.
+/// A daemon with a fast thread that can be stopped, as by a debugger or a defect.
 struct Holder(Daemon);
 
 impl Holder {
     fn start() -> Self {
         let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/system/monitor/hold.py");
-        // Held for as long as the test takes.
+        // No limit for stalls: the thread is stopped for the length of the test.
         let config = format!(
             "{ON}publishing.tcp = \"off\"
 realtime.stall_ms = 0
@@ -104,19 +108,19 @@ realtime.stall_ms = 0
 
 impl Drop for Holder {
     fn drop(&mut self) {
-        drop(self.0.orders.take()); // the end of its orders ends the script, and with it the daemon
+        drop(self.0.orders.take()); // the end of its input ends the script, and the daemon with it
         self.0.end();
     }
 }
 
 #[test]
-fn a_fast_side_that_stands_still_is_not_alive() {
+fn a_stopped_fast_side_is_not_healthy() {
     let mut daemon = Holder::start();
     let at = daemon.0.monitor();
     until(at, "ready", |ready| ready["ready"] == true);
     let held_ns = now_ns();
     daemon.next();
-    // That tasks stand still may be known a moment sooner.
+    // The check of the tasks may fail slightly earlier, with another reason.
     let silent =
         |check: &Value| check["reason"].as_str().is_some_and(|why| why.contains("has made no frame"));
     let dead = until(at, "dead", |ready| ready["checks"].as_array().unwrap().iter().all(silent));
@@ -125,7 +129,7 @@ fn a_fast_side_that_stands_still_is_not_alive() {
     assert_eq!(page.code, 503, "{page:?}");
     assert!(page.body.contains("the fast side has made no frame"), "{page:?}");
     nothing_stays_green(at);
-    assert!(!get(at, "/metrics").body.contains("trifacet_lock_state{"), "it is not known");
+    assert!(!get(at, "/metrics").body.contains("trifacet_lock_state{"), "the lock state is unknown");
     daemon.next();
     until(at, "ready again", |ready| ready["ready"] == true);
     assert_eq!(get(at, "/healthz").code, 200);

@@ -1,5 +1,5 @@
-"""Runs a program and, at a line on standard input, holds one of its threads as a debugger would; at the next
-line lets it go. Usage: hold.py THREAD PROGRAM [ARGUMENT...]"""
+"""Runs a program. A line on standard input stops one of its threads as a debugger would; the next line
+continues it. Usage: hold.py THREAD PROGRAM [ARGUMENT...]"""
 
 import ctypes
 import os

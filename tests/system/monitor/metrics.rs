@@ -1,4 +1,4 @@
-//! What the metrics say, held against the documents, the stream and the dashboard.
+//! The metrics compared with the documents, the stream and the dashboard.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -12,7 +12,7 @@ fn read(path: &str) -> String {
     std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).unwrap()
 }
 
-/// The page of a daemon that knows everything that it ever will.
+/// The metrics of a daemon that has run long enough to report all of them.
 fn complete() -> Metrics {
     let mut daemon = Daemon::start("monitor.listen = \"127.0.0.1:0\"");
     let at = daemon.monitor();
@@ -43,14 +43,14 @@ fn live(metrics: &Metrics) -> Table {
     metrics.0.iter().map(|(name, family)| (name.clone(), row(family))).collect()
 }
 
-/// Every word of a file that looks like the name of a sample.
+/// All words of a file that look like names of samples.
 fn names(text: &str) -> BTreeSet<&str> {
     let words = text.split(|c: char| !(c.is_ascii_alphanumeric() || c == '_'));
     words.filter(|word| word.starts_with("trifacet_")).collect()
 }
 
 #[test]
-fn table_dashboard_and_alerts_are_true_to_the_live_page() {
+fn table_dashboard_and_alerts_agree_with_the_live_metrics() {
     let metrics = complete();
     assert_eq!(documented(), live(&metrics), "left: docs/monitoring.md, right: the live page");
 
@@ -61,12 +61,12 @@ fn table_dashboard_and_alerts_are_true_to_the_live_page() {
         let used = names(&text);
         assert!(used.len() >= least, "{file}: {used:?}");
         let unknown: Vec<_> = used.difference(&samples).collect();
-        assert!(unknown.is_empty(), "{file} asks for {unknown:?}");
+        assert!(unknown.is_empty(), "{file} refers to unknown metrics {unknown:?}");
     }
 }
 
 #[test]
-fn the_dashboard_is_one_that_grafana_takes() {
+fn the_dashboard_has_the_format_of_grafana() {
     let dashboard: Value = serde_json::from_str(&read("monitoring/grafana-dashboard.json")).unwrap();
     assert!(dashboard["schemaVersion"].as_i64().unwrap() >= 38, "of Grafana 10");
     assert_eq!(dashboard["uid"], "trifacet");
@@ -91,7 +91,7 @@ fn counters_and_sums_are_those_of_the_stream() {
     let at = daemon.monitor();
     let mut frames = stream.through("silence", |frame| !frame.of_samples() && frame.sample_index > 500);
     until(at, "stalled", |ready| ready["checks"][0]["ok"] == false);
-    // No sample comes any more, so what was counted of samples stands still.
+    // Without samples, the counters of samples do not change any more.
     let heartbeat = stream.heartbeat();
     let metrics = Metrics::of(at);
     for (name, count) in &heartbeat.counters {
@@ -105,7 +105,7 @@ fn counters_and_sums_are_those_of_the_stream() {
     assert!(heartbeat.counters["scans_lost"] > 10, "{heartbeat:?}");
     assert!((metrics.value("trifacet_clients", "tcp") - 1.0).abs() < 0.5);
 
-    // The stream has all frames but those before it came; what they sum up to is on the page.
+    // The stream has all frames except those before its connection; the metrics contain their totals.
     let first = frames[0].sequence;
     frames.retain(crate::testkit::Frame::of_samples);
     let solved = metrics.value("trifacet_solve_delay_seconds_count", "");

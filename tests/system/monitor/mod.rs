@@ -1,4 +1,4 @@
-//! Health and metrics through the front door: the real binary, asked as a browser or a scraper asks.
+//! Health and metrics of the binary, requested as by a browser or a scraper.
 
 mod health;
 mod metrics;

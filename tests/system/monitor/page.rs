@@ -1,4 +1,4 @@
-//! What health and metrics say, as programs read them.
+//! Health and metrics, read as by programs.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -13,7 +13,7 @@ use serde_json::Value;
 use crate::testkit::http::get;
 use crate::testkit::{venv, wait_for};
 
-/// `/readyz`, whose code agrees with what it says.
+/// `/readyz`, with a check that the code agrees with the content.
 pub(crate) fn readyz(at: SocketAddr) -> Value {
     let page = get(at, "/readyz");
     let ready: Value = serde_json::from_str(&page.body).unwrap();
@@ -24,7 +24,7 @@ pub(crate) fn readyz(at: SocketAddr) -> Value {
     ready
 }
 
-/// Asks `/readyz` until this is true of it.
+/// Requests `/readyz` until it fulfils this condition.
 pub(crate) fn until(at: SocketAddr, what: &str, is: impl Fn(&Value) -> bool) -> Value {
     wait_for(what, || {
         let ready = readyz(at);
@@ -32,17 +32,17 @@ pub(crate) fn until(at: SocketAddr, what: &str, is: impl Fn(&Value) -> bool) -> 
     })
 }
 
-/// What the metrics say while a part of the daemon stands still.
+/// Checks the metrics while a part of the daemon is stalled.
 pub(crate) fn nothing_stays_green(at: SocketAddr) {
     let metrics = get(at, "/metrics").body;
     assert!(metrics.contains("trifacet_ready{check=\"lock\"} 0"), "{metrics}");
     assert!(!metrics.contains("trifacet_lock_state{state=\"locked\"} 1"), "{metrics}");
     let states: Vec<_> = metrics.lines().filter(|line| line.starts_with("trifacet_lock_state{")).collect();
     let one = states.iter().filter(|line| line.ends_with(" 1")).count() == 1;
-    assert!(states.is_empty() || one, "the loop is in one state, or in none that is known: {states:?}");
+    assert!(states.is_empty() || one, "exactly one lock state, or no known one: {states:?}");
 }
 
-/// A family of metrics, as Prometheus' own library reads it.
+/// A family of metrics as parsed by the Prometheus library.
 #[derive(Debug, Deserialize)]
 pub(crate) struct Family {
     pub(crate) name: String,
@@ -52,7 +52,7 @@ pub(crate) struct Family {
     pub(crate) samples: Vec<(String, BTreeMap<String, String>, f64)>,
 }
 
-/// The page of metrics by name.
+/// The metrics by name.
 pub(crate) struct Metrics(pub(crate) BTreeMap<String, Family>);
 
 impl Metrics {
@@ -76,7 +76,7 @@ impl Metrics {
         Self(families.into_iter().map(|family| (family.name.clone(), family)).collect())
     }
 
-    /// The number of this sample with this value of its label, or with none.
+    /// The value of this sample with this value of its label, or without a label.
     pub(crate) fn value(&self, sample: &str, label: &str) -> f64 {
         let samples = self.0.values().flat_map(|family| &family.samples);
         let mut fit = samples.filter(|(name, labels, _)| {

@@ -1,4 +1,4 @@
-"""Reads /metrics from standard input as Prometheus' own library understands it; prints it as JSON."""
+"""Parses /metrics from standard input with the Prometheus library and prints it as JSON."""
 
 import json
 import sys

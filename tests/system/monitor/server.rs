@@ -1,4 +1,4 @@
-//! Who is let in, and what it costs the others.
+//! Admission to the monitor, and its cost for the other tasks.
 
 use std::io::Read;
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -9,7 +9,7 @@ use crate::testkit::{Daemon, Done, Folder, PATIENCE, Stream, on, wait_for};
 
 const ON: &str = "monitor.listen = \"127.0.0.1:0\"";
 
-/// A command with this configuration.
+/// Runs a command with this configuration.
 fn with(command: &str, config: &str) -> Done {
     on(&[command, "--config"], &Folder::new().write("lab.toml", config))
 }
@@ -46,14 +46,14 @@ fn requests_for_other_hosts_and_from_other_sites_are_refused_and_counted() {
 }
 
 #[test]
-fn scrapes_and_hung_viewers_cost_no_sample() {
+fn scrapes_and_stalled_viewers_lose_no_sample() {
     let mut daemon =
         Daemon::start(&format!("{ON}\nacquisition.rate_hz = 10000\npublishing.tcp_queue = 65536"));
     let mut stream = Stream::tcp(daemon.address());
     let at = daemon.monitor();
     stream.locked();
     until(at, "ready", |ready| ready["ready"] == true);
-    // They hold connections and never say what they want.
+    // These clients hold connections and never send a request.
     let hung: Vec<_> = (0..20).map(|_| TcpStream::connect(at).unwrap()).collect();
     let scrapers: Vec<_> = (0..50).map(|_| std::thread::spawn(move || scrape(at))).collect();
     for scraper in scrapers {
@@ -76,23 +76,23 @@ fn scrape(at: SocketAddr) {
 }
 
 #[test]
-fn too_many_connections_are_cut_off_and_the_first_ones_stay() {
+fn connections_beyond_the_limit_are_closed_and_the_first_ones_stay() {
     let mut daemon = Daemon::start(ON);
     let at = daemon.monitor();
     let open: Vec<_> = (0..128).map(|_| TcpStream::connect(at).unwrap()).collect();
     let mut one_more = TcpStream::connect(at).unwrap();
     one_more.set_read_timeout(Some(PATIENCE)).unwrap();
-    // Cut off at once: an end, or a reset.
+    // Closed at once: by an end of the stream or a reset.
     assert_eq!(one_more.read(&mut [0; 1]).unwrap_or(0), 0);
     daemon.message("refused a connection");
     drop(open);
-    wait_for("let in again", || {
+    wait_for("a free connection", || {
         let open = TcpStream::connect(at).is_ok_and(|mut stream| still_open(&mut stream));
-        open.then_some(()).ok_or_else(|| "cut off".into())
+        open.then_some(()).ok_or_else(|| "closed".into())
     });
 }
 
-/// Whether a connection is kept for a while.
+/// Whether a connection stays open.
 fn still_open(stream: &mut TcpStream) -> bool {
     stream.set_read_timeout(Some(std::time::Duration::from_millis(200))).unwrap();
     stream.read(&mut [0; 1]).is_err_and(|e| e.kind() == std::io::ErrorKind::WouldBlock)
@@ -112,7 +112,7 @@ fn a_port_in_use_is_a_clear_error() {
 }
 
 #[test]
-fn switched_off_it_opens_nothing() {
+fn without_monitor_and_tcp_no_port_is_open() {
     let mut daemon = Daemon::start("publishing.tcp = \"off\"\nmonitor.listen = \"off\"");
     daemon.says("locked", |line| line["to"] == "locked");
     let descriptors = std::fs::read_dir(format!("/proc/{}/fd", daemon.pid())).unwrap();
@@ -131,7 +131,7 @@ fn switched_off_it_opens_nothing() {
 }
 
 #[test]
-fn an_address_of_the_network_is_noted_by_check() {
+fn check_notes_an_address_that_is_open_to_the_network() {
     let note = |config: &str| with("check", config).out;
     let open = note("monitor.listen = \"0.0.0.0:7360\"");
     assert!(open.contains("note") && open.contains("every host that reaches it may read"), "{open}");

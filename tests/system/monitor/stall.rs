@@ -1,4 +1,4 @@
-//! A task that makes no turns: nothing stays green, and everybody hears which it is.
+//! A stalled task: no check stays green, and health, metrics, frames and the log report it by name.
 
 use std::net::SocketAddr;
 use std::path::Path;
@@ -10,7 +10,7 @@ use super::page::{nothing_stays_green, until};
 use crate::testkit::http::get;
 use crate::testkit::{Daemon, now_ns, on};
 
-/// A daemon that leaves time to look before it ends, and its pages.
+/// A daemon with a long stall time, so that its pages can be read before it ends; and their address.
 fn daemon() -> (Daemon, SocketAddr) {
     let mut daemon = Daemon::start("monitor.listen = \"127.0.0.1:0\"\nrealtime.stall_ms = 4000\n");
     let at = daemon.monitor();
@@ -22,7 +22,8 @@ fn reasons(ready: &Value) -> Vec<&str> {
     ready["checks"].as_array().unwrap().iter().filter_map(|check| check["reason"].as_str()).collect()
 }
 
-/// Every check, health and metrics name the task before the daemon ends, and the log says why it did.
+/// Readiness, health and metrics name the task before the daemon ends, and the log states the cause of the
+/// end.
 fn is_named_before_the_end(what: &str) {
     for task in ["acquisition", "centering", "estimation"] {
         let (mut daemon, at) = daemon();
@@ -39,17 +40,17 @@ fn is_named_before_the_end(what: &str) {
 }
 
 #[test]
-fn a_task_that_waits_for_ever_is_named_before_the_end() {
+fn a_task_that_waits_forever_is_named_before_the_end() {
     is_named_before_the_end("stall");
 }
 
 #[test]
-fn a_task_that_never_comes_back_is_named_before_the_end() {
+fn a_task_that_never_returns_is_named_before_the_end() {
     is_named_before_the_end("block");
 }
 
-/// `trifacet status` misses what only the control socket knows, and says why.
-fn status_tells_of_it(address: SocketAddr, socket: &Path) {
+/// `trifacet status` omits the data of the control socket, and states the reason.
+fn status_reports_it(address: SocketAddr, socket: &Path) {
     let address = format!("tcp://{address}");
     let page = on(&["status", &address, "--socket"], socket).out;
     assert!(page.contains("lock      held\n"), "{page}");
@@ -57,7 +58,7 @@ fn status_tells_of_it(address: SocketAddr, socket: &Path) {
 }
 
 #[test]
-fn frames_claim_no_lock_of_a_loop_that_stands_still() {
+fn frames_report_no_lock_of_a_stalled_loop() {
     let (mut daemon, at) = daemon();
     let mut stream = daemon.client();
     daemon.told(&["drill", "stall", "centering"]);
@@ -65,11 +66,11 @@ fn frames_claim_no_lock_of_a_loop_that_stands_still() {
     let first = stream.until("not locked", |frame| frame.time_ns > before_ns && !frame.locked());
     assert!(first.time_ns - before_ns < 1_000_000_000, "by the daemon's time stamps: {first:?}");
     until(at, "not ready", |ready| ready["ready"] == false);
-    status_tells_of_it(daemon.address(), &daemon.socket());
+    status_reports_it(daemon.address(), &daemon.socket());
     let line = "trifacet_lock_state{state=\"held\"} 1";
-    assert!(get(at, "/metrics").body.contains(line), "what the frames say is known");
+    assert!(get(at, "/metrics").body.contains(line), "the metrics have the lock state of the frames");
     for frame in std::iter::once(first).chain(stream.take(500)) {
         assert!(frame.lock == LockState::Held && frame.has(Status::NOT_LOCKED), "{frame:?}");
-        assert!(frame.valid(), "estimation goes on: {frame:?}");
+        assert!(frame.valid(), "estimation continues: {frame:?}");
     }
 }

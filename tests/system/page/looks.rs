@@ -1,4 +1,4 @@
-//! How the page looks, and that everybody can use it. The picture in the README is made by
+//! The layout and accessibility of the page. This command makes the picture of the README:
 //!
 //! ```text
 //! cargo test --test system portrait -- --ignored
@@ -11,7 +11,7 @@ use std::time::Duration;
 use super::{DESK, FINE, daemon, page};
 use crate::testkit::PATIENCE;
 
-/// Everything fits into the width of the window: nothing is cut off, and nothing lies over anything else.
+/// The elements that exceed the width of the window, are cut off, or overlap; must be empty.
 pub(crate) const MISFITS: &str = "(() => {
     const wide = document.documentElement.scrollWidth > innerWidth ? ['the page is too wide'] : [];
     const boxes = [...document.querySelectorAll('section:not([hidden])')].map((s) => [s.id, s.getBoundingClientRect()]);
@@ -29,14 +29,14 @@ pub(crate) const MISFITS: &str = "(() => {
     return wide;
 })()";
 
-/// The least contrast of any text with what is behind it, with the text.
+/// The lowest contrast between a text and its background, and that text.
 pub(crate) const CONTRAST: &str = "(() => {
     const light = (c) => {
         const [r, g, b] = c.match(/[\\d.]+/g).slice(0, 3).map((x) => x / 255).map((x) => (x <= 0.04045 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4));
         return 0.2126 * r + 0.7152 * g + 0.0722 * b;
     };
     let worst = [99, ''];
-    for (const e of document.querySelectorAll('h1, h2, p, th, td, dt, dd, li strong, li span, label, figcaption, summary, button, #verdict span')) {
+    for (const e of document.querySelectorAll('h1, h2, p, th, td, dt, dd, li strong, li span, label, figcaption, summary, button, #headline span')) {
         if (!e.offsetParent || !e.textContent.trim()) continue;
         let behind = e;
         while (getComputedStyle(behind).backgroundColor === 'rgba(0, 0, 0, 0)' && behind.parentElement) behind = behind.parentElement;
@@ -48,21 +48,21 @@ pub(crate) const CONTRAST: &str = "(() => {
 })()";
 
 #[test]
-fn two_themes_and_two_sizes_fit_and_can_be_read() {
+fn the_page_fits_and_is_readable_in_two_themes_and_two_sizes() {
     let (_daemon, _stream, at) = daemon(
         "twin.fault = [{ kind = \"psd-dark\", psd = 1, at_s = 2.0, for_s = 0.3 }]\n\
         monitor.control = true\nmonitor.token = \"0123456789abcdef\"\n",
     );
     let mut page = page(at);
     page.until("document.querySelectorAll('.strips canvas').length >= 6");
-    page.until("document.querySelector('#faults').innerText.includes('over:')");
+    page.until("document.querySelector('#faults').innerText.includes('ended:')");
     page.until(FINE);
-    page.until("document.querySelector('.strips .chart').chart?.data[0].length > 30"); // something in them, for the eye
+    page.until("document.querySelector('.strips .chart').chart?.data[0].length > 30"); // some data for the pictures
     for (size, name) in [(DESK, "1280"), ([390, 844], "390")] {
         page.size(size);
         for scheme in ["light", "dark"] {
             page.scheme(scheme);
-            // Charts are drawn when they are seen: once through the page.
+            // Charts are drawn only when visible: scroll through the page once.
             page.eval("(async () => { for (let y = 0; y < document.body.scrollHeight; y += 400) { scrollTo(0, y); await new Promise((go) => setTimeout(go, 700)); } scrollTo(0, 0); })()");
             page.until("document.querySelectorAll('.spectra canvas').length >= 2");
             page.drawn();
@@ -77,19 +77,19 @@ fn two_themes_and_two_sizes_fit_and_can_be_read() {
 }
 
 #[test]
-#[ignore = "a command: it makes a picture for the documents"]
+#[ignore = "a command that makes a picture for the documents"]
 fn portrait() {
     let (_daemon, _stream, at) = daemon("");
     let mut page = page(at);
-    page.size([1280, 1300]); // all charts are seen
-    std::thread::sleep(Duration::from_secs(65)); // and full
+    page.size([1280, 1300]); // all charts are visible
+    std::thread::sleep(Duration::from_secs(65)); // and filled with data
     page.until(FINE);
     page.thumbnail(&Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/live-page.png"), 940);
     assert_eq!(page.complaints(), Vec::<String>::new());
 }
 
 #[test]
-fn every_control_can_be_reached_by_keyboard_and_says_what_it_is() {
+fn every_control_is_reachable_by_keyboard_and_has_a_name() {
     let (_daemon, _stream, at) = daemon("monitor.control = true\nmonitor.token = \"0123456789abcdef\"\n");
     let mut page = page(at);
     page.until("!document.querySelector('#control').hidden");
@@ -109,10 +109,10 @@ fn every_control_can_be_reached_by_keyboard_and_says_what_it_is() {
         if at[0] == "BODY" {
             break;
         }
-        assert_eq!((&at[2], &at[3]), (&true.into(), &true.into()), "without a name, or a focus to see: {at}");
+        assert_eq!((&at[2], &at[3]), (&true.into(), &true.into()), "no name or no visible focus: {at}");
         seen.insert(at[1].to_string());
     }
-    // Of the radio buttons, one is reached with Tab and the others with arrows.
+    // Tab reaches one of the radio buttons, and the arrow keys reach the others.
     assert_eq!(seen.len() + 4, wanted, "{seen:?}");
     page.eval("document.querySelector('#span input:checked').focus()");
     page.press("ArrowRight", 39);

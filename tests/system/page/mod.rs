@@ -1,4 +1,4 @@
-//! The live page as people see it: the real daemon, in a real browser.
+//! The live page of a daemon in a browser.
 
 mod looks;
 mod replay;
@@ -13,12 +13,12 @@ use crate::testkit::{Browser, Daemon, Stream};
 
 /// A free port for the page.
 const ON: &str = "monitor.listen = \"127.0.0.1:0\"\n";
-/// A screen on a desk.
+/// A desktop screen.
 const DESK: [u32; 2] = [1280, 900];
-/// The verdict of a daemon that is fine.
-const FINE: &str = "document.querySelector('#verdict')?.dataset.grade === 'good' && !document.body.classList.contains('stale')";
+/// The headline of a daemon without faults.
+const FINE: &str = "document.querySelector('#headline')?.dataset.grade === 'good' && !document.body.classList.contains('stale')";
 
-/// A daemon, its stream, and where its page is.
+/// A daemon, its stream, and the address of its page.
 fn daemon(config: &str) -> (Daemon, Stream, SocketAddr) {
     let mut daemon = Daemon::start(&format!("{ON}{config}"));
     let stream = daemon.client();
@@ -26,7 +26,7 @@ fn daemon(config: &str) -> (Daemon, Stream, SocketAddr) {
     (daemon, stream, at)
 }
 
-/// The page of a daemon, open and fine.
+/// The page of a daemon without faults, open in a browser.
 fn page(at: SocketAddr) -> Browser {
     let mut browser = Browser::open(&format!("http://{at}/"), DESK);
     browser.until(FINE);

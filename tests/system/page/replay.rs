@@ -1,4 +1,4 @@
-//! The page of a daemon that replays: nothing on it is of now, and it says so first.
+//! The page of a daemon that replays a recording: its headline states that the data are not live.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use super::looks::{CONTRAST, MISFITS};
 use super::{DESK, daemon};
 use crate::testkit::{Browser, Daemon, Stream, on};
 
-/// A daemon that replays so many milliseconds of the twin, and its page.
+/// A daemon that replays `ms` milliseconds of the twin, and its page.
 fn replayed(folder: &Path, ms: u32, how: &str) -> (Daemon, Stream, Browser) {
     let file = folder.join("a.mcap");
     let recorded = on(&["simulate", "--closed-loop", "--samples", &ms.to_string(), "--record"], &file);
@@ -21,21 +21,21 @@ fn replayed(folder: &Path, ms: u32, how: &str) -> (Daemon, Stream, Browser) {
     (daemon, stream, Browser::open(&format!("http://{at}/"), DESK))
 }
 
-/// Waits for a verdict.
+/// Waits for a headline.
 fn says(page: &mut Browser, text: &str) {
     let whole = format!("Replay of a.mcap, recorded 1970-01-01 00:00:00 UTC: {text}");
-    page.until(&format!("document.querySelector('#verdict .text')?.textContent === '{whole}'"));
-    assert_eq!(page.eval("document.querySelector('#verdict').dataset.grade"), "note");
-    assert_eq!(page.eval("document.body.classList.contains('stale')"), false, "frames come");
+    page.until(&format!("document.querySelector('#headline .text')?.textContent === '{whole}'"));
+    assert_eq!(page.eval("document.querySelector('#headline').dataset.grade"), "note");
+    assert_eq!(page.eval("document.body.classList.contains('stale')"), false, "frames arrive");
 }
 
-/// In both themes, on a desk and in a hand. Pictures are for the eye.
+/// Checks both themes on a desktop and on a phone. The pictures are for inspection by eye.
 fn fits(page: &mut Browser, name: &str) {
     for (size, width) in [(DESK, "1280"), ([390, 844], "390")] {
         page.size(size);
         for scheme in ["light", "dark"] {
             page.scheme(scheme);
-            page.until(&format!("{MISFITS}.length === 0")); // charts follow the size when they are seen
+            page.until(&format!("{MISFITS}.length === 0")); // charts follow the size when they are visible
             page.drawn();
             let picture = format!("{name}-{width}-{scheme}.png");
             page.picture(&Path::new(env!("CARGO_TARGET_TMPDIR")).join(picture));
@@ -47,7 +47,7 @@ fn fits(page: &mut Browser, name: &str) {
 }
 
 #[test]
-fn a_replay_is_told_on_top_and_offers_nothing_that_would_be_refused() {
+fn the_headline_states_the_replay_and_controls_are_disabled() {
     let folder = tempfile::tempdir().unwrap();
     let (_daemon, _stream, mut page) = replayed(folder.path(), 20_000, "replay.repeat = true");
     says(&mut page, "pose valid, beam locked");
@@ -56,7 +56,7 @@ fn a_replay_is_told_on_top_and_offers_nothing_that_would_be_refused() {
     assert_eq!(offered, 0);
     assert_eq!(
         page.eval("document.querySelector('#answer').textContent"),
-        "◆ A recording is replayed: nothing steers, and nothing about it can be changed"
+        "◆ A recording is replayed: commands are not available"
     );
     let loops = page.eval(
         "[...document.querySelectorAll('#beam-facts div, #facts div')].map((e) => e.textContent).filter((t) => t.startsWith('loop'))",
@@ -67,10 +67,10 @@ fn a_replay_is_told_on_top_and_offers_nothing_that_would_be_refused() {
 }
 
 #[test]
-fn at_the_end_of_a_recording_the_page_says_that_it_is_one() {
+fn at_the_end_of_a_recording_the_headline_states_it() {
     let folder = tempfile::tempdir().unwrap();
     let (_daemon, _stream, mut page) = replayed(folder.path(), 2000, "");
-    says(&mut page, "it is at its end");
+    says(&mut page, "ended");
     page.until("document.querySelector('#beam-facts').innerText.includes('held')");
     fits(&mut page, "replay-end");
     assert_eq!(page.complaints(), Vec::<String>::new());

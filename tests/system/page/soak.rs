@@ -1,4 +1,4 @@
-//! What the page costs over time. Commands rather than tests, for they take long:
+//! Memory and processor time of the page. These are commands and not tests, because they take long:
 //!
 //! ```text
 //! SOAK_MINUTES=30 cargo test --test system page::soak::soak -- --exact --ignored --nocapture
@@ -14,7 +14,8 @@ use super::socket::connect;
 use super::{daemon, page};
 use crate::testkit::Browser;
 
-/// The past that the daemon keeps for charts, MB, with room for what its containers hold in reserve.
+/// Limit on the growth of the daemon, MB: the history for the charts, with the spare capacity of its
+/// containers.
 const PAST_MB: f64 = 8.0;
 
 fn resident_mb(pid: u32) -> f64 {
@@ -23,7 +24,7 @@ fn resident_mb(pid: u32) -> f64 {
     line.trim().trim_end_matches(" kB").parse::<f64>().unwrap() / 1024.0
 }
 
-/// The memory of the page's script, MB, after a collection, and its elements.
+/// Memory of the script of the page, MB, after garbage collection, and the number of elements.
 fn heap(page: &mut Browser) -> (f64, f64) {
     page.call("HeapProfiler.collectGarbage", &json!({}));
     let metrics = page.call("Performance.getMetrics", &json!({}));
@@ -40,10 +41,10 @@ fn soak() {
     let minutes: u32 = std::env::var("SOAK_MINUTES").map_or(30, |text| text.parse().unwrap());
     let (daemon, mut stream, at) = daemon("");
     let mut page = page(at);
-    page.call("Network.disable", &json!({})); // it would keep every message for the test
+    page.call("Network.disable", &json!({})); // otherwise the browser keeps every message for the test
     page.call("Performance.enable", &json!({}));
     page.until("document.querySelectorAll('.strips canvas').length >= 6");
-    // The chart is full after a minute; then nothing may grow any more.
+    // The charts are full after a minute; after that, the memory must not grow.
     std::thread::sleep(Duration::from_secs(75));
     let (mut heaps, mut residents) = (vec![], vec![]);
     println!("minute  page MB  elements  daemon MB");
@@ -68,7 +69,7 @@ fn soak() {
     assert_eq!(page.complaints(), Vec::<String>::new());
 }
 
-/// Time on a CPU so far, seconds: of the fast thread, and of all others.
+/// Processor time so far, seconds: of the fast thread, and of all others.
 fn busy_s(pid: u32) -> [f64; 2] {
     let mut busy = [0.0; 2];
     for task in std::fs::read_dir(format!("/proc/{pid}/task")).unwrap() {
@@ -81,7 +82,7 @@ fn busy_s(pid: u32) -> [f64; 2] {
 }
 
 #[test]
-#[ignore = "a command: it measures"]
+#[ignore = "a command that measures"]
 fn viewers_cost() {
     const SECONDS: u64 = 20;
     let (daemon, mut stream, at) = daemon("acquisition.rate_hz = 10000\npublishing.tcp_queue = 65536\n");

@@ -1,4 +1,4 @@
-//! What a viewer costs, and who may be one.
+//! The socket of the page: cost of viewers, and admission.
 
 use std::io::Read;
 use std::net::{SocketAddr, TcpStream};
@@ -45,13 +45,13 @@ fn watch(socket: &mut Socket, span_s: u32) -> Value {
 }
 
 #[test]
-fn past_and_updates_hold_every_sample_once_at_ten_kilohertz() {
+fn history_and_updates_contain_every_sample_once_at_ten_kilohertz() {
     let (_daemon, mut stream, at) = daemon("acquisition.rate_hz = 10000\npublishing.tcp_queue = 65536\n");
     let first = stream.locked();
     let mut socket = connect(at, None).unwrap();
     next(&mut socket, "hello");
     let mut frames = vec![first];
-    frames.extend(stream.take(20_000)); // a past of two seconds
+    frames.extend(stream.take(20_000)); // a history of two seconds
     let history = watch(&mut socket, 10);
     let through = history["through"].as_i64().unwrap();
     let mut bins: Vec<Value> = history["bins"].as_array().unwrap().clone();
@@ -63,9 +63,9 @@ fn past_and_updates_hold_every_sample_once_at_ten_kilohertz() {
     let from = first.time_ns.div_euclid(20_000_000) + 1;
     bins.retain(|bin| bin[0].as_i64().unwrap() >= from);
     let last = bins.last().unwrap()[0].as_i64().unwrap();
-    // The same frames by the stream.
+    // The same frames from the stream.
     frames.extend(stream.through("the last one", |f| f.time_ns.div_euclid(20_000_000) > last));
-    assert_eq!(bins.len() as i64, last - from + 1, "a stretch is missing, or there twice");
+    assert_eq!(bins.len() as i64, last - from + 1, "an interval is missing or repeated");
     let mut worst = 0.0_f64;
     for bin in &bins {
         let k = bin[0].as_i64().unwrap();
@@ -85,7 +85,7 @@ fn past_and_updates_hold_every_sample_once_at_ten_kilohertz() {
 }
 
 #[test]
-fn a_viewer_that_takes_nothing_delays_nobody_and_is_told() {
+fn a_stalled_viewer_delays_no_other_one_and_its_missed_updates_are_reported() {
     let (_daemon, mut stream, at) = daemon("acquisition.rate_hz = 2000\n");
     stream.locked();
     let mut slow = connect(at, None).unwrap();
@@ -94,14 +94,17 @@ fn a_viewer_that_takes_nothing_delays_nobody_and_is_told() {
     watch(&mut quick, 10);
     let mut numbers = vec![];
     for _ in 0..40 {
-        // It asks for far more than fits between the two, and takes nothing.
+        // It requests far more than the buffers hold, and reads nothing.
         slow.get_ref().set_nonblocking(true).unwrap();
         for _ in 0..30 {
             let _ = slow.send(Message::text("{\"watch\": 10}"));
         }
         numbers.push(next(&mut quick, "update")["number"].as_u64().unwrap());
     }
-    assert!(numbers.windows(2).all(|pair| pair[1] == pair[0] + 1), "the quick one missed some: {numbers:?}");
+    assert!(
+        numbers.windows(2).all(|pair| pair[1] == pair[0] + 1),
+        "the other viewer missed updates: {numbers:?}"
+    );
     slow.get_ref().set_nonblocking(false).unwrap();
     let missed = next(&mut slow, "missed").as_u64().unwrap();
     stream.skip_to_now();
@@ -111,7 +114,7 @@ fn a_viewer_that_takes_nothing_delays_nobody_and_is_told() {
 }
 
 #[test]
-fn other_pages_may_not_look_and_nonsense_ends_a_socket() {
+fn other_sites_are_refused_and_invalid_messages_close_a_socket() {
     let (_daemon, mut stream, at) = daemon("");
     let port = at.port();
     assert!(connect(at, Some(&format!("http://{at}"))).is_ok());
@@ -123,19 +126,19 @@ fn other_pages_may_not_look_and_nonsense_ends_a_socket() {
         socket.send(Message::text(nonsense)).unwrap();
         while socket.read().is_ok() {}
         let mut rest = Vec::new();
-        let _ = socket.get_mut().read_to_end(&mut rest); // closed, or this waits for ever
+        let _ = socket.get_mut().read_to_end(&mut rest); // returns when the socket is closed
     }
     stream.skip_to_now();
     assert_eq!(stream.heartbeat().counters["monitor_forbidden"], 4);
 }
 
 #[test]
-fn seats_are_bounded_and_free_again() {
+fn the_number_of_viewers_is_limited_and_places_become_free_again() {
     let (_daemon, mut stream, at) = daemon("");
     let mut viewers: Vec<_> = (0..64).map(|_| connect(at, None).unwrap()).collect();
     assert_eq!(connect(at, None).err(), Some(Some(503)));
     stream.skip_to_now();
     assert_eq!(stream.heartbeat().counters["monitor_refused"], 1);
     viewers.clear();
-    wait_for("a free seat", || connect(at, None).map(drop).map_err(|code| format!("{code:?}")));
+    wait_for("a free place", || connect(at, None).map(drop).map_err(|code| format!("{code:?}")));
 }

@@ -1,4 +1,4 @@
-//! The page steers only where it may, and only for whoever knows the token.
+//! Commands from the page: only if the configuration permits them, and only with the token.
 
 use std::net::SocketAddr;
 
@@ -10,7 +10,7 @@ use crate::testkit::{Daemon, Stream, http};
 
 const TOKEN: &str = "an-honest-secret-of-the-lab";
 
-/// Whatever comes back is JSON, as the page reads it.
+/// Sends a command and returns the code and the JSON of the answer.
 fn post(at: SocketAddr, headers: &str, body: &str) -> (u16, Value) {
     let page = http::post(at, "/control", headers, body);
     (page.code, serde_json::from_str(&page.body).unwrap_or_else(|e| panic!("{e}: {page:?}")))
@@ -21,7 +21,7 @@ fn headers(token: &str) -> String {
 }
 
 #[test]
-fn nobody_steers_without_leave_and_the_token() {
+fn commands_need_permission_and_the_token() {
     let (_daemon, mut stream, at) = daemon("");
     let order = "{\"command\": \"loop off\"}";
     let (code, answer) = post(at, &headers(TOKEN), order);
@@ -74,7 +74,7 @@ fn daemon_with_control() -> (Daemon, Stream, SocketAddr) {
 }
 
 #[test]
-fn a_person_with_the_token_steers_from_the_page() {
+fn an_operator_with_the_token_steers_from_the_page() {
     let (_daemon, mut stream, at) = daemon_with_control();
     let mut page = page(at);
     let say = |token: &str, command: &str| {
@@ -90,8 +90,7 @@ fn a_person_with_the_token_steers_from_the_page() {
         page.eval(&say(TOKEN, command));
         page.until(&format!("document.querySelector('#answer').textContent === '● {command}: done'"));
         page.until(&format!("document.querySelector('#beam-facts').innerText.includes('{state}')"));
-        let shadow =
-            "document.querySelector('#verdict').innerText.includes('off (the loop is in the shadow)')";
+        let shadow = "document.querySelector('#headline').innerText.includes('off (loop in shadow mode)')";
         page.until(&format!("{shadow} === {}", command == "loop shadow"));
     }
     page.eval(&say(TOKEN, "loop on"));

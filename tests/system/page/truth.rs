@@ -1,4 +1,4 @@
-//! That the page tells the truth, soon, and stops telling anything when it knows nothing.
+//! The page agrees with the stream within a second, and marks its data as old without updates.
 
 use std::net::SocketAddr;
 
@@ -8,7 +8,7 @@ use trifacet_wire::Status;
 use super::{DESK, FINE, daemon, page};
 use crate::testkit::{Board, Browser, Daemon, Stream};
 
-/// A daemon on a board, whose light fails when a test says so.
+/// A daemon on a board, whose light fails on an order of the test.
 fn on_board() -> (Board, Daemon, Stream, SocketAddr) {
     let board = Board::start("");
     let port = board.link();
@@ -17,7 +17,7 @@ fn on_board() -> (Board, Daemon, Stream, SocketAddr) {
     (board, daemon, stream, at)
 }
 
-/// What the table of poses shows, with the frame that it is of.
+/// The contents of the table of poses, with the frame that they belong to.
 fn shown(page: &mut Browser) -> Value {
     page.eval(
         "({ sample: Number(document.querySelector('#pose').dataset.sample),
@@ -31,7 +31,7 @@ fn number(text: &Value) -> f64 {
 }
 
 #[test]
-fn the_page_comes_from_the_daemon_alone_and_says_what_the_stream_says() {
+fn the_page_loads_only_from_the_daemon_and_agrees_with_the_stream() {
     let (_daemon, mut stream, at) = daemon("");
     let mut page = page(at);
     page.until("document.querySelectorAll('.strips canvas').length >= 6");
@@ -54,7 +54,7 @@ fn the_page_comes_from_the_daemon_alone_and_says_what_the_stream_says() {
         // Within one refresh.
         let newest = page.eval("Number(document.querySelector('#pose').dataset.time)").as_f64().unwrap();
         let now = page.eval("Date.now()").as_f64().unwrap();
-        assert!(now - newest < 2000.0, "what is shown is {} ms old", now - newest);
+        assert!(now - newest < 2000.0, "the table is {} ms old", now - newest);
     }
     let units = "(() => { const s = document.querySelector('#units'); s.value = 'mm'; s.dispatchEvent(new Event('change')); })()";
     page.eval(units);
@@ -74,31 +74,31 @@ fn the_page_comes_from_the_daemon_alone_and_says_what_the_stream_says() {
     assert_eq!(page.complaints(), Vec::<String>::new());
 }
 
-/// Notes each new verdict with the time of the newest frame that the page knew then.
+/// Records each new headline with the time of the newest frame on the page.
 const NOTES: &str = "(() => {
     window.notes = [];
-    const text = document.querySelector('#verdict .text');
+    const text = document.querySelector('#headline .text');
     new MutationObserver(() => setTimeout(() => notes.push([Number(document.querySelector('#pose').dataset.time), text.textContent]), 0))
         .observe(text, { childList: true, characterData: true, subtree: true });
 })()";
 
 #[test]
-fn a_blocked_beam_turns_the_page_to_its_reason_within_a_second_and_back() {
+fn the_headline_states_a_blocked_beam_and_the_recovery_within_a_second() {
     let (mut board, _daemon, mut stream, at) = on_board();
     let mut page = page(at);
     page.eval(NOTES);
     board.order("beam-blocked 6");
     let dark = stream.until("dark", |frame| frame.has(Status::PSD_A_LOW));
-    // All of it in one look: the light comes back by itself.
+    // All in one evaluation, because the light returns by itself.
     page.until(
         "notes.some(([, text]) => text.includes('too little light on PSD A, B, C'))
-            && document.querySelector('#verdict').dataset.grade === 'bad'
+            && document.querySelector('#headline').dataset.grade === 'bad'
             && document.querySelector('#pose .now').textContent === '–'
             && document.querySelector('#faults').innerText.includes('PSD_B_LOW, since')",
     );
     let locked = stream.until("locked again", |frame| frame.time_ns > dark.time_ns && frame.locked());
     page.until(FINE);
-    // All lines of all axes have the hole.
+    // All lines of all axes have the gap.
     page.until("[...document.querySelectorAll('.strips .chart')].every((e) => e.chart?.data.slice(1).every((y) => y.includes(null)))");
     let notes = page.eval("notes");
     let first = |is: &dyn Fn(&str) -> bool, after: f64| {
@@ -107,20 +107,20 @@ fn a_blocked_beam_turns_the_page_to_its_reason_within_a_second_and_back() {
         found.unwrap_or_else(|| panic!("{notes:?}"))[0].as_f64().unwrap()
     };
     let dark_ms = dark.time_ns as f64 * 1e-6;
-    let told = first(&|text| text.contains("too little light"), dark_ms);
-    assert!(told - dark_ms < 1000.0, "told {} ms later", told - dark_ms);
+    let reported = first(&|text| text.contains("too little light"), dark_ms);
+    assert!(reported - dark_ms < 1000.0, "reported after {} ms", reported - dark_ms);
     let locked_ms = locked.time_ns as f64 * 1e-6;
-    let told = first(&|text| text.contains("locked") && text.contains("valid,"), locked_ms - 200.0);
-    assert!(told - locked_ms < 1000.0, "told {} ms later", told - locked_ms);
+    let reported = first(&|text| text.contains("locked") && text.contains("valid,"), locked_ms - 200.0);
+    assert!(reported - locked_ms < 1000.0, "reported after {} ms", reported - locked_ms);
     assert_eq!(page.complaints(), Vec::<String>::new());
 }
 
 #[test]
-fn without_a_board_there_are_no_samples_rather_than_no_light_and_nothing_is_measured() {
+fn without_a_board_the_page_reports_no_samples_and_shows_no_values() {
     let (_daemon, _stream, at) =
         daemon("acquisition.source = 'serial'\nacquisition.serial.port = '/nowhere/board'\n");
     let mut page = Browser::open(&format!("http://{at}/"), DESK);
-    page.until("document.querySelector('#verdict')?.innerText.includes('No valid pose: no samples since')");
+    page.until("document.querySelector('#headline')?.innerText.includes('No valid pose: no samples since')");
     page.until("document.querySelectorAll('#latency dd').length >= 5");
     let told = page.eval(
         "[...document.querySelectorAll('.psd .none, #balance .none, #latency dd, #beam-facts dd')].map((e) => e.textContent)",
@@ -133,10 +133,10 @@ fn without_a_board_there_are_no_samples_rather_than_no_light_and_nothing_is_meas
 }
 
 #[test]
-fn a_spectrum_that_gets_nothing_new_is_old() {
+fn a_spectrum_without_new_data_is_marked_as_old() {
     let (mut board, _daemon, _stream, at) = on_board();
     let mut page = page(at);
-    // Each in one look: it changes by itself.
+    // Each in one evaluation, because the state changes by itself.
     let shows = |text: &str, opacity: &str| {
         format!(
             "document.querySelector('#spectrum-facts').textContent.startsWith('{text}')
@@ -145,7 +145,7 @@ fn a_spectrum_that_gets_nothing_new_is_old() {
     };
     page.until(&shows("Welch", "1"));
     board.order("beam-blocked 8");
-    page.until(&shows("Old, of ", "0.35"));
+    page.until(&shows("Old, from ", "0.35"));
     page.until(&shows("Welch", "1"));
 }
 
@@ -156,19 +156,19 @@ fn a_task_that_stalls_is_named_before_the_daemon_ends() {
     page.until("document.querySelectorAll('.strips canvas').length >= 6");
     page.eval(NOTES);
     daemon.told(&["drill", "stall", "centering"]);
-    let verdict = |text: &str| format!("notes.some(([, text]) => text.startsWith('{text}'))");
-    page.until(&verdict("Pose valid, beam not locked (held): task centering stalled since "));
+    let headline = |text: &str| format!("notes.some(([, text]) => text.startsWith('{text}'))");
+    page.until(&headline("Pose valid, beam not locked (held): task centering stalled since "));
     page.until("document.querySelector('#faults li').innerText.includes('Fault: task centering stalled')");
-    assert_eq!(page.eval("document.body.classList.contains('stale')"), false, "poses come");
-    page.until(&verdict("No connection"));
+    assert_eq!(page.eval("document.body.classList.contains('stale')"), false, "poses arrive");
+    page.until(&headline("No connection"));
 }
 
 #[test]
-fn a_daemon_that_died_leaves_a_grey_page_and_its_successor_a_live_one() {
+fn without_a_daemon_the_page_turns_grey_and_a_new_daemon_revives_it() {
     let (first, _stream, at) = daemon("");
     let mut page = page(at);
     drop(first);
-    page.until("document.querySelector('#verdict .text').textContent.startsWith('No connection since ')");
+    page.until("document.querySelector('#headline .text').textContent.startsWith('No connection since ')");
     assert_eq!(page.eval("document.body.classList.contains('stale')"), true);
     assert_eq!(page.eval("getComputedStyle(document.querySelector('#pose')).opacity"), "0.35");
     let _second = Daemon::start(&format!("monitor.listen = \"{at}\""));
@@ -176,44 +176,44 @@ fn a_daemon_that_died_leaves_a_grey_page_and_its_successor_a_live_one() {
 }
 
 #[test]
-fn a_stopped_daemon_is_no_news_and_an_ended_one_says_goodbye() {
+fn the_page_distinguishes_a_stopped_daemon_from_an_ended_one() {
     use rustix::process::Signal;
     let (mut daemon, _stream, at) = daemon("");
     let mut page = page(at);
     daemon.signal(Signal::STOP);
     page.until(
-        "document.querySelector('#verdict .text').textContent.startsWith('No news from the daemon since ')",
+        "document.querySelector('#headline .text').textContent.startsWith('No updates from the daemon since ')",
     );
     assert_eq!(page.eval("document.body.classList.contains('stale')"), true);
     daemon.signal(Signal::CONT);
     page.until(FINE);
     daemon.ends_in_order(Signal::TERM);
-    page.until("document.querySelector('#verdict .text').textContent.startsWith('No connection')");
+    page.until("document.querySelector('#headline .text').textContent.startsWith('No connection')");
 }
 
-/// Updates made for viewers so far.
+/// Number of updates made for viewers so far.
 fn updates(stream: &mut Stream) -> u64 {
     stream.heartbeat().counters["page_updates"]
 }
 
 #[test]
-fn a_hidden_page_gets_nothing_and_comes_back_with_its_whole_past() {
+fn a_hidden_page_receives_no_updates_and_returns_with_its_whole_history() {
     let (_daemon, mut stream, at) = daemon("");
     let mut page = page(at);
     page.until("document.querySelectorAll('.strips canvas').length >= 6");
     page.hide();
     page.until("document.hidden");
     stream.skip_to_now();
-    updates(&mut stream); // the one that was under way
+    updates(&mut stream); // an update may have been in transit
     let before = updates(&mut stream);
     stream.take(3000);
     stream.skip_to_now();
-    assert_eq!(updates(&mut stream), before, "updates are made for nobody");
+    assert_eq!(updates(&mut stream), before, "updates without a viewer");
     page.show();
     page.until(FINE);
     assert!(updates(&mut stream) > before);
     page.until("document.querySelector('.strips .chart').chart.data[0].length > 30");
-    // No hole where it was hidden.
+    // There is no gap for the time in which the page was hidden.
     let holes =
         page.eval("document.querySelector('.strips .chart').chart.data[3].filter((y) => y === null).length");
     assert_eq!(holes, 0);

@@ -4,12 +4,12 @@ use super::fixture::{Content, Recorder, recordings, same};
 use crate::testkit::{Folder, http, on};
 
 #[test]
-fn it_records_from_start_to_stop_and_says_so() {
+fn recording_runs_from_start_to_stop_and_the_status_reports_it() {
     let mut daemon = Recorder::start("acquisition.rate_hz = 500");
     daemon.runs_for(0.2);
     let (code, answer, _) = daemon.ctl(&["record", "status"]);
     assert_eq!((code, &answer["recording"], &answer["mode"]), (0, &false.into(), &"off".into()));
-    assert!(!daemon.folder().exists(), "nothing is recorded unless it is wanted");
+    assert!(!daemon.folder().exists(), "the default is no recording");
     let (code, answer, _) = daemon.ctl(&["record", "start"]);
     assert_eq!(code, 0, "{answer}");
     daemon.runs_for(1.0);
@@ -36,7 +36,7 @@ fn it_records_from_start_to_stop_and_says_so() {
 }
 
 #[test]
-fn files_follow_each_other_without_a_gap_and_the_oldest_go() {
+fn files_are_contiguous_and_the_oldest_are_deleted() {
     let mut daemon = Recorder::start(
         "acquisition.rate_hz = 4000\nrecording.mode = \"always\"\nrecording.compression = \"none\"\n\
          recording.rotate_mb = 1\nrecording.budget_gb = 0.003",
@@ -45,10 +45,10 @@ fn files_follow_each_other_without_a_gap_and_the_oldest_go() {
     for _ in 0..8 {
         let file = daemon.message("recorded");
         let exists = std::path::Path::new(file["file"].as_str().unwrap()).exists();
-        assert!(exists, "by the name that it has now: {file}");
+        assert!(exists, "the current name of the file: {file}");
         foreign.get_or_insert_with(|| {
             let file = daemon.folder().join("aaa.mcap");
-            std::fs::write(&file, "of somebody else").unwrap();
+            std::fs::write(&file, "of another program").unwrap();
             file
         });
     }
@@ -80,10 +80,10 @@ fn files_follow_each_other_without_a_gap_and_the_oldest_go() {
 }
 
 #[test]
-fn a_file_has_the_name_of_the_time_at_which_it_begins() {
+fn the_name_of_a_file_is_the_time_of_its_start() {
     let mut daemon = Recorder::start("acquisition.rate_hz = 500");
     for _ in 0..2 {
-        // Nothing is told to the recorder meanwhile.
+        // The recorder receives no command in this time.
         daemon.runs_for(1.5);
         assert_eq!(daemon.ctl(&["record", "start"]).0, 0);
         daemon.runs_for(0.3);
@@ -103,7 +103,7 @@ fn a_file_has_the_name_of_the_time_at_which_it_begins() {
 }
 
 #[test]
-fn a_file_with_nothing_in_it_is_not_kept() {
+fn a_file_without_samples_is_deleted() {
     let mut daemon = Recorder::start("acquisition.rate_hz = 1");
     daemon.waits("at all", |_| true);
     for _ in 0..3 {
@@ -113,7 +113,7 @@ fn a_file_with_nothing_in_it_is_not_kept() {
         }
     }
     daemon.stop();
-    // Now and then a sample comes just between.
+    // Occasionally a sample arrives between the two commands.
     assert!(
         daemon.log.iter().any(|line| line.to_string().contains("no samples received")),
         "{:#?}",
@@ -125,12 +125,12 @@ fn a_file_with_nothing_in_it_is_not_kept() {
 }
 
 #[test]
-fn two_daemons_in_one_folder_leave_the_files_of_each_other_alone() {
+fn two_daemons_in_one_folder_do_not_touch_each_others_files() {
     let mut first = Recorder::start(
         "acquisition.rate_hz = 2000\nrecording.mode = \"always\"\nrecording.compression = \"none\"",
     );
     first.message("recording");
-    // More than the budget of the second, and older than what it writes itself.
+    // More than the budget of the second daemon, and older than its own files.
     first.runs_for(2.5);
     let mut second = Recorder::start(&format!(
         "acquisition.rate_hz = 2000\nrecording.mode = \"always\"\nrecording.compression = \"none\"\n\
@@ -152,7 +152,7 @@ fn two_daemons_in_one_folder_leave_the_files_of_each_other_alone() {
 }
 
 #[test]
-fn bad_values_are_refused_by_name() {
+fn invalid_values_are_refused_by_name() {
     let folder = Folder::new();
     for (text, key) in [
         ("folder = \"\"", "recording.folder"),
@@ -173,12 +173,12 @@ fn bad_values_are_refused_by_name() {
             error.contains(key) && (error.contains("allowed") || error.contains("expected one of")),
             "{text}: {error}"
         );
-        assert_eq!(error.lines().count(), 1, "once: {error}");
+        assert_eq!(error.lines().count(), 1, "one line: {error}");
     }
 }
 
 #[test]
-fn check_says_what_is_recorded_and_where_it_cannot_be() {
+fn check_describes_the_recording_and_notes_an_unusable_folder() {
     let home = Folder::new();
     let check = |text: &str| {
         let done = on(&["check", "--config"], &home.write("lab.toml", format!("[recording]\n{text}\n")));
@@ -190,8 +190,8 @@ fn check_says_what_is_recorded_and_where_it_cannot_be() {
     for part in ["12 s before", "/here", "77 MB", "3.5 GB"] {
         assert!(told.contains(part), "{part}: {told}");
     }
-    assert!(!told.contains("recording.folder"), "the folder will be made: {told}");
-    assert!(!home.path("here").exists(), "but not now");
+    assert!(!told.contains("recording.folder"), "the folder is made later: {told}");
+    assert!(!home.path("here").exists(), "check does not make the folder");
     let told = check("mode = \"always\"\nfolder = \"missing/here\"");
     assert!(
         told.contains("note") && told.contains("recording.folder") && told.contains("/missing,"),
@@ -206,7 +206,7 @@ fn check_says_what_is_recorded_and_where_it_cannot_be() {
 const TOKEN: &str = "correct-horse-battery";
 
 #[test]
-fn the_page_may_record_with_the_token_and_no_file_holds_it() {
+fn the_page_can_record_with_the_token_and_no_file_contains_the_token() {
     let mut daemon = Recorder::start(&format!(
         "acquisition.rate_hz = 500\nmonitor.listen = \"127.0.0.1:0\"\nmonitor.control = true\n\
          monitor.token = \"{TOKEN}\"\nrecording.compression = \"none\""
@@ -218,7 +218,7 @@ fn the_page_may_record_with_the_token_and_no_file_holds_it() {
     };
     let gauge = || http::get(at, "/metrics").body.contains("\ntrifacet_recording 1");
     assert_eq!(order("another-secret-token", "start"), 401);
-    assert_eq!(order(TOKEN, "trigger"), 400, "not what the page has a button for");
+    assert_eq!(order(TOKEN, "trigger"), 400, "the page has no button for this");
     assert!(!gauge());
     assert_eq!(order(TOKEN, "start"), 200);
     assert!(gauge());

@@ -1,13 +1,13 @@
-//! What survives a daemon that is killed.
+//! The recording of a daemon that is killed.
 
 use super::fixture::{Content, Recorder, recordings, same};
 
-/// By the stream's own time: a flush each half second, and as much again for a machine that is busy.
+/// In the time of the stream: a flush each half second, and the same again for a busy machine.
 const MOST_LOST_S: f64 = 1.0;
 
 #[test]
-fn killed_at_any_moment_it_has_lost_at_most_the_last_second() {
-    // Moments that have nothing to do with the flushes: 20 of them, the same in each run.
+fn a_killed_daemon_loses_at_most_the_last_second() {
+    // 20 times that are not related to the flushes, the same in each run.
     for n in 0..20_u32 {
         let after_s = 0.7 + f64::from(n * 7919 % 1000) / 1000.0;
         let mut daemon = Recorder::start("acquisition.rate_hz = 1000\nrecording.mode = \"always\"");
@@ -29,7 +29,7 @@ fn killed_at_any_moment_it_has_lost_at_most_the_last_second() {
 }
 
 #[test]
-fn what_was_left_unfinished_is_found_by_the_next_daemon() {
+fn the_next_daemon_reports_unfinished_files() {
     let config = "acquisition.rate_hz = 200\nrecording.mode = \"always\"";
     let mut daemon = Recorder::start(config);
     daemon.runs_for(1.0);
@@ -41,5 +41,5 @@ fn what_was_left_unfinished_is_found_by_the_next_daemon() {
     next.stop();
     let files = recordings(&next.folder());
     let finished = files.iter().filter(|file| file.extension().unwrap() == "mcap").count();
-    assert_eq!((files.len(), finished), (2, 1), "what is not finished is left alone: {files:?}");
+    assert_eq!((files.len(), finished), (2, 1), "the unfinished file is not changed: {files:?}");
 }

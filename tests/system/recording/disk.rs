@@ -1,4 +1,4 @@
-//! A disk that is full, and a folder that is not there.
+//! A full disk, a missing folder, and failing writes.
 
 use std::process::Command;
 
@@ -7,9 +7,9 @@ use trifacet_wire::Status;
 use super::fixture::{Content, Recorder, recordings};
 use crate::testkit::Folder;
 
-/// A full disk: a small file system in memory, in a namespace of its own.
+/// A full disk: a small file system in memory in its own mount namespace.
 #[test]
-fn a_full_disk_harms_no_stream_and_recording_resumes_when_there_is_room() {
+fn a_full_disk_does_not_disturb_the_stream_and_recording_resumes_with_free_space() {
     let home = Folder::new();
     let disk = home.path("recordings");
     std::fs::create_dir(&disk).unwrap();
@@ -22,7 +22,7 @@ fn a_full_disk_harms_no_stream_and_recording_resumes_when_there_is_room() {
         &through,
     );
     daemon.waits("at all", |_| true);
-    // From outside, the disk is seen through the daemon's own eyes.
+    // The test accesses the disk through the root folder of the daemon in /proc.
     let pid = daemon.status()["pid"].as_u64().unwrap_or_else(|| panic!("a user namespace is needed here"));
     let inside = std::path::PathBuf::from(format!("/proc/{pid}/root{}", disk.display()));
     daemon.waits("with the fault", |frame| frame.status.has(Status::RECORDING_FAULT));
@@ -42,16 +42,16 @@ fn a_full_disk_harms_no_stream_and_recording_resumes_when_there_is_room() {
     assert_eq!(files.len(), 2, "{files:?}");
     let [first, second] = [Content::read(&files[0]), Content::read(&files[1])];
     assert!(!first.frames().is_empty() && !second.frames().is_empty());
-    assert_eq!((first.gaps, second.gaps), (0, 1), "the second says what is missing");
+    assert_eq!((first.gaps, second.gaps), (0, 1), "the second file records the gap");
     let stream = daemon.stop();
     let lost: u64 = stream.iter().map(|frame| u64::from(frame.lost)).sum();
     assert_eq!(lost, 0);
     let valid = stream.iter().filter(|frame| frame.status.has(Status::RECORDING_FAULT | Status::POSE_VALID));
-    assert!(valid.count() > 1000, "poses go on during the fault");
+    assert!(valid.count() > 1000, "poses continue during the fault");
 }
 
 #[test]
-fn a_folder_that_cannot_be_made_is_told_and_used_once_it_can() {
+fn a_folder_that_cannot_be_made_is_reported_and_used_as_soon_as_possible() {
     let mut daemon = Recorder::start(
         "acquisition.rate_hz = 200\nrecording.mode = \"always\"\nrecording.folder = \"missing/recordings\"",
     );
@@ -59,7 +59,7 @@ fn a_folder_that_cannot_be_made_is_told_and_used_once_it_can() {
     let (code, _, error) = daemon.ctl(&["record", "start"]);
     assert!(
         code == 74 && error.contains("missing/recordings"),
-        "it is wanted already, and cannot be: {error}"
+        "recording is enabled already and has a fault: {error}"
     );
     std::fs::create_dir(daemon.home.path("missing")).unwrap();
     daemon.waits("without the fault", |frame| !frame.status.has(Status::RECORDING_FAULT));
@@ -71,13 +71,16 @@ fn a_folder_that_cannot_be_made_is_told_and_used_once_it_can() {
 }
 
 #[test]
-fn a_start_that_cannot_be_is_refused_with_the_reason() {
+fn a_start_that_fails_is_refused_with_the_reason() {
     let daemon = Recorder::start("acquisition.rate_hz = 200\nrecording.folder = \"/proc/recordings\"");
     daemon.runs_for(0.2);
     let (code, answer, error) = daemon.ctl(&["record", "start"]);
     assert!(code == 74 && error.contains("/proc/recordings"), "{answer} {error}");
-    assert!(!daemon.waits("at all", |_| true).status.has(Status::RECORDING_FAULT), "nobody expects a file");
-    // Nor is it tried behind everybody's back.
+    assert!(
+        !daemon.waits("at all", |_| true).status.has(Status::RECORDING_FAULT),
+        "a fault without a request"
+    );
+    // The daemon does not retry a refused start.
     let (_, status, _) = daemon.ctl(&["record", "status"]);
     assert_eq!(status["recording"], false);
     let check = Command::new("ls").arg("/proc/recordings").output().unwrap();
@@ -85,7 +88,7 @@ fn a_start_that_cannot_be_is_refused_with_the_reason() {
 }
 
 #[test]
-fn a_folder_that_is_moved_away_is_noticed_and_made_anew() {
+fn a_folder_that_is_moved_away_is_detected_and_made_again() {
     let mut daemon = Recorder::start("acquisition.rate_hz = 500\nrecording.mode = \"always\"");
     daemon.runs_for(0.8);
     let moved = daemon.home.path("moved");
@@ -100,11 +103,11 @@ fn a_folder_that_is_moved_away_is_noticed_and_made_anew() {
     let ([old], [new]) = (old.as_slice(), new.as_slice()) else { panic!("{old:?} {new:?}") };
     assert!(!Content::read(old).frames().is_empty());
     let new = Content::read(new);
-    assert!(new.whole && new.gaps == 1, "the second says what is missing");
+    assert!(new.whole && new.gaps == 1, "the second file records the gap");
 }
 
 #[test]
-fn a_file_that_was_deleted_is_not_said_to_be_recorded() {
+fn a_deleted_file_is_not_reported_as_recorded() {
     let mut daemon = Recorder::start("acquisition.rate_hz = 500");
     daemon.runs_for(0.2);
     assert_eq!(daemon.ctl(&["record", "start"]).0, 0);
@@ -118,9 +121,9 @@ fn a_file_that_was_deleted_is_not_said_to_be_recorded() {
     assert!(recordings(&daemon.folder()).is_empty());
 }
 
-/// A write that fails late: at a limit of the system for the size of a file.
+/// A write that fails late, at the limit of the system for the size of a file.
 #[test]
-fn a_write_that_fails_is_told_with_its_reason_and_the_next_file_says_what_is_missing() {
+fn a_failed_write_is_reported_with_its_reason_and_the_next_file_records_the_gap() {
     let script = "trap '' XFSZ; ulimit -f 3000; exec \"$@\"";
     let mut daemon = Recorder::start_in(
         &Folder::new(),
@@ -131,14 +134,14 @@ fn a_write_that_fails_is_told_with_its_reason_and_the_next_file_says_what_is_mis
     assert!(error["message"].as_str().unwrap().contains("File too large"), "{error}");
     daemon.message("recording continues");
     let lost: u64 = daemon.stop().iter().map(|frame| u64::from(frame.lost)).sum();
-    assert_eq!(lost, 0, "the stream goes on");
+    assert_eq!(lost, 0, "the stream continues");
     let files = recordings(&daemon.folder());
     assert!(files.len() >= 2, "{files:?}");
     let [first, second] = [&files[0], &files[1]].map(|file| Content::read(file));
     assert_eq!((first.gaps, second.gaps), (0, 1));
     let [end, begin] = [first.sample_indices(), second.sample_indices()];
     let missing = begin[0] - end.last().unwrap() - 1;
-    // Of each sample, itself and its frame; the keyframes between.
+    // Two entries for each sample, the sample and its frame, and the keyframes.
     assert!(
         (2 * missing..2 * missing + 10).contains(&second.missing),
         "{missing} samples: {}",

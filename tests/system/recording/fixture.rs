@@ -1,4 +1,4 @@
-//! A daemon that records, and what is in its files.
+//! A daemon that records, and the contents of its files.
 
 use std::net::UdpSocket;
 use std::ops::{Deref, DerefMut};
@@ -15,10 +15,10 @@ use trifacet::recording::{Entry, Topic};
 
 use crate::testkit::{Daemon, Folder, PATIENCE, now_ns};
 
-/// What a daemon has sent, with a bell for news.
+/// The frames that a daemon has sent, with a notification of new ones.
 type Heard = Arc<(Mutex<Vec<PoseFrame>>, Condvar)>;
 
-/// A running daemon with everything that it sends.
+/// A running daemon with all frames that it sends.
 pub(crate) struct Recorder {
     daemon: Daemon,
     heard: Heard,
@@ -39,12 +39,12 @@ impl DerefMut for Recorder {
 }
 
 impl Recorder {
-    /// Starts one with these dotted keys.
+    /// Starts a daemon with these dotted keys.
     pub(crate) fn start(config: &str) -> Self {
         Self::start_in(&Folder::new(), config, &[])
     }
 
-    /// The same in a folder, by way of another program.
+    /// The same in a folder, started through another program.
     pub(crate) fn start_in(home: &Folder, config: &str, through: &[&str]) -> Self {
         let udp = UdpSocket::bind("127.0.0.1:0").unwrap();
         rustix::net::sockopt::set_socket_recv_buffer_size(&udp, 1 << 20).unwrap();
@@ -75,12 +75,12 @@ publishing.udp = [\"{to}\"]
         Self { daemon, heard }
     }
 
-    /// Everything that was sent so far and arrived.
+    /// All frames that have arrived so far.
     pub(crate) fn frames(&self) -> Vec<PoseFrame> {
         self.heard.0.lock().unwrap().clone()
     }
 
-    /// Waits for a frame from now on of which this is true.
+    /// Waits for a new frame that fulfils this condition.
     pub(crate) fn waits(&self, what: &str, is: impl Fn(&PoseFrame) -> bool) -> PoseFrame {
         let begin_ns = now_ns();
         let mut heard = self.heard.0.lock().unwrap();
@@ -95,37 +95,37 @@ publishing.udp = [\"{to}\"]
         }
     }
 
-    /// Waits until the stream has gone on for so many seconds of its own time.
+    /// Waits until the time stamps of the stream have advanced by this many seconds.
     pub(crate) fn runs_for(&self, seconds: f64) {
         let start = self.waits("at all", |_| true).time_ns;
         self.waits("later", |frame| (frame.time_ns - start) as f64 > seconds * 1e9);
     }
 
-    /// Where its recordings are.
+    /// The folder of the recordings.
     pub(crate) fn folder(&self) -> PathBuf {
         self.home.path("recordings")
     }
 
-    /// Ends it in order; gives every frame that it has sent.
+    /// Shuts the daemon down and returns all frames that it has sent.
     pub(crate) fn stop(&mut self) -> Vec<PoseFrame> {
         self.ends_in_order(Signal::TERM);
         self.frames()
     }
 }
 
-/// The recordings in a folder, the oldest first.
+/// The recordings in a folder, sorted from the oldest to the newest.
 pub(crate) fn recordings(folder: &Path) -> Vec<PathBuf> {
     let mut all: Vec<PathBuf> = std::fs::read_dir(folder).unwrap().map(|file| file.unwrap().path()).collect();
     all.sort();
     all
 }
 
-/// What a file holds: entries as far as it is whole, and what it says of gaps.
+/// The contents of a file: its readable entries and its gaps.
 #[derive(Default)]
 pub(crate) struct Content {
     pub(crate) entries: Vec<Entry>,
     pub(crate) gaps: u64,
-    /// Entries that are missing by those gaps.
+    /// Number of missing entries according to the gaps.
     pub(crate) missing: u64,
     pub(crate) whole: bool,
 }
@@ -166,7 +166,7 @@ impl Content {
     }
 }
 
-/// Every frame of the stream from the first to the last in the file is in the file, the same to the bit.
+/// Checks that the file contains every frame of the stream between its first and its last one, bit by bit.
 pub(crate) fn same(file: &[PoseFrame], stream: &[PoseFrame]) {
     let (first, last) = (file.first().unwrap().sequence, file.last().unwrap().sequence);
     assert_eq!(file.len() as u64, last - first + 1, "frames are missing in the file");

@@ -1,4 +1,4 @@
-//! Recordings, made by the real daemon on its twin, read by programs that know nothing of it and by ours.
+//! Recordings of a daemon on its twin, read by independent programs and by trifacet.
 
 mod command;
 mod crash;

@@ -1,4 +1,4 @@
-"""Reads a recording with three readers that know nothing of trifacet, and prints what they found.
+"""Reads a recording with three independent readers and prints the result.
 
 A line for each frame: its reader, and the bytes 8 to 187 of the pose frame (docs/stream.md) made of its fields.
 A line for each pose: its reader, time, position, orientation and the diagonal of the covariance.

@@ -1,4 +1,4 @@
-//! Programs that others wrote read what we record, and find in it what the stream said, bit by bit.
+//! Third-party programs read the recordings and find the frames of the stream, bit by bit.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fmt::Write as _;
@@ -17,7 +17,7 @@ fn python() -> std::path::PathBuf {
 }
 
 #[test]
-fn mcap_and_rosbags_find_the_frames_and_poses_of_the_stream() {
+fn mcap_and_rosbags_read_the_frames_and_poses_of_the_stream() {
     for compression in ["lz4", "zstd", "none"] {
         let mut daemon = Recorder::start(&format!(
             "acquisition.rate_hz = 500\nrecording.mode = \"always\"\nrecording.compression = \"{compression}\"\n\
@@ -61,7 +61,7 @@ fn compare(told: &str, recorded: &[PoseFrame]) {
     assert!(valid > 0 && valid < recorded.len());
     for reader in ["mcap", "rosbags"] {
         let mut found = frames[reader].clone();
-        // By time, some sort those of equal time in another way.
+        // Readers sort messages of equal time differently.
         found.sort_unstable();
         let mut expected: Vec<&str> = expected.iter().map(String::as_str).collect();
         expected.sort_unstable();
@@ -77,12 +77,12 @@ fn hex(bytes: &[u8]) -> String {
     })
 }
 
-/// Position to the bit; orientation and deviations to what their form allows.
+/// Position bit by bit; orientation and standard uncertainties within the rounding of their representation.
 fn pose(frame: &PoseFrame, numbers: &[f64]) {
     let [x, y, z, qx, qy, qz, qw, variances @ ..] = numbers else { panic!("{numbers:?}") };
     assert_eq!([*x, *y, *z], frame.pose[..3]);
     let [roll, pitch, yaw] = [frame.pose[3], frame.pose[4], frame.pose[5]];
-    // Small angles: half of each is in the quaternion.
+    // For small angles, the quaternion contains half of each.
     for (q, angle) in [(qx, roll), (qy, pitch), (qz, yaw)] {
         assert!((q - angle / 2.0).abs() < 1e-6, "{q} {angle}");
     }
@@ -93,7 +93,7 @@ fn pose(frame: &PoseFrame, numbers: &[f64]) {
     }
 }
 
-/// The example of the documentation does what it says.
+/// The example of the documentation runs and prints the described output.
 #[test]
 fn the_example_in_the_documentation_runs() {
     let text = std::fs::read_to_string("docs/recording.md").unwrap();

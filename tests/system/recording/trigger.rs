@@ -1,4 +1,4 @@
-//! Recordings that begin before the fault.
+//! Recordings triggered by a fault, with data from before it.
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -8,9 +8,9 @@ use trifacet_wire::Status;
 use super::fixture::{Content, Recorder, recordings, same};
 
 #[test]
-fn a_fault_is_recorded_once_with_what_was_before() {
+fn a_fault_is_recorded_once_with_the_time_before_it() {
     let mut faults = String::from("twin.fault = [");
-    // The second within the same episode.
+    // The second fault belongs to the same episode.
     for at_s in [6.0, 6.4] {
         write!(faults, "{{ at_s = {at_s:.1}, for_s = 0.2, kind = \"beam-blocked\" }},").unwrap();
     }
@@ -26,12 +26,12 @@ fn a_fault_is_recorded_once_with_what_was_before() {
     daemon.message("recorded");
     let stream = daemon.stop();
     let files = recordings(&daemon.folder());
-    assert_eq!(files.len(), 2, "one for the episode, one that was asked for: {files:?}");
+    assert_eq!(files.len(), 2, "one for the episode, one by command: {files:?}");
     let frames = Content::read(&files[0]).frames();
     same(&frames, &stream);
     let dark = stream.iter().find(|frame| frame.status.has(Status::PSD_A_LOW)).unwrap();
     let [before, after] = [dark.time_ns - frames[0].time_ns, frames.last().unwrap().time_ns - dark.time_ns];
-    // Whole stretches of a second are kept, and what is too old goes with the next of them: 2 to 4 s.
+    // The buffer keeps whole blocks of about a second and deletes an old block only as a whole: 2 to 4 s.
     assert!(before > 1_900_000_000 && before < 5_000_000_000, "{before} ns of 6 s");
     assert!(after > 900_000_000, "{after} ns");
     let frames = Content::read(&files[1]).frames();
@@ -45,9 +45,9 @@ fn recorded(daemon: &Recorder) -> BTreeSet<u64> {
 }
 
 #[test]
-fn faults_that_follow_each_other_closely_are_all_in_a_file() {
+fn faults_in_close_succession_are_all_recorded() {
     let mut faults = String::from("twin.fault = [");
-    // While the first file is about to end, and shortly after the next one has.
+    // While the first file is about to end, and shortly after the end of the next one.
     for at_s in [4.0, 5.05, 6.5] {
         write!(faults, "{{ at_s = {at_s:.2}, for_s = 0.1, kind = \"beam-blocked\" }},").unwrap();
     }
@@ -72,7 +72,7 @@ fn faults_that_follow_each_other_closely_are_all_in_a_file() {
 }
 
 #[test]
-fn nothing_is_missing_between_a_stop_and_a_trigger() {
+fn there_is_no_gap_between_a_stop_and_a_trigger() {
     let mut daemon = Recorder::start(
         "acquisition.rate_hz = 1000\nrecording.mode = \"on-fault\"\nrecording.before_s = 1.0\n\
          recording.after_s = 0.5",
@@ -90,5 +90,5 @@ fn nothing_is_missing_between_a_stop_and_a_trigger() {
     assert_eq!(recordings(&daemon.folder()).len(), 2);
     let recorded = recorded(&daemon);
     let [first, last] = [recorded.first().unwrap(), recorded.last().unwrap()];
-    assert_eq!(last - first + 1, recorded.len() as u64, "a stretch is missing");
+    assert_eq!(last - first + 1, recorded.len() as u64, "samples are missing");
 }

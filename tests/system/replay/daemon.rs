@@ -1,4 +1,4 @@
-//! A daemon whose source is a recording, and a recording of a daemon.
+//! A daemon that replays a recording, and the replay of a recording that a daemon made.
 
 use std::ops::{Deref, DerefMut};
 use std::path::Path;
@@ -51,7 +51,7 @@ monitor.listen = \"127.0.0.1:0\"
         self.udp.frame()
     }
 
-    /// Where TCP clients connect.
+    /// The address for TCP clients.
     pub(crate) fn tcp(&mut self) -> String {
         format!("tcp://{}", self.address())
     }
@@ -67,7 +67,7 @@ pub(crate) fn frames(file: &Path) -> Vec<PoseFrame> {
         .collect()
 }
 
-/// All that does not come from the moment of sending.
+/// The bytes of a frame without those that depend on the time of sending.
 pub(crate) fn bytes(mut frame: PoseFrame) -> Vec<u8> {
     (frame.session, frame.sequence, frame.solve_delay_ns, frame.send_delay_ns) = (0, 0, 0, 0);
     frame.status.0 &= !Status::REPLAYED.0;
@@ -75,7 +75,7 @@ pub(crate) fn bytes(mut frame: PoseFrame) -> Vec<u8> {
 }
 
 #[test]
-fn a_daemon_that_replays_sends_what_was_sent_then() {
+fn a_replaying_daemon_sends_the_original_frames() {
     let lab = Lab::new();
     let stalled = "[[twin.fault]]\nkind = 'stalled'\nat_s = 0.7\nfor_s = 0.3";
     let file = lab.record("a.mcap", stalled, 2000);
@@ -88,7 +88,7 @@ fn a_daemon_that_replays_sends_what_was_sent_then() {
         assert_eq!(bytes(now), bytes(*then), "frame {n}: {now:?}");
     }
     assert!(SystemClock.now().seconds_since(start) > 1.99, "at the recorded pace");
-    // Nothing steers, and that is said.
+    // Commands to the loop and the recorder are refused with the reason.
     for order in [&["loop", "on"] as &[_], &["park"], &["record", "start"], &["reload"]] {
         let (code, _, errors) = daemon.ctl(order);
         assert!(code == 65 && errors.contains("a recording is replayed"), "{order:?}: {code} {errors}");
@@ -100,7 +100,7 @@ fn a_daemon_that_replays_sends_what_was_sent_then() {
 }
 
 #[test]
-fn it_can_begin_again_and_does_not_steer_a_real_stage() {
+fn a_replay_can_repeat_and_refuses_a_real_stage() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "", 300);
     let then = frames(&file);
@@ -114,7 +114,7 @@ fn it_can_begin_again_and_does_not_steer_a_real_stage() {
     assert!(status["counters"]["replay_ends"].as_u64() >= Some(2), "{status}");
     daemon.ends_in_order(Signal::TERM);
     let told = daemon.log.iter().filter(|line| line["message"] == "the recording begins again").count();
-    assert_eq!(told, 1, "a log that is full of it helps nobody");
+    assert_eq!(told, 1, "the repetition is logged once");
     for (key, named) in
         [("steering.kind = 'gcs'", "steering.kind"), ("recording.mode = 'always'", "recording.mode")]
     {
@@ -125,12 +125,12 @@ fn it_can_begin_again_and_does_not_steer_a_real_stage() {
 }
 
 #[test]
-fn what_is_no_recording_is_refused_before_the_daemon_runs() {
+fn a_file_that_is_not_a_recording_is_refused_at_the_start() {
     let lab = Lab::new();
     lab.write("text.mcap", "not a recording");
     lab.write("empty.mcap", "");
     let file = lab.record("a.mcap", "", 10);
-    // Its entries are in its only chunk.
+    // All entries are in the only chunk.
     let bytes = std::fs::read(&file).unwrap();
     lab.write("head.mcap", &bytes[..40]);
     let fifo = lab.path("fifo.mcap");
@@ -155,7 +155,7 @@ fn what_is_no_recording_is_refused_before_the_daemon_runs() {
 }
 
 #[test]
-fn check_says_what_holds_in_a_replay_and_nothing_else() {
+fn check_prints_only_what_applies_to_a_replay() {
     let lab = Lab::new();
     lab.record("a.mcap", "head.psd_distance_mm = 300", 300);
     let config = lab.write("check.toml", "acquisition.source = 'replay'\nreplay.file = 'a.mcap'\n");
@@ -173,7 +173,7 @@ fn check_says_what_holds_in_a_replay_and_nothing_else() {
 }
 
 #[test]
-fn what_a_daemon_has_recorded_is_computed_again_bit_by_bit() {
+fn a_recording_of_a_daemon_replays_bit_by_bit() {
     let lab = Lab::new();
     let config = "recording = { folder = 'recordings', mode = 'always' }\nacquisition.rate_hz = 2000\n\
                   twin.channel_skew_us = 20\n[[twin.fault]]\nkind = 'stalled'\nat_s = 1.0\nfor_s = 0.3";

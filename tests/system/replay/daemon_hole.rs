@@ -1,4 +1,4 @@
-//! A replay across a hole in the recording, and behind its end.
+//! A replay across a gap in the recording, and after its end.
 
 use rustix::process::Signal;
 use serde_json::Value;
@@ -9,7 +9,7 @@ use super::daemon::{Player, bytes, frames};
 use super::fixture::Lab;
 use crate::testkit::{Daemon, http, on, run, trifacet, wait_for};
 
-/// Four chunks, of which the second cannot be read.
+/// A recording of four chunks, the second of which is unreadable.
 fn with_a_hole(lab: &Lab) -> Vec<PoseFrame> {
     let file = lab.record("a.mcap", "", 9000);
     let then = frames(&file);
@@ -20,7 +20,7 @@ fn with_a_hole(lab: &Lab) -> Vec<PoseFrame> {
     then
 }
 
-/// Nothing in it is of a sample, or of now.
+/// Checks that a frame contains neither a pose nor a lock, and that its time advances.
 fn is_silence(frame: &PoseFrame, before: &PoseFrame) {
     let down = Status::SOURCE_DOWN | Status::REPLAYED | Status::NOT_LOCKED;
     assert!(frame.status.has(down) && !frame.status.has(Status::POSE_VALID), "{frame:?}");
@@ -29,7 +29,7 @@ fn is_silence(frame: &PoseFrame, before: &PoseFrame) {
     assert!(frame.time_ns > before.time_ns, "{frame:?} after {before:?}");
 }
 
-/// Why `/readyz` is not ready: its first check, once the monitor has seen a frame.
+/// The reason of the first check of `/readyz`, once the monitor has received a frame.
 fn why_not_ready(daemon: &mut Daemon) -> Value {
     let at = daemon.monitor();
     wait_for("seen", || {
@@ -42,7 +42,7 @@ fn why_not_ready(daemon: &mut Daemon) -> Value {
 }
 
 #[test]
-fn frames_go_on_across_a_hole_and_the_first_behind_it_says_what_is_missing() {
+fn frames_continue_across_a_gap_and_the_first_one_after_it_contains_the_loss() {
     let lab = Lab::new();
     let then = with_a_hole(&lab);
     let mut daemon =
@@ -54,7 +54,7 @@ fn frames_go_on_across_a_hole_and_the_first_behind_it_says_what_is_missing() {
         let frame = daemon.frame();
         assert_eq!(frame.sequence, last.sequence + 1);
         if frame.status.has(Status::SOURCE_DOWN) {
-            assert!(behind.is_none(), "there is one hole: {frame:?}");
+            assert!(behind.is_none(), "a second gap: {frame:?}");
             is_silence(&frame, &last);
             silent += 1;
         } else {
@@ -68,9 +68,9 @@ fn frames_go_on_across_a_hole_and_the_first_behind_it_says_what_is_missing() {
         assert!(frame.time_ns >= last.time_ns);
         last = frame;
     }
-    let behind = behind.expect("a hole");
-    assert!(behind.lost > 2000 && silent > 10, "{silent} frames in the hole before {behind:?}");
-    // All else is as it was.
+    let behind = behind.expect("a gap");
+    assert!(behind.lost > 2000 && silent > 10, "{silent} frames in the gap before {behind:?}");
+    // All other frames are the original ones.
     for frame in now.iter_mut().filter(|frame| frame.sequence == behind.sequence) {
         frame.lost = 0;
         frame.status.0 &= !Status::SAMPLE_GAP.0;
@@ -87,7 +87,7 @@ fn frames_go_on_across_a_hole_and_the_first_behind_it_says_what_is_missing() {
 }
 
 #[test]
-fn at_the_end_everything_says_that_it_is_one() {
+fn the_end_of_a_replay_is_reported_everywhere() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "", 600);
     let then = frames(&file);
@@ -123,7 +123,7 @@ fn at_the_end_everything_says_that_it_is_one() {
 }
 
 #[test]
-fn the_doctor_sees_a_replay_and_no_wrong_clock() {
+fn the_doctor_detects_a_replay_and_no_clock_error() {
     let lab = Lab::new();
     lab.record("a.mcap", "", 2000);
     let config = "acquisition.source = 'replay'\nreplay = { file = 'a.mcap', repeat = true }";
@@ -137,7 +137,7 @@ fn the_doctor_sees_a_replay_and_no_wrong_clock() {
 }
 
 #[test]
-fn a_pace_that_no_machine_keeps_leaves_the_daemon_alive() {
+fn an_unattainable_replay_speed_does_not_end_the_daemon() {
     let lab = Lab::new();
     lab.record("a.mcap", "acquisition.rate_hz = 10000", 60_000);
     let config = "acquisition.source = 'replay'\nreplay = { file = 'a.mcap', speed = 1000, repeat = true }";

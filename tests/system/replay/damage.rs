@@ -1,4 +1,4 @@
-//! Damaged files: everything is reported, nothing is silently wrong, nothing crashes.
+//! Damaged files: all damage is reported, no data are wrong without a message, nothing crashes.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -61,7 +61,7 @@ pub(crate) fn split(file: &Path, first: &Path, second: &Path) {
     write(&entries[middle..], second);
 }
 
-/// Every entry, as text: what is on record.
+/// All readable entries as text.
 fn contents(file: &Path) -> (Vec<String>, usize, bool) {
     let mut reader = Reader::open(file, Reader::REPLAY).unwrap();
     let mut entries = Vec::new();
@@ -74,7 +74,7 @@ fn contents(file: &Path) -> (Vec<String>, usize, bool) {
 }
 
 #[test]
-fn of_many_flipped_bits_each_is_reported_or_harmless() {
+fn each_flipped_bit_is_reported_or_harmless() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", EVENTFUL, 5000);
     let good = std::fs::read(&file).unwrap();
@@ -83,7 +83,7 @@ fn of_many_flipped_bits_each_is_reported_or_harmless() {
     let known: BTreeSet<&String> = whole.iter().collect();
     let mut random = Pcg64Mcg::seed_from_u64(6);
     let mut reported = 0;
-    // Anywhere, and in the first bytes, where the definitions are.
+    // At random places, and in the first bytes with the definitions.
     for n in 0..64 {
         let at = random.random_range(0..if n < 48 { good.len() } else { 200 });
         let bit = random.random_range(0..8);
@@ -93,10 +93,10 @@ fn of_many_flipped_bits_each_is_reported_or_harmless() {
         let (entries, damages, fine) = contents(&bad);
         assert!(entries.iter().all(|entry| known.contains(entry)), "byte {at}, bit {bit}: wrong data");
         if fine {
-            assert_eq!(entries, whole, "byte {at}, bit {bit}: something is missing, and nothing says so");
+            assert_eq!(entries, whole, "byte {at}, bit {bit}: entries are missing without a message");
         } else {
             reported += 1;
-            // What was not damaged is there, and the commands live on.
+            // The undamaged entries are present, and the commands do not fail.
             assert!(
                 damages > 0 && entries.len() > whole.len() / 4,
                 "byte {at}, bit {bit}: {}",
@@ -115,7 +115,7 @@ fn of_many_flipped_bits_each_is_reported_or_harmless() {
 }
 
 #[test]
-fn a_replay_begins_again_ten_seconds_after_the_configuration_was_damaged() {
+fn after_damage_to_the_configuration_a_replay_continues_within_ten_seconds() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "acquisition.rate_hz = 500", 12_500);
     let mut bad = std::fs::read(&file).unwrap();
@@ -134,7 +134,7 @@ fn a_replay_begins_again_ten_seconds_after_the_configuration_was_damaged() {
 }
 
 #[test]
-fn a_torn_file_reads_up_to_its_last_chunk_wherever_it_is_torn() {
+fn a_truncated_file_is_readable_up_to_its_last_complete_chunk() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "acquisition.rate_hz = 5000", 10_000);
     let good = std::fs::read(&file).unwrap();
@@ -144,7 +144,7 @@ fn a_torn_file_reads_up_to_its_last_chunk_wherever_it_is_torn() {
     for length in lengths.into_iter().chain((0..20).map(|_| random.random_range(8..good.len()))) {
         let torn = lab.write("torn.mcap", &good[..length]);
         let (entries, _, fine) = contents(&torn);
-        assert!(!fine, "{length} bytes are not the whole file");
+        assert!(!fine, "{length} bytes accepted as the whole file");
         assert_eq!(entries, whole[..entries.len()], "{length} bytes");
     }
     let torn = lab.write("torn.mcap", &good[..good.len() / 2]);
@@ -158,7 +158,7 @@ fn a_torn_file_reads_up_to_its_last_chunk_wherever_it_is_torn() {
 }
 
 #[test]
-fn what_can_be_saved_makes_a_whole_file_and_the_old_one_stays() {
+fn recovery_writes_a_whole_file_and_keeps_the_original() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "acquisition.rate_hz = 5000", 20_000);
     let mut bad = std::fs::read(&file).unwrap();
@@ -176,14 +176,14 @@ fn what_can_be_saved_makes_a_whole_file_and_the_old_one_stays() {
     let new = lab.path("bad.recovered.mcap");
     let (entries, _, fine) = contents(&new);
     assert_eq!(entries, saved);
-    assert!(!fine, "it says what is missing");
+    assert!(!fine, "the recovered file records the gap");
     let done = on(&["recover"], &bad);
-    assert_eq!(done.code, 74, "the new file is there already: {}", done.err);
+    assert_eq!(done.code, 74, "the new file exists already: {}", done.err);
     assert!(done.err.contains("exists already"), "{}", done.err);
 }
 
 #[test]
-fn what_is_no_recording_is_refused_by_name() {
+fn other_files_are_refused_by_name() {
     let lab = Lab::new();
     let text = lab.write("notes.txt", "u_a_m,v_a_m\n".repeat(200));
     for command in ["info", "replay", "recover"] {
@@ -201,7 +201,7 @@ fn what_is_no_recording_is_refused_by_name() {
             done.err
         );
     }
-    // Another program's MCAP: fine as a file, and not ours.
+    // An MCAP file of another program: valid, but without entries of trifacet.
     let foreign = lab.path("foreign.mcap");
     let mut writer = mcap::Writer::new(File::create_new(&foreign).unwrap()).unwrap();
     let schema = writer.add_schema("std_msgs/msg/String", "ros2msg", b"string data").unwrap();
@@ -217,11 +217,12 @@ fn what_is_no_recording_is_refused_by_name() {
 }
 
 #[test]
-fn the_state_of_another_version_is_not_used_and_that_is_said() {
+fn the_state_of_another_version_is_not_used_and_this_is_reported() {
     let lab = Lab::new();
     let plain = lab.path("plain.mcap");
     write(&entries(&lab.record("a.mcap", "", 3000)), &plain);
-    // The version is a text in each keyframe, and the checksum of the chunk is none of its business here.
+    // The version is a text in each keyframe. The messages are written to a new file, so its
+    // checksums are valid.
     let mut messages = Vec::new();
     let mut reader = Reader::open(&plain, &[]).unwrap();
     while reader.raw(|topic, time_ns, data| messages.push((topic, time_ns, data.to_vec()))).unwrap() {}

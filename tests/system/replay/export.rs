@@ -1,4 +1,4 @@
-//! Tables of a recording.
+//! Export of tables from a recording.
 
 use std::process::Command;
 
@@ -7,7 +7,7 @@ use crate::testkit::{on, run, trifacet};
 
 #[test]
 #[cfg(not(feature = "parquet"))]
-fn a_build_without_parquet_says_so() {
+fn a_build_without_parquet_reports_the_missing_feature() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "", 100);
     let done = on(&["export", "--format", "parquet"], &file);
@@ -16,7 +16,7 @@ fn a_build_without_parquet_says_so() {
 }
 
 #[test]
-fn what_is_in_the_way_is_named_and_nothing_is_overwritten() {
+fn errors_name_the_file_and_nothing_is_overwritten() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "", 2000);
     let export = |args: &[&str]| run(trifacet(&["export"]).arg(&file).args(args));
@@ -33,7 +33,7 @@ fn what_is_in_the_way_is_named_and_nothing_is_overwritten() {
 }
 
 #[test]
-fn a_full_disk_ends_with_a_message_and_leaves_no_half_table() {
+fn a_full_disk_is_reported_and_leaves_no_partial_table() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "", 5000);
     let out = lab.path("out.csv");

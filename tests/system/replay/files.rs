@@ -1,4 +1,4 @@
-//! Files that are none, and files that are not whole yet.
+//! Special files, other formats, and files that are not yet complete.
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;
@@ -11,7 +11,7 @@ use super::fixture::Lab;
 use crate::testkit::{on, run, trifacet, wait_for};
 
 #[test]
-fn what_is_no_recording_is_bad_data_and_nobody_waits_for_it() {
+fn a_file_that_is_not_a_recording_is_refused_without_waiting() {
     let lab = Lab::new();
     let pipe = lab.path("pipe.mcap");
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
@@ -50,12 +50,12 @@ fn one_bad_file_does_not_hide_the_others() {
         done.out.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(lines.iter().map(|line| line["whole"] == true).collect::<Vec<_>>(), [true, false, true]);
     assert!(lines[1]["error"].as_str().unwrap().contains("not an MCAP file"), "{}", lines[1]);
-    // The worst is said at the end.
+    // The exit code is that of the most severe error.
     let done = run(trifacet(&["info"]).args([&lab.path("nothing.mcap"), &text, &good]));
     assert!(done.code == 74 && done.err.contains("2 of 3"), "{}", done.err);
 }
 
-/// Names in a folder.
+/// The names of the files in a folder.
 fn names(lab: &Lab) -> Vec<String> {
     let inside = fs::read_dir(lab.path("")).unwrap();
     let mut names: Vec<_> = inside.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
@@ -64,7 +64,7 @@ fn names(lab: &Lab) -> Vec<String> {
 }
 
 #[test]
-fn a_full_disk_leaves_no_half_file() {
+fn a_full_disk_leaves_no_partial_file() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "", 5000);
     let before = names(&lab);
@@ -88,14 +88,14 @@ fn a_full_disk_leaves_no_half_file() {
 }
 
 #[test]
-fn a_replay_that_is_interrupted_leaves_nothing() {
+fn an_interrupted_replay_leaves_no_file() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "", 1000);
     let (before, out) = (names(&lab), lab.path("out.csv"));
     let mut command = trifacet(&["replay", "--speed", "0.001", "--output"]);
     let mut child = command.arg(&out).arg(&file).stderr(Stdio::null()).spawn().unwrap();
     let files = format!("/proc/{}/fd", child.id());
-    wait_for("a file that it writes", || {
+    wait_for("a file that replay writes", || {
         let mut open = fs::read_dir(&files).unwrap().filter_map(|fd| fs::read_link(fd.ok()?.path()).ok());
         let begun = open.any(|to| to.starts_with(lab.path("")) && to != file);
         begun.then_some(()).ok_or_else(|| "none".into())
@@ -107,7 +107,7 @@ fn a_replay_that_is_interrupted_leaves_nothing() {
 }
 
 #[test]
-fn a_new_file_is_for_those_who_may_read_its_source() {
+fn a_new_file_has_the_permissions_of_its_source() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "", 500);
     fs::set_permissions(&file, Permissions::from_mode(0o600)).unwrap();
@@ -121,7 +121,7 @@ fn a_new_file_is_for_those_who_may_read_its_source() {
 }
 
 #[test]
-fn a_table_goes_to_standard_output_and_its_name_does_not_lie() {
+fn tables_can_go_to_standard_output_and_the_extension_must_match_the_format() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "", 300);
     let export = |args: &[&str]| run(trifacet(&["export"]).args(args).arg(&file).current_dir(lab.path("")));
@@ -135,11 +135,12 @@ fn a_table_goes_to_standard_output_and_its_name_does_not_lie() {
 }
 
 #[test]
-fn a_damaged_index_costs_no_data_and_that_is_said() {
+fn a_damaged_index_loses_no_data_and_is_reported() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "", 3000);
     let mut bad = fs::read(&file).unwrap();
-    // The end of the data is a record of 13 bytes that begins with 0x0f; behind it stand the definitions again.
+    // The end of the data is a record of 13 bytes that begins with 0x0f; the definitions follow again after
+    // it.
     let end = bad.windows(9).rposition(|w| *w == [0x0f, 4, 0, 0, 0, 0, 0, 0, 0]).unwrap();
     bad[end + 13] = 0xee;
     let bad = lab.write("bad.mcap", &bad);

@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use crate::testkit::{Folder, run, trifacet};
 
-/// A folder with recordings.
+/// A temporary folder with recordings.
 pub(crate) struct Lab(pub(crate) Folder);
 
-/// Everything that can happen to samples, within three seconds at 2 kHz.
+/// All faults of samples within three seconds at 2 kHz.
 pub(crate) const EVENTFUL: &str = "
     acquisition.rate_hz = 2000
     estimation.fuse_steering = true
@@ -42,7 +42,7 @@ impl Lab {
         self.0.write(name, bytes)
     }
 
-    /// So many scans of the twin with this configuration.
+    /// Records this number of scans of the twin with this configuration.
     pub(crate) fn record(&self, name: &str, config: &str, samples: u32) -> PathBuf {
         let config = self.write("lab.toml", config);
         let file = self.path(name);

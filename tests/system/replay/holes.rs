@@ -1,4 +1,4 @@
-//! What is missing on record is told, by whatever it went missing, and never computed across.
+//! Gaps in a recording, of any cause, are reported, and no frame is computed across them.
 
 use std::fs::File;
 
@@ -11,7 +11,7 @@ use super::damage::{Broken, entries, split, write};
 use super::fixture::Lab;
 use crate::testkit::{Done, on, run, trifacet};
 
-/// All that can be computed came out as it was, and something could not be.
+/// Checks that all computed frames are identical, and that some frames could not be computed.
 fn not_all(done: &Done) {
     let same = done.out.split(' ').next().unwrap();
     assert!(
@@ -29,7 +29,7 @@ fn not_all(done: &Done) {
 }
 
 #[test]
-fn a_saved_recording_says_where_it_was_damaged() {
+fn a_recovered_recording_reports_the_place_of_the_damage() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "acquisition.rate_hz = 5000", 20_000);
     let mut bad = std::fs::read(&file).unwrap();
@@ -54,7 +54,7 @@ fn a_saved_recording_says_where_it_was_damaged() {
 }
 
 #[test]
-fn what_comes_out_of_a_damaged_recording_says_so_too() {
+fn the_output_of_a_damaged_recording_records_the_damage() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "acquisition.rate_hz = 5000", 20_000);
     let mut bad = std::fs::read(&file).unwrap();
@@ -71,14 +71,14 @@ fn what_comes_out_of_a_damaged_recording_says_so_too() {
 }
 
 #[test]
-fn a_hole_that_nobody_told_of_is_found() {
+fn a_gap_without_a_record_is_detected() {
     let lab = Lab::new();
     let all = entries(&lab.record("a.mcap", "", 5000));
     let nth = |from: usize, is: fn(&Entry) -> bool| (from..all.len()).find(|i| is(&all[*i])).unwrap();
     let sample = |e: &Entry| matches!(e, Entry::Sample { .. });
     let frame = |e: &Entry| matches!(e, Entry::Frame { .. });
     let cut = lab.path("cut.mcap");
-    // From a sample to another; and between samples and their frames.
+    // Gaps between samples, and between samples and their frames.
     for is in [sample as fn(&Entry) -> bool, frame] {
         let (from, to) = (nth(3000, is), nth(5000, is));
         write(&[&all[..from], &all[to..]].concat(), &cut);
@@ -87,7 +87,7 @@ fn a_hole_that_nobody_told_of_is_found() {
         not_all(&on(&["replay"], &cut));
         std::fs::remove_file(&cut).unwrap();
     }
-    // Up to a keyframe, all the same; nothing is missing then in what can be computed.
+    // A gap up to a keyframe is reported too, although all remaining frames can be computed.
     let to = nth(3500, |e| matches!(e, Entry::Keyframe(_)));
     write(&[&all[..3000], &all[to..]].concat(), &cut);
     assert!(on(&["info"], &cut).out.contains("a keyframe after sample"));
@@ -101,7 +101,7 @@ fn a_hole_that_nobody_told_of_is_found() {
 }
 
 #[test]
-fn of_what_the_recorder_left_out_further_on_nothing_is_computed_and_one_gap_is_enough() {
+fn one_gap_record_covers_a_later_gap_of_the_recorder() {
     let lab = Lab::new();
     let all = entries(&lab.record("a.mcap", "", 5000));
     let keyframe = |from: usize| (from..all.len()).find(|i| matches!(all[*i], Entry::Keyframe(_))).unwrap();
@@ -109,7 +109,7 @@ fn of_what_the_recorder_left_out_further_on_nothing_is_computed_and_one_gap_is_e
     let file = lab.path("behind.mcap");
     let mut writer = Writer::new(File::create_new(&file).unwrap(), None).unwrap();
     let mut encoder = Encoder::new((Mono(0), 0));
-    // The queue was full while much of it still waited: the gap comes first, and the hole behind it.
+    // The queue was full with entries still waiting: the gap record precedes the missing entries.
     for (i, entry) in all.iter().enumerate().filter(|(i, _)| !(4500..to).contains(i)) {
         if i == early {
             let told = encoder.gap(1000, "too slow", |message| writer.put(message).map_err(Broken::from));
@@ -131,7 +131,7 @@ fn of_what_the_recorder_left_out_further_on_nothing_is_computed_and_one_gap_is_e
 }
 
 #[test]
-fn a_configuration_that_changed_in_a_damaged_place_is_waited_for() {
+fn after_a_change_of_configuration_in_a_damaged_part_the_replay_waits_for_the_new_one() {
     let lab = Lab::new();
     let before = entries(&lab.record("a.mcap", "", 30_000));
     let after = entries(&lab.record("b.mcap", "frames.tare.translation_mm = [0.1, 0, 0]", 30_000));
@@ -142,7 +142,7 @@ fn a_configuration_that_changed_in_a_damaged_place_is_waited_for() {
     let mut encoder = Encoder::new((Mono(0), 0));
     let mut place = [0; 2];
     for (i, entry) in before[..keyframe].iter().chain(&after[keyframe..]).enumerate() {
-        // The keyframe with the new configuration has a chunk of its own, and its sample.
+        // The keyframe with the new configuration has its own chunk, together with its sample.
         if i == keyframe || i == keyframe + 3 {
             writer.flush().unwrap();
             place[usize::from(i > keyframe)] = to.metadata().unwrap().len() as usize;
@@ -158,11 +158,11 @@ fn a_configuration_that_changed_in_a_damaged_place_is_waited_for() {
     not_all(&done);
     assert!(done.err.contains("the configuration has changed in a part that cannot be read"), "{}", done.err);
     let same: u32 = done.out.split(' ').next().unwrap().parse().unwrap();
-    assert!(same > 15_000, "it goes on where the configuration comes again: {}", done.out);
+    assert!(same > 15_000, "the replay continues at the next configuration: {}", done.out);
 }
 
 #[test]
-fn files_that_do_not_follow_each_other_are_told() {
+fn files_that_are_not_contiguous_are_reported() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "", 9000);
     let [one, rest, two, three] = ["1.mcap", "rest.mcap", "2.mcap", "3.mcap"].map(|name| lab.path(name));
@@ -184,7 +184,7 @@ fn files_that_do_not_follow_each_other_are_told() {
         assert!(done.code == 0 && done.err.contains(told), "{files:?}: {} {}", done.code, done.err);
         assert!(done.out.contains("from 2 keyframes"), "{}", done.out);
     }
-    // Another run of the daemon counts anew, by another name.
+    // Another run of the daemon starts its count again with another session number.
     let mut other = entries(&one);
     for entry in &mut other {
         if let Entry::Frame { frame, .. } = entry {
@@ -198,7 +198,7 @@ fn files_that_do_not_follow_each_other_are_told() {
 }
 
 #[test]
-fn what_comes_out_has_the_time_of_the_recording_from_its_first_message_on() {
+fn the_output_of_a_replay_has_the_time_of_the_recording_from_the_first_message_on() {
     let lab = Lab::new();
     let mut then = entries(&lab.record("a.mcap", "estimation.average = 7", 2000));
     for entry in &mut then {

@@ -1,4 +1,4 @@
-//! The same poses come out.
+//! A replay computes the same poses.
 
 use trifacet::clock::SystemClock;
 use trifacet::core::time::Clock;
@@ -7,7 +7,7 @@ use super::fixture::{EVENTFUL, Lab};
 use crate::testkit::{on, run, trifacet};
 
 #[test]
-fn every_frame_is_identical_and_the_code_says_so() {
+fn all_frames_are_identical_and_the_exit_code_is_0() {
     let lab = Lab::new();
     let means = "estimation.average = 7\nacquisition.rate_hz = 5000";
     for (name, config) in [("a.mcap", EVENTFUL), ("b.mcap", means), ("c.mcap", "estimation.model = 'ray'")] {
@@ -17,7 +17,7 @@ fn every_frame_is_identical_and_the_code_says_so() {
         let frames: Vec<u64> =
             done.out.split_ascii_whitespace().filter_map(|word| word.parse().ok()).take(2).collect();
         assert!(frames[0] == frames[1] && frames[0] > 800, "{}", done.out);
-        assert!(done.out.contains("from 1 keyframe,"), "it goes on by itself: {}", done.out);
+        assert!(done.out.contains("from 1 keyframe,"), "computed from the first keyframe only: {}", done.out);
     }
 }
 
@@ -33,15 +33,16 @@ fn another_configuration_gives_statistics_and_a_recording_of_its_own() {
     let tx = done.out.lines().find(|line| line.starts_with("tx")).unwrap();
     let mean: f64 = tx.split_ascii_whitespace().nth(2).unwrap().parse().unwrap();
     assert!((mean + 100.0).abs() < 1e-3, "{}", done.out);
-    // What came out is a recording itself, and is computed again from itself.
+    // The output is a recording itself and can be replayed.
     let again = on(&["replay"], &new);
     assert_eq!(again.code, 0, "{} {}", again.out, again.err);
     assert!(again.out.contains("3000 of 3000"), "{}", again.out);
-    // The same configuration from a cold start is the same, as the recording began cold.
+    // The same configuration from a cold start gives the same frames, because the recording began with a
+    // cold start.
     let same = lab.write("same.toml", "");
     let done = run(trifacet(&["replay", "--config"]).arg(&same).arg(&file));
     assert!(done.out.contains("3000 are identical"), "{}", done.out);
-    // One that blinds it says why there is no pose.
+    // For a configuration without valid poses, the reason is printed.
     let blind = lab.write("blind.toml", "channels.sum_threshold_v = 50.0");
     let done = run(trifacet(&["replay", "--config"]).arg(&blind).arg(&file));
     assert!(done.code == 0 && done.out.contains("3000 say PSD_A_LOW PSD_B_LOW PSD_C_LOW"), "{}", done.out);
@@ -49,8 +50,8 @@ fn another_configuration_gives_statistics_and_a_recording_of_its_own() {
 }
 
 #[test]
-fn a_replay_that_differs_says_where_and_by_how_much() {
-    // Another recording's frames beside these samples: what a program would write whose solver has changed.
+fn differences_are_reported_with_place_and_size() {
+    // Frames of another recording with these samples, as from a program with a changed solver.
     let lab = Lab::new();
     let file = lab.record("a.mcap", "", 500);
     let table = lab.path("a.csv");
@@ -67,7 +68,7 @@ fn a_replay_that_differs_says_where_and_by_how_much() {
 }
 
 #[test]
-fn files_of_a_rotated_recording_follow_each_other_and_each_stands_alone() {
+fn files_of_a_rotated_recording_replay_together_and_separately() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", EVENTFUL, 6000);
     let (first, second) = (lab.path("1.mcap"), lab.path("2.mcap"));
@@ -82,13 +83,13 @@ fn files_of_a_rotated_recording_follow_each_other_and_each_stands_alone() {
 }
 
 #[test]
-fn the_recorded_pace_is_kept() {
+fn the_replay_speed_is_kept() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "", 1000);
     let start = SystemClock.now();
     let done = run(trifacet(&["replay", "--speed", "2"]).arg(&file));
     assert_eq!(done.code, 0, "{}", done.err);
-    assert!(SystemClock.now().seconds_since(start) >= 0.499, "a second, twice as fast");
+    assert!(SystemClock.now().seconds_since(start) >= 0.499, "one second at double speed");
     let done = run(trifacet(&["replay", "--speed", "0"]).arg(&file));
     assert_eq!(done.code, 64, "{}", done.err);
     assert!(done.err.contains("--speed 0"), "{}", done.err);

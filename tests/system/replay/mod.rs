@@ -1,4 +1,4 @@
-//! Recordings computed again, looked at, saved and exported, through the binary.
+//! Replay, inspection, recovery and export of recordings through the binary.
 
 mod daemon;
 mod daemon_hole;

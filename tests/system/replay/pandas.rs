@@ -28,7 +28,7 @@ fn pandas_reads_the_same_numbers_from_both_forms_bit_by_bit() {
 }
 
 #[test]
-fn more_rows_than_fit_into_a_group_are_all_there() {
+fn rows_beyond_one_row_group_are_complete() {
     let lab = Lab::new();
     let file = lab.record("a.mcap", "acquisition.rate_hz = 20000", 70_000);
     assert_eq!(on(&["export", "--format", "parquet"], &file).code, 0);

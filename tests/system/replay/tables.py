@@ -1,4 +1,4 @@
-"""The tables that trifacet export has written at PATH: CSV and Parquet say the same, bit by bit."""
+"""Checks that the tables of trifacet export at PATH agree bit by bit as CSV and Parquet."""
 
 import struct
 import sys

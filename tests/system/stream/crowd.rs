@@ -1,4 +1,4 @@
-//! Many clients of a daemon at once: none of them costs another one a frame, or the daemon a sample.
+//! Many clients of a daemon at once: no client costs another one a frame or the daemon a sample.
 
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -18,7 +18,7 @@ async fn connect(address: SocketAddr) -> Client {
     client
 }
 
-/// Reads so many frames at least; gives back what was lost, and the last heartbeat.
+/// Reads more than `enough` frames, up to a heartbeat; returns their number, the losses, and the heartbeat.
 async fn read(mut client: Client, enough: u64) -> (u64, Losses, Heartbeat) {
     let mut frames = 0;
     loop {
@@ -67,7 +67,8 @@ async fn of_64_clients_at_1_khz_one_stalls_and_the_others_lose_nothing() {
         refused = refused.max(reader.2.counters["tcp_refused"]);
     }
     assert_eq!(refused, 1);
-    // 5000 lines of JSON fit neither the queue nor the sockets. It is evicted, and what it missed counted.
+    // 5000 lines of JSON exceed the queue and the sockets: the client is disconnected, and its missed
+    // frames are counted.
     let mut recorder = connect(address).await;
     let counted = async {
         loop {
@@ -78,12 +79,12 @@ async fn of_64_clients_at_1_khz_one_stalls_and_the_others_lose_nothing() {
             }
         }
     };
-    timeout(Duration::from_mins(1), counted).await.expect("the stalled client is evicted");
+    timeout(Duration::from_mins(1), counted).await.expect("the stalled client is disconnected");
     drop(stalled);
 }
 
 #[tokio::test]
-async fn two_hundred_that_come_and_go_cost_the_others_nothing() {
+async fn two_hundred_clients_that_come_and_go_cost_the_others_no_frame() {
     let mut daemon = publishing("tcp = '127.0.0.1:0'\nudp = []\ntcp_queue = 4096\ntcp_clients = 250");
     let address = daemon.address();
     let steady = tokio::spawn(read(connect(address).await, 3000));
@@ -98,13 +99,13 @@ async fn two_hundred_that_come_and_go_cost_the_others_nothing() {
             }
             _ => {
                 visitor.write_all(b"stream\npose?\n").await.unwrap();
-                visitor.set_zero_linger().unwrap(); // ends with a reset
+                visitor.set_zero_linger().unwrap(); // closes with a reset
             }
         }
         sleep(Duration::from_millis(8)).await;
     }
     nothing_lost(&steady.await.unwrap());
-    // All places are free again: as many as there are can be taken at once.
+    // All places are free again: all of them can be taken at once.
     let mut all = Vec::new();
     for _ in 0..250 {
         all.push(connect(address).await);

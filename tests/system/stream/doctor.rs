@@ -1,4 +1,4 @@
-//! `trifacet doctor`: each trouble is named, with what to do.
+//! `trifacet doctor` reports each problem and its remedy.
 
 use std::io::Write;
 use std::net::{TcpListener, UdpSocket};
@@ -9,23 +9,23 @@ use trifacet::exit;
 use super::fixture::{frame, publishing};
 use crate::testkit::{run, trifacet};
 
-/// Exit code, and what it says.
+/// The exit code and the output.
 fn doctor(args: &[&str]) -> (i32, String) {
     let done = run(trifacet(&["doctor"]).args(args));
     (done.code, done.out + &done.err)
 }
 
-/// It says all this, and that nothing valid comes.
+/// Checks that the output contains these texts, and that there are no valid poses.
 fn wrong(args: &[&str], told: &[&str]) {
     let (code, text) = doctor(args);
     assert_eq!(code, i32::from(exit::UNAVAILABLE), "{text}");
     for part in told.iter().chain(&["WRONG", "->"]) {
-        assert!(text.contains(part), "lacks {part}:\n{text}");
+        assert!(text.contains(part), "does not contain {part}:\n{text}");
     }
 }
 
 #[test]
-fn a_daemon_that_is_fine_is_said_to_be_over_every_way() {
+fn a_daemon_without_faults_is_reported_as_such_over_every_transport() {
     let receiver = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let keys = format!("tcp = '127.0.0.1:0'\nudp = ['{receiver}']\nsubscribe = '127.0.0.1:0'");
     let mut daemon = publishing(&keys);
@@ -40,7 +40,7 @@ fn a_daemon_that_is_fine_is_said_to_be_over_every_way() {
 }
 
 #[test]
-fn what_is_wrong_with_the_light_is_said() {
+fn faults_of_the_light_are_reported() {
     let mut daemon = publishing(
         "tcp = '127.0.0.1:0'\nudp = []\n[centering]\nsearch = false\n[[twin.fault]]\nat_s = 0.0\nkind = 'psd-dark'\npsd = 1",
     );
@@ -55,7 +55,7 @@ fn what_is_wrong_with_the_light_is_said() {
 }
 
 #[test]
-fn what_is_wrong_with_the_link_is_said() {
+fn faults_of_the_link_are_reported() {
     let closed = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     wrong(&[&format!("tcp://{closed}")], &["nothing listens", "trifacet run"]);
     wrong(&[&format!("subscribe://{closed}")], &["no server for subscriptions", "[publishing] subscribe"]);
@@ -70,7 +70,7 @@ fn what_is_wrong_with_the_link_is_said() {
 }
 
 #[test]
-fn why_no_datagram_arrives_is_said() {
+fn the_reason_for_missing_datagrams_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("lab.toml");
     let closed = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
@@ -88,7 +88,7 @@ fn why_no_datagram_arrives_is_said() {
     );
 }
 
-/// A server that says this to everyone.
+/// A server that sends these bytes to every client.
 fn serve(bytes: Vec<u8>) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
@@ -107,7 +107,7 @@ fn serve(bytes: Vec<u8>) -> String {
 }
 
 #[test]
-fn another_version_another_program_and_another_clock_are_told_apart() {
+fn another_version_another_program_and_a_clock_error_are_distinguished() {
     let mut other = frame(0).encode();
     other[4] = 9;
     let crc = crc32fast::hash(&other[..188]);
@@ -115,7 +115,7 @@ fn another_version_another_program_and_another_clock_are_told_apart() {
     wrong(&[&serve(other.to_vec())], &["version 9.0", "same version"]);
     wrong(&[&serve(b"220 mail ready\r\n".to_vec())], &["do not belong to this stream", "another program"]);
     wrong(&[&serve(Vec::new())], &["sends nothing"]);
-    // Frames of 1970 are valid poses all the same.
+    // Frames with times of 1970 still contain valid poses.
     let old: Vec<u8> = (0..10).flat_map(|n| PoseFrame { time_ns: 0, ..frame(n) }.encode()).collect();
     let (code, text) = doctor(&[&serve(old)]);
     assert_eq!(code, 0, "{text}");

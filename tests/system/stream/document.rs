@@ -1,4 +1,5 @@
-//! `docs/stream.md` is true: its tables are those of the code, its example decodes and comes back byte for byte.
+//! `docs/stream.md` agrees with the code: its tables are the same, and its example decodes and encodes to
+//! the same bytes.
 
 use trifacet::client::PoseFrame;
 use trifacet_wire::byte_order::big_endian;
@@ -8,7 +9,7 @@ use trifacet_wire::{LockState, Status};
 
 const DOCUMENT: &str = include_str!("../../../docs/stream.md");
 
-/// The cells of the table rows under a heading, without the head of the table.
+/// The cells of the table rows under a heading, without the header of the table.
 fn table(heading: &str) -> Vec<Vec<String>> {
     let section = DOCUMENT.split("\n## ").find(|s| s.starts_with(heading)).expect(heading);
     let rows = section.lines().filter(|l| l.starts_with('|'));
@@ -25,7 +26,7 @@ fn dump(start: &str) -> Vec<u8> {
 }
 
 #[test]
-fn the_byte_table_is_that_of_the_code() {
+fn the_byte_table_agrees_with_the_code() {
     let documented: Vec<_> = table("The pose frame").into_iter().map(|row| row[..4].to_vec()).collect();
     let coded: Vec<_> = FIELDS
         .iter()
@@ -54,7 +55,7 @@ fn every_status_bit_and_lock_state_is_documented() {
 }
 
 #[test]
-fn the_example_decodes_to_what_the_text_says_and_comes_back() {
+fn the_example_decodes_to_the_described_values_and_encodes_to_the_same_bytes() {
     let bytes = dump("54 46 50 31 01 00 c0");
     let frame = PoseFrame::decode(&bytes).unwrap();
     let expected = PoseFrame {
@@ -94,7 +95,7 @@ fn first_words(after: &str) -> Vec<String> {
 }
 
 #[test]
-fn what_can_be_said_is_documented_and_understood() {
+fn all_commands_are_documented_and_all_documented_commands_are_valid() {
     let commands = first_words("## TCP: lines");
     assert_eq!(commands[1..6], ["pose?", "status?", "descriptor?", "help", "bye"]);
     for command in &commands[1..6] {
@@ -102,11 +103,14 @@ fn what_can_be_said_is_documented_and_understood() {
     }
     let options = first_words("Options of `stream`");
     for option in ["format", "divider", "rate_hz", "fields", "held"] {
-        assert!(options.iter().any(|o| o.starts_with(&format!("{option}="))), "{options:?} lack {option}");
+        assert!(
+            options.iter().any(|o| o.starts_with(&format!("{option}="))),
+            "{options:?} do not contain {option}"
+        );
         assert!(ClientCommand::help().contains(&format!("{option}=")));
     }
     assert_eq!(options.len(), 5);
-    // What the examples of a subscription say is understood too.
+    // The examples of subscriptions are valid too.
     let asks = DOCUMENT.lines().filter_map(|l| l.strip_prefix("> ")).filter(|l| l.contains("subscribe "));
     assert_eq!(
         asks.filter(|ask| matches!(SubscriptionRequest::parse(ask.as_bytes()), Some(Ok(_)))).count(),
@@ -115,7 +119,7 @@ fn what_can_be_said_is_documented_and_understood() {
 }
 
 #[test]
-fn the_masks_for_controllers_are_those_of_the_bits() {
+fn the_masks_for_controllers_agree_with_the_bits() {
     let page = include_str!("../../../docs/plc.md");
     let mut bits = 0;
     for line in page.lines().filter_map(|l| {
@@ -132,7 +136,7 @@ fn the_masks_for_controllers_are_those_of_the_bits() {
 }
 
 #[test]
-fn the_example_of_a_message_is_one() {
+fn the_example_of_a_message_decodes() {
     let bytes = dump("54 46 45 31");
     let mut decoder = Decoder::default();
     decoder.push(&bytes);

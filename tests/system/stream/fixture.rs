@@ -1,4 +1,4 @@
-//! A TCP server with frames made by hand, and a daemon that publishes.
+//! A TCP server with frames from the test, and a daemon that publishes.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -19,7 +19,7 @@ use crate::testkit::Daemon;
 
 const ID: StreamId = StreamId { session: 11, config: 22 };
 
-/// A running server, fed by hand.
+/// A running server with frames from the test.
 pub(crate) struct Server {
     pub(crate) address: SocketAddr,
     pub(crate) frames: mpsc::Sender<PoseFrame>,
@@ -75,7 +75,7 @@ pub(crate) fn frame(sequence: u64) -> PoseFrame {
     }
 }
 
-/// A daemon on its twin with these keys of `[publishing]`, and tables after them.
+/// A daemon on its twin with these keys of `[publishing]` and the tables that follow them.
 pub(crate) fn publishing(keys: &str) -> Daemon {
     Daemon::start(&format!("[publishing]\n{keys}\n"))
 }

@@ -1,4 +1,4 @@
-//! What TCP clients say and hear in lines of text.
+//! The text protocol of TCP clients.
 
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -14,7 +14,7 @@ use trifacet_wire::Status;
 use super::fixture::{Server, frame, start};
 use crate::testkit::PATIENCE;
 
-/// A client that talks in lines.
+/// A client of the text protocol.
 struct Talk(BufReader<TcpStream>);
 
 impl Talk {
@@ -26,7 +26,7 @@ impl Talk {
         self.0.write_all(bytes.as_bytes()).await.unwrap();
     }
 
-    /// The next line without its end; none at the end.
+    /// The next line without its line feed; `None` at the end of the stream.
     async fn hear(&mut self) -> Option<String> {
         let mut line = String::new();
         let n = timeout(PATIENCE, self.0.read_line(&mut line)).await.expect("a line in time").unwrap();
@@ -53,7 +53,7 @@ fn posed(sequence: u64) -> PoseFrame {
     PoseFrame { pose: [1e-6, -0.25, 3e-6, 4e-6, 5e-6, 1.0 / 3.0], ..frame(sequence) }
 }
 
-/// Sends a frame, and waits until it is the newest.
+/// Sends a frame, and waits until the server has it as the newest one.
 async fn publish(server: &Server, talk: &mut Talk, frame: PoseFrame) {
     server.frames.send(frame).await.unwrap();
     let sequence = format!(" sequence={} ", frame.sequence);
@@ -62,10 +62,10 @@ async fn publish(server: &Server, talk: &mut Talk, frame: PoseFrame) {
 
 fn value<'a>(line: &'a str, key: &str) -> &'a str {
     let found = line.split(' ').find_map(|pair| pair.strip_prefix(key)?.strip_prefix('='));
-    found.unwrap_or_else(|| panic!("{line} lacks {key}"))
+    found.unwrap_or_else(|| panic!("{line} does not contain {key}"))
 }
 
-/// Asks for the pose until it is too old to be valid; up to a second it is.
+/// Requests the pose until it is too old to be valid; it is valid up to an age of one second.
 async fn old(talk: &mut Talk) -> String {
     let old = async {
         loop {
@@ -76,11 +76,11 @@ async fn old(talk: &mut Talk) -> String {
             assert!(value(&line, "age_s").parse::<f64>().unwrap() <= 1.0, "{line}");
         }
     };
-    timeout(PATIENCE, old).await.expect("it ages")
+    timeout(PATIENCE, old).await.expect("the pose becomes invalid")
 }
 
 #[tokio::test]
-async fn queries_get_the_newest_pose_in_a_line_and_never_an_old_one_as_valid() {
+async fn queries_return_the_newest_pose_and_never_an_old_one_as_valid() {
     let server = start(Limits::default()).await;
     let mut talk = Talk::to(server.address).await;
     assert!(talk.ask("pose?").await.starts_with("error: no frame has been made yet"));
@@ -89,10 +89,10 @@ async fn queries_get_the_newest_pose_in_a_line_and_never_an_old_one_as_valid() {
     assert!(line.is_ascii());
     assert_eq!(value(&line, "valid"), "1");
     assert_eq!(value(&line, "tx_m").parse::<f64>(), Ok(1e-6));
-    assert_eq!(value(&line, "yaw_rad").parse::<f64>(), Ok(1.0 / 3.0), "every digit is there");
+    assert_eq!(value(&line, "yaw_rad").parse::<f64>(), Ok(1.0 / 3.0), "all digits are present");
     assert_eq!((value(&line, "lock"), value(&line, "status")), ("off", "0x00000001"));
     assert!((0.0..60.0).contains(&value(&line, "age_s").parse::<f64>().unwrap()));
-    // The daemon is stuck: what it said last is no pose of now.
+    // The daemon is stalled: its last pose is no longer valid.
     let line = old(&mut talk).await;
     assert_eq!((value(&line, "valid"), value(&line, "tx_m"), value(&line, "sequence")), ("0", "nan", "7"));
     assert!(value(&line, "age_s").parse::<f64>().unwrap() > 1.0);
@@ -139,7 +139,7 @@ async fn each_client_gets_its_own_format_divider_and_fields() {
     for row in rows {
         assert_eq!(csv.hear().await.unwrap(), row);
     }
-    // Questions and mistakes do not end a stream, and another request changes it.
+    // Queries and errors do not end a stream, and another request changes it.
     let answer: Value = serde_json::from_str(&json.ask("pose?").await).unwrap();
     assert!(answer["answer"].as_str().unwrap().starts_with("valid=0"), "{answer}");
     assert!(csv.ask("stream divider=0").await.starts_with("# answer \"error: "));
@@ -151,7 +151,7 @@ async fn each_client_gets_its_own_format_divider_and_fields() {
 }
 
 #[tokio::test]
-async fn a_binary_stream_can_be_held_and_divided_and_answers_within() {
+async fn a_binary_stream_supports_held_poses_a_divider_and_answers() {
     let server = start(Limits::default()).await;
     let endpoint = format!("tcp://{}", server.address).parse().unwrap();
     let options = Options { pace: Pace::Divider(5), held: true, ..Options::default() };
@@ -191,7 +191,7 @@ async fn a_binary_stream_can_be_held_and_divided_and_answers_within() {
 }
 
 #[tokio::test]
-async fn who_says_nothing_whole_is_sent_away_and_a_stream_may_be_silent() {
+async fn clients_without_a_complete_line_are_disconnected_and_streaming_clients_may_be_silent() {
     let idle = Duration::from_millis(300);
     let server = start(Limits { idle, ..Limits::default() }).await;
     let mut half = Talk::to(server.address).await;
@@ -203,7 +203,7 @@ async fn who_says_nothing_whole_is_sent_away_and_a_stream_may_be_silent() {
         assert!(talk.hear().await.unwrap().starts_with("error: no complete line for 0.3 s"));
         assert_eq!(talk.hear().await, None);
     }
-    // A heartbeat a second later: it is still served.
+    // A heartbeat a second later: the client is still served.
     let beats = async {
         loop {
             if stream.json().await["heartbeat"].is_object() {
@@ -218,7 +218,7 @@ async fn who_says_nothing_whole_is_sent_away_and_a_stream_may_be_silent() {
 }
 
 #[tokio::test]
-async fn only_allowed_networks_are_let_in() {
+async fn only_allowed_networks_are_accepted() {
     let allow = vec!["10.0.0.0/8".parse().unwrap()];
     let server = start(Limits { allow, ..Limits::default() }).await;
     let mut talk = Talk::to(server.address).await;

@@ -14,7 +14,8 @@ use trifacet_wire::stream::Decoder;
 use super::fixture::{Server, descriptor, frame, start};
 use crate::testkit::PATIENCE;
 
-/// A client that is through with the descriptor and the first heartbeat: it gets every frame from now on.
+/// A client that has received the descriptor and the first heartbeat, and so receives every frame from now
+/// on.
 async fn connect(address: SocketAddr) -> Client {
     let mut client = Client::connect(&Endpoint::Tcp(address.to_string())).await.unwrap();
     match next(&mut client).await {
@@ -40,7 +41,7 @@ async fn next_sequence(client: &mut Client) -> u64 {
     }
 }
 
-/// Sends frames in steps that all good clients read before the next one.
+/// Sends frames in batches; all reading clients receive one batch before the next.
 async fn send_to_readers(server: &Server, count: u64, readers: &mut [Client]) {
     for first in (0..count).step_by(64) {
         for sequence in first..(first + 64).min(count) {
@@ -54,18 +55,19 @@ async fn send_to_readers(server: &Server, count: u64, readers: &mut [Client]) {
     }
 }
 
-/// A connection with a small receive buffer that reads nothing by itself.
+/// A connection with a small receive buffer, read only on demand.
 async fn stalled(address: SocketAddr) -> TcpStream {
     let socket = TcpSocket::new_v4().unwrap();
     socket.set_recv_buffer_size(16 * 1024).unwrap();
     let mut stream = socket.connect(address).await.unwrap();
     stream.write_all(b"stream\n").await.unwrap();
-    // Reads the first byte of the descriptor: from now on it is served.
+    // After the first byte of the descriptor, the client is being served.
     assert_eq!(stream.read_u8().await.unwrap(), b'T');
     stream
 }
 
-/// Reads on after a stall until a heartbeat accounts for `total` frames; returns the frames that came.
+/// Continues to read after a stall until a heartbeat accounts for `total` frames; returns the received
+/// frames.
 async fn read_on(mut stream: TcpStream, total: u64) -> (u64, Heartbeat) {
     let mut decoder = Decoder::default();
     decoder.push(b"T");
@@ -77,14 +79,14 @@ async fn read_on(mut stream: TcpStream, total: u64) -> (u64, Heartbeat) {
             Some(other) => drop(other.unwrap()),
             None => {
                 let read = timeout(PATIENCE, stream.read_buf(decoder.room())).await;
-                assert_ne!(read.expect("bytes in time").unwrap(), 0, "the stream goes on");
+                assert_ne!(read.expect("bytes in time").unwrap(), 0, "the stream continues");
             }
         }
     }
 }
 
 #[tokio::test]
-async fn a_client_that_never_reads_costs_the_others_nothing() {
+async fn a_client_that_never_reads_costs_the_others_no_frame() {
     const FRAMES: u64 = 20_000;
     let server = start(Limits { clients: 8, queue: 256, ..Limits::default() }).await;
     let mut readers = [connect(server.address).await, connect(server.address).await];
@@ -100,7 +102,7 @@ async fn a_client_that_never_reads_costs_the_others_nothing() {
 }
 
 #[tokio::test]
-async fn garbage_is_answered_and_then_sent_away_and_costs_the_others_nothing() {
+async fn a_client_that_sends_garbage_is_answered_then_disconnected_and_costs_the_others_no_frame() {
     let server = start(Limits { clients: 8, queue: 256, ..Limits::default() }).await;
     let mut readers = [connect(server.address).await];
     let mut rude = TcpStream::connect(server.address).await.unwrap();
@@ -145,7 +147,7 @@ async fn the_last_frames_and_a_heartbeat_arrive_before_the_end() {
 }
 
 #[tokio::test]
-async fn one_client_too_many_is_told_why_and_a_place_that_is_free_again_is_given() {
+async fn a_client_beyond_the_limit_is_refused_with_the_reason_and_free_places_are_reused() {
     let server = start(Limits { clients: 1, queue: 256, ..Limits::default() }).await;
     let first = connect(server.address).await;
     let endpoint = Endpoint::Tcp(server.address.to_string());
@@ -155,7 +157,7 @@ async fn one_client_too_many_is_told_why_and_a_place_that_is_free_again_is_given
         other => panic!("{other:?}"),
     }
     drop(first);
-    // The server notices when it next writes to the first one: feed it until it does.
+    // The server detects the closed connection at its next write: send frames until then.
     let admitted = async {
         loop {
             let _ = server.frames.send(frame(0)).await;
@@ -169,7 +171,7 @@ async fn one_client_too_many_is_told_why_and_a_place_that_is_free_again_is_given
 }
 
 #[tokio::test]
-async fn a_client_that_takes_nothing_for_long_loses_its_place() {
+async fn a_client_that_reads_nothing_for_long_loses_its_place() {
     let stall = Duration::from_secs(1);
     let server = start(Limits { clients: 1, queue: 64, stall, ..Limits::default() }).await;
     let hung = stalled(server.address).await;
@@ -177,7 +179,7 @@ async fn a_client_that_takes_nothing_for_long_loses_its_place() {
     let mut refused = 0;
     let admitted = async {
         loop {
-            // Enough to fill what the sockets hold.
+            // Enough to fill the buffers of the sockets.
             for sequence in 0..1000 {
                 server.frames.send(frame(sequence)).await.unwrap();
             }
@@ -190,13 +192,13 @@ async fn a_client_that_takes_nothing_for_long_loses_its_place() {
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
     };
-    timeout(PATIENCE, admitted).await.expect("the hung client is dropped");
+    timeout(PATIENCE, admitted).await.expect("the stalled client is disconnected");
     assert!(refused > 0, "a client may pause for a while");
     drop(hung);
 }
 
 #[tokio::test]
-async fn a_client_finds_its_way_back_in_a_damaged_stream() {
+async fn a_client_resynchronises_in_a_damaged_stream() {
     let server = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let endpoint = Endpoint::Tcp(server.local_addr().unwrap().to_string());
     let mut damaged = frame(1).encode();
@@ -205,7 +207,7 @@ async fn a_client_finds_its_way_back_in_a_damaged_stream() {
         [&frame(0).encode()[..], &damaged, b"TFP1?", &frame(2).encode()[7..], &frame(3).encode()].concat();
     let sending = tokio::spawn(async move {
         let (mut socket, _) = server.accept().await.unwrap();
-        socket.read_u8().await.unwrap(); // closed with its request unread, the socket would be reset
+        socket.read_u8().await.unwrap(); // a close with the request unread would reset the socket
         assert!(socket.read(&mut [0; 256]).await.unwrap() > 0);
         socket.write_all(&stream).await.unwrap();
     });
@@ -219,7 +221,7 @@ async fn a_client_finds_its_way_back_in_a_damaged_stream() {
 }
 
 #[tokio::test]
-async fn a_port_that_is_taken_is_named() {
+async fn a_port_in_use_is_named() {
     let first = tcp::bind(([127, 0, 0, 1], 0).into()).await.unwrap();
     let address = first.local_addr().unwrap();
     let failure = tcp::bind(address).await.unwrap_err();

@@ -22,7 +22,7 @@ fn receive(socket: &UdpSocket) -> Vec<u8> {
     bytes[..n].to_vec()
 }
 
-/// The answer to a datagram, whatever frames come before it.
+/// The answer to a datagram; frames before it are skipped.
 fn ask(socket: &UdpSocket, daemon: SocketAddr, text: &str) -> String {
     socket.send_to(text.as_bytes(), daemon).unwrap();
     loop {
@@ -41,7 +41,7 @@ async fn next_frame(client: &mut Client) -> PoseFrame {
 }
 
 #[test]
-fn targets_have_divider_byte_order_and_held_poses_of_their_own() {
+fn targets_have_their_own_divider_byte_order_and_held_poses() {
     let [plain, big, held] = [receiver(), receiver(), receiver()];
     let [a, b, c] = [&plain, &big, &held].map(|socket| socket.local_addr().unwrap());
     let dark = "[[twin.fault]]\nat_s = 0.5\nkind = 'beam-blocked'";
@@ -73,7 +73,7 @@ fn targets_have_divider_byte_order_and_held_poses_of_their_own() {
 
 #[tokio::test]
 async fn multicast_is_sent_through_the_interface_that_is_named() {
-    // Any port that is free now, and a group that this process hardly shares.
+    // A free port, and a group that is unlikely to be in use.
     let port = receiver().local_addr().unwrap().port();
     let group = format!("239.255.{}.{}:{port}", std::process::id() % 250, port % 250);
     for interface in ["lo", "127.0.0.1"] {
@@ -107,28 +107,28 @@ async fn a_subscription_is_kept_alive_and_ended_by_the_client() {
 }
 
 #[test]
-fn a_lease_ends_and_so_do_the_frames_and_nobody_is_served_by_a_forged_request() {
+fn frames_end_with_the_lease_and_a_forged_request_is_not_served() {
     let mut daemon = publishing("tcp = 'off'\nudp = []\nsubscribe = '127.0.0.1:0'\nsubscribers = 1");
     let address = daemon.subscriptions();
     let [client, victim] = [receiver(), receiver()];
     let challenge = ask(&client, address, "subscribe lease_s=1 divider=1");
     let nonce = challenge.strip_prefix("challenge ").unwrap();
-    // The nonce of one address is worth nothing at another, and neither is a guess.
+    // The nonce of one address is invalid at another one, as is a guessed nonce.
     for forged in [nonce, "nonce=0", "nonce=ffffffffffffffff"] {
         let answer = ask(&victim, address, &format!("subscribe lease_s=60 {forged}"));
         assert!(answer.starts_with("challenge nonce=") && !answer.contains(nonce), "{answer}");
     }
     victim.set_read_timeout(Some(Duration::from_millis(200))).unwrap();
-    assert!(victim.recv(&mut [0; 300]).is_err(), "nothing more is sent to who did not subscribe");
+    assert!(victim.recv(&mut [0; 300]).is_err(), "frames at an address without a subscription");
     let granted = ask(&client, address, &format!("subscribe lease_s=1 divider=1 {nonce}\n"));
     assert!(granted.starts_with("ok lease_s=1 divider=1 session="), "{granted}");
-    // One place: the next one hears why not.
+    // There is one place: the next subscriber receives the reason for the refusal.
     victim.set_read_timeout(Some(PATIENCE)).unwrap();
     let own = ask(&victim, address, "subscribe lease_s=10 divider=1");
     let own = own.strip_prefix("challenge ").unwrap();
     let full = ask(&victim, address, &format!("subscribe lease_s=10 divider=1 {own}"));
     assert!(full.starts_with("error: ") && full.contains("1 subscribers"), "{full}");
-    // Frames come until the lease ends.
+    // Frames arrive until the lease ends.
     client.set_read_timeout(Some(Duration::from_millis(500))).unwrap();
     let mut frames: Vec<PoseFrame> = Vec::new();
     let mut bytes = [0; 300];
@@ -137,7 +137,7 @@ fn a_lease_ends_and_so_do_the_frames_and_nobody_is_served_by_a_forged_request() 
         assert!(frames.len() < 20_000, "the lease never ends");
     }
     assert!(frames.len() > 100, "{}", frames.len());
-    // And the place is free.
+    // The place is free again.
     let again = ask(&victim, address, &format!("subscribe lease_s=10 divider=1 {own}"));
     assert!(again.starts_with("ok "), "{again}");
     assert_eq!(PoseFrame::decode(&receive(&victim)).unwrap().session, frames[0].session);
@@ -155,8 +155,8 @@ async fn a_network_that_is_not_allowed_cannot_subscribe() {
 }
 
 #[tokio::test]
-async fn a_client_comes_back_when_the_daemon_does() {
-    // A port that stays the same: free now, and taken again at once.
+async fn a_client_reconnects_after_a_restart_of_the_daemon() {
+    // Both daemons need the same port, which is free now.
     let tcp = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let subscribe = receiver().local_addr().unwrap();
     let keys = format!("tcp = '{tcp}'\nudp = []\nsubscribe = '{subscribe}'");

@@ -1,4 +1,4 @@
-//! `trifacet watch` as a user runs it.
+//! `trifacet watch` through the binary.
 
 use std::io::{BufRead, BufReader};
 use std::net::{SocketAddr, UdpSocket};
@@ -19,7 +19,8 @@ fn invalid(sequence: u64) -> PoseFrame {
     PoseFrame { status, pose: [f64::NAN; 6], deviations: [f32::NAN; 6], ..frame(sequence) }
 }
 
-/// A server on a thread of its own that sends frames, every tenth without a pose, for as long as the test runs.
+/// A server on a thread of its own that sends frames, every tenth without a pose, for as long as the test
+/// runs.
 fn serve() -> SocketAddr {
     let (tell, address) = std::sync::mpsc::channel();
     std::thread::spawn(move || {
@@ -50,7 +51,7 @@ fn run(args: &[&str]) -> (Output, String, String) {
 }
 
 #[test]
-fn json_is_every_frame_with_null_for_what_is_not_known() {
+fn json_contains_every_frame_with_null_for_unknown_numbers() {
     let (output, out, err) = run(&[&format!("tcp://{}", serve()), "--format", "json", "--count", "25"]);
     assert!(output.status.success(), "{err}");
     let rows: Vec<serde_json::Value> = out.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
@@ -66,7 +67,7 @@ fn json_is_every_frame_with_null_for_what_is_not_known() {
 }
 
 #[test]
-fn csv_is_a_header_and_every_frame() {
+fn csv_contains_a_header_and_every_frame() {
     let (output, out, err) = run(&[&format!("tcp://{}", serve()), "--format=csv", "--count=12"]);
     assert!(output.status.success(), "{err}");
     let lines: Vec<Vec<&str>> = out.lines().map(|l| l.split(',').collect()).collect();
@@ -82,7 +83,7 @@ fn csv_is_a_header_and_every_frame() {
 }
 
 #[test]
-fn text_is_thinned_and_forgets_no_status() {
+fn text_output_is_decimated_and_keeps_all_status_bits() {
     let (output, out, err) = run(&[&format!("tcp://{}", serve()), "--count", "3"]);
     assert!(output.status.success(), "{err}");
     let lines: Vec<&str> = out.lines().collect();
@@ -95,7 +96,7 @@ fn text_is_thinned_and_forgets_no_status() {
 }
 
 #[test]
-fn a_reader_that_has_seen_enough_ends_it_quietly() {
+fn a_closed_pipe_ends_the_command_without_an_error() {
     let mut child = trifacet(&[&format!("tcp://{}", serve()), "--format", "json"])
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
@@ -109,8 +110,8 @@ fn a_reader_that_has_seen_enough_ends_it_quietly() {
 }
 
 #[test]
-fn datagrams_are_waited_for_and_shown() {
-    // The port is free: it has just been let go.
+fn watch_waits_for_datagrams_and_prints_them() {
+    // The port is free: it has just been closed.
     let to = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     let mut child = trifacet(&[&format!("udp://{to}"), "--format", "json"])
@@ -143,7 +144,7 @@ fn datagrams_are_waited_for_and_shown() {
 }
 
 #[test]
-fn nobody_there_is_said_clearly() {
+fn a_missing_daemon_is_reported_clearly() {
     let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let (output, _, err) = run(&[&format!("tcp://{free}")]);
     assert_eq!(output.status.code(), Some(exit::UNAVAILABLE.into()), "{err}");

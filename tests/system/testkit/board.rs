@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::{Folder, Killed, PATIENCE, now_ns, trifacet, wait_for};
 
-/// A link in a folder of its own, to which boards can be plugged in one after the other.
+/// A symbolic link in its own folder, to which boards can be connected one after the other.
 #[derive(Clone)]
 pub(crate) struct Socket(Folder);
 
@@ -29,12 +29,12 @@ pub(crate) struct Board {
     orders: ChildStdin,
     lines: mpsc::Receiver<String>,
     socket: Socket,
-    /// The steering outputs must stay within this, micrometres.
+    /// Limit of the steering outputs, micrometres.
     limit_um: f64,
 }
 
 impl Board {
-    /// A board with this configuration, behind a link of its own.
+    /// A board with this configuration behind its own link.
     pub(crate) fn start(config: &str) -> Self {
         Self::plug_into(Socket::new(), config)
     }
@@ -84,15 +84,15 @@ impl Board {
         self.lines.recv_timeout(PATIENCE).unwrap()
     }
 
-    /// Orders something; returns the moment before it was ordered, by the system clock. The board
-    /// obeys some time later, so what is measured from here is measured generously to nobody but it.
+    /// Sends an order; returns the system time before it. The board obeys later, so a delay measured from
+    /// this time is longer than the true one.
     pub(crate) fn order(&mut self, order: &str) -> i64 {
         let before = now_ns();
         writeln!(self.orders, "{order}").unwrap();
         before
     }
 
-    /// What the board is doing. The steering outputs are within their limits, whatever it is.
+    /// The status of the board. The steering outputs must be within their limits in every state.
     pub(crate) fn status(&mut self) -> Value {
         self.order("status");
         loop {
@@ -105,11 +105,11 @@ impl Board {
                 }
                 return status;
             }
-            assert!(Path::new(&line).starts_with("/dev/pts"), "{line}"); // plugged in again
+            assert!(Path::new(&line).starts_with("/dev/pts"), "{line}"); // connected again
         }
     }
 
-    /// Asks until the board says so.
+    /// Requests the status until it fulfils this condition.
     pub(crate) fn until(&mut self, is: impl Fn(&Value) -> bool) -> Value {
         wait_for("so", || {
             let status = self.status();
@@ -117,7 +117,7 @@ impl Board {
         })
     }
 
-    /// Ends the board as a power cut would; returns the moment before.
+    /// Ends the board as a power cut would; returns the time before it.
     pub(crate) fn kill(&mut self) -> i64 {
         let before = now_ns();
         self.child.0.kill().unwrap();

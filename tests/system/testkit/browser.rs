@@ -1,4 +1,4 @@
-//! Chromium without a window, told what to do by the DevTools protocol.
+//! Headless Chromium, controlled by the DevTools protocol.
 
 use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
@@ -13,7 +13,7 @@ use tungstenite::{Message, WebSocket};
 
 use super::{Killed, PATIENCE, now_ns};
 
-/// A browser with one tab. Ends with its test.
+/// A browser with one tab. It is closed at the end of its test.
 pub(crate) struct Browser {
     _child: Killed,
     _profile: tempfile::TempDir,
@@ -21,12 +21,12 @@ pub(crate) struct Browser {
     session: String,
     target: String,
     calls: u64,
-    /// What it told without being asked, in order.
+    /// Received events, in order.
     pub(crate) events: Vec<Value>,
 }
 
 impl Browser {
-    /// A browser at this address, with a window of this size.
+    /// Opens a browser at this address with a window of this size.
     pub(crate) fn open(url: &str, [width, height]: [u32; 2]) -> Self {
         install();
         let profile = tempfile::tempdir().unwrap();
@@ -48,7 +48,7 @@ impl Browser {
             .by_ref()
             .map_while(Result::ok)
             .find_map(|line| line.strip_prefix("DevTools listening on ").map(str::to_owned))
-            .expect("chromium says where it listens");
+            .expect("chromium prints its address");
         std::thread::spawn(move || lines.for_each(drop));
         let (socket, _) = tungstenite::connect(at).unwrap();
         if let MaybeTlsStream::Plain(stream) = socket.get_ref() {
@@ -78,7 +78,7 @@ impl Browser {
         browser
     }
 
-    /// Does something, and returns what comes of it.
+    /// Calls a method of the protocol and returns its result.
     pub(crate) fn call(&mut self, method: &str, params: &Value) -> Value {
         self.calls += 1;
         let id = self.calls;
@@ -114,16 +114,16 @@ impl Browser {
                 let text = self.eval("document.body.innerText");
                 panic!("never {expression}: {text}");
             }
-            std::thread::sleep(Duration::from_millis(50)); // so that the page gets on
+            std::thread::sleep(Duration::from_millis(50)); // leaves processor time to the page
         }
     }
 
-    /// Waits until what has changed so far is drawn.
+    /// Waits until all changes so far are drawn.
     pub(crate) fn drawn(&mut self) {
         self.eval("new Promise((go) => requestAnimationFrame(() => requestAnimationFrame(go)))");
     }
 
-    /// As on a screen of this size.
+    /// Emulates a screen of this size.
     pub(crate) fn size(&mut self, [width, height]: [u32; 2]) {
         let mobile = width < 600;
         let scale = if mobile { 2 } else { 1 };
@@ -132,13 +132,13 @@ impl Browser {
         self.call("Emulation.setDeviceMetricsOverride", &screen);
     }
 
-    /// Light or dark, as the system would ask for.
+    /// Sets the preferred colour scheme of the system, light or dark.
     pub(crate) fn scheme(&mut self, name: &str) {
         let feature = json!({ "features": [{ "name": "prefers-color-scheme", "value": name }] });
         self.call("Emulation.setEmulatedMedia", &feature);
     }
 
-    /// A key, as a person would press it.
+    /// Presses and releases a key.
     pub(crate) fn press(&mut self, key: &str, code: u32) {
         for kind in ["rawKeyDown", "keyUp"] {
             let event = json!({ "type": kind, "key": key, "code": key, "windowsVirtualKeyCode": code });
@@ -146,24 +146,24 @@ impl Browser {
         }
     }
 
-    /// Another tab comes to the front, or this one again.
+    /// Opens another tab in the foreground, which hides this one.
     pub(crate) fn hide(&mut self) -> String {
         let blank = json!({ "url": "about:blank" });
         self.call("Target.createTarget", &blank)["targetId"].as_str().unwrap().to_owned()
     }
 
-    /// This tab comes to the front again.
+    /// Brings this tab to the foreground again.
     pub(crate) fn show(&mut self) {
         let target = json!({ "targetId": self.target });
         self.call("Target.activateTarget", &target);
     }
 
-    /// The whole page as a picture.
+    /// Saves a picture of the whole page.
     pub(crate) fn picture(&mut self, to: &Path) {
         self.shot(to, &json!({ "format": "png", "captureBeyondViewport": true }));
     }
 
-    /// What is above this height, smaller by a quarter.
+    /// Saves a picture of the page down to this height, scaled to three quarters.
     pub(crate) fn thumbnail(&mut self, to: &Path, height: u32) {
         let width = self.eval("innerWidth");
         let clip = json!({ "x": 0, "y": 0, "width": width, "height": height, "scale": 0.75 });
@@ -175,9 +175,9 @@ impl Browser {
         std::fs::write(to, decoded(&data)).unwrap();
     }
 
-    /// What the console or the browser complained of.
+    /// Errors and warnings of the console and the browser.
     pub(crate) fn complaints(&mut self) -> Vec<String> {
-        self.eval("1"); // what was said before is here then
+        self.eval("1"); // after this call, all earlier events have arrived
         let wrong = |event: &&Value| match event["method"].as_str() {
             Some("Runtime.exceptionThrown") => true,
             Some("Runtime.consoleAPICalled") => {
@@ -191,7 +191,7 @@ impl Browser {
         self.events.iter().filter(wrong).map(|event| event["params"].to_string()).collect()
     }
 
-    /// Every address that was asked for.
+    /// All requested addresses.
     pub(crate) fn requests(&mut self) -> Vec<String> {
         self.eval("1");
         let url = |event: &Value| match event["method"].as_str()? {
@@ -203,7 +203,7 @@ impl Browser {
     }
 }
 
-/// Debian's Chromium, installed if it is missing and may be.
+/// Chromium of Debian; installed if it is missing and the permissions allow it.
 fn install() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
@@ -213,7 +213,7 @@ fn install() {
     });
 }
 
-/// Base64, as the protocol gives pictures.
+/// Decodes Base64, the encoding of pictures in the protocol.
 fn decoded(text: &str) -> Vec<u8> {
     let six = |byte: u8| match byte {
         b'A'..=b'Z' => u32::from(byte - b'A'),

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Debian's chromium for the browser tests: installs it where it is missing and may be (root).
+# Installs Debian's chromium for the browser tests if it is missing and the user is root.
 set -euo pipefail
 
 fail() {

@@ -1,11 +1,11 @@
-//! A temporary folder that several can hold.
+//! A temporary folder with shared ownership.
 
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use tempfile::TempDir;
 
-/// Removed with its last holder.
+/// The folder is removed with its last owner.
 #[derive(Clone)]
 pub(crate) struct Folder(Arc<TempDir>);
 
@@ -14,12 +14,12 @@ impl Folder {
         Self(Arc::new(tempfile::tempdir().unwrap()))
     }
 
-    /// A place in it.
+    /// A path in the folder.
     pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.0.path().join(name)
     }
 
-    /// A new file in it.
+    /// Writes a new file in the folder.
     pub(crate) fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> PathBuf {
         std::fs::write(self.path(name), bytes).unwrap();
         self.path(name)

@@ -1,4 +1,4 @@
-//! A client as small as can be: one request, one answer.
+//! A minimal HTTP client: one request, one answer.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -13,12 +13,12 @@ pub(crate) struct Page {
     pub(crate) body: String,
 }
 
-/// Asks for a page as a client on the same machine.
+/// Requests a page as a client on the same machine.
 pub(crate) fn get(at: SocketAddr, path: &str) -> Page {
     ask(at, path, &format!("Host: {at}\r\n"))
 }
 
-/// Asks for a page with these headers.
+/// Requests a page with these headers.
 pub(crate) fn ask(at: SocketAddr, path: &str, headers: &str) -> Page {
     request(at, &format!("GET {path}"), headers, "")
 }

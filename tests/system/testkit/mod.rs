@@ -1,4 +1,4 @@
-//! What the tests of the program share: daemons, boards, browsers and clients that end with their test.
+//! Shared parts of the tests: daemons, boards, browsers and clients that end with their test.
 
 mod board;
 mod browser;
@@ -28,16 +28,16 @@ pub(crate) use stream::{Frame, Stream};
 pub(crate) use truth::{errors, truth};
 pub(crate) use udp::Udp;
 
-/// Longer than anything here takes on the slowest machine; nothing waits so long unless it hangs.
+/// Timeout of all waits: longer than any step on a slow machine, so that only a hung test reaches it.
 pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
 
 /// The system clock, which the daemon's own time stamps follow: nanoseconds of UTC since 1970.
-#[expect(clippy::disallowed_methods, reason = "a test is an edge")]
+#[expect(clippy::disallowed_methods, reason = "a test may read the system clock")]
 pub(crate) fn now_ns() -> i64 {
     SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_nanos() as i64
 }
 
-/// Looks again and again until something is found; `Err` describes what was seen instead.
+/// Polls until a value is found; `Err` describes the current state.
 pub(crate) fn wait_for<T>(what: &str, mut look: impl FnMut() -> Result<T, String>) -> T {
     let begin_ns = now_ns();
     loop {
@@ -48,11 +48,11 @@ pub(crate) fn wait_for<T>(what: &str, mut look: impl FnMut() -> Result<T, String
                 assert!(patient, "never {what}: {seen}");
             }
         }
-        std::thread::sleep(Duration::from_millis(10)); // between two looks, so that others get on
+        std::thread::sleep(Duration::from_millis(10)); // leaves processor time to the tested processes
     }
 }
 
-/// Mean of a number over frames.
+/// Mean of a quantity over frames.
 pub(crate) fn mean(frames: &[Frame], number: impl Fn(&Frame) -> f64) -> f64 {
     assert!(!frames.is_empty());
     frames.iter().map(number).sum::<f64>() / frames.len() as f64

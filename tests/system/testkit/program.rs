@@ -3,21 +3,21 @@
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-/// What a command did.
+/// The result of a command.
 pub(crate) struct Done {
     pub(crate) code: i32,
     pub(crate) out: String,
     pub(crate) err: String,
 }
 
-/// The program with these arguments, and nothing to read.
+/// The program with these arguments and an empty standard input.
 pub(crate) fn trifacet(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_trifacet"));
     command.args(args).stdin(Stdio::null());
     command
 }
 
-/// Runs a command to its end.
+/// Runs a command and waits for its end.
 pub(crate) fn run(command: &mut Command) -> Done {
     let output = command.output().unwrap();
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
@@ -25,12 +25,12 @@ pub(crate) fn run(command: &mut Command) -> Done {
     Done { code, out: text(output.stdout), err: text(output.stderr) }
 }
 
-/// Runs the program on a file.
+/// Runs the program with a file as its last argument.
 pub(crate) fn on(args: &[&str], file: &Path) -> Done {
     run(trifacet(args).arg(file))
 }
 
-/// A child that does not outlive its test.
+/// A child process that is killed at the end of its test.
 pub(crate) struct Killed(pub(crate) Child);
 
 impl Drop for Killed {

@@ -1,4 +1,4 @@
-//! A port that takes the datagrams of a daemon.
+//! A port that receives the datagrams of a daemon.
 
 use std::net::{SocketAddr, UdpSocket};
 
@@ -9,7 +9,7 @@ use super::PATIENCE;
 pub(crate) struct Udp(UdpSocket);
 
 impl Udp {
-    /// A free port, which keeps what a test reads late.
+    /// A free port with a large receive buffer for tests that read late.
     pub(crate) fn open() -> Self {
         let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
         socket.set_read_timeout(Some(PATIENCE)).unwrap();
@@ -33,7 +33,7 @@ impl Udp {
         PoseFrame::decode(&self.datagram()).unwrap()
     }
 
-    /// Drops what has arrived.
+    /// Drops all datagrams that have arrived.
     pub(crate) fn drain(&self) {
         self.0.set_nonblocking(true).unwrap();
         while self.0.recv(&mut [0; 2048]).is_ok() {}

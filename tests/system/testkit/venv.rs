@@ -1,15 +1,15 @@
-//! Python with packages, which are installed under `target/` once.
+//! Python with packages that are installed once under `target/`.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-/// The Python of a virtual environment in which these modules can be imported; made of these packages
-/// where it is not there yet.
+/// The Python of a virtual environment with these modules. The environment is made from these packages if it
+/// is missing.
 pub(crate) fn python(name: &str, modules: &str, packages: &[&str]) -> PathBuf {
     let place = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     let python = place.join("bin/python");
-    // Tests run side by side, and one makes it for all.
+    // Tests run in parallel; one of them makes the environment for all.
     let lock = File::create(place.with_extension("lock")).expect("a lock file");
     lock.lock().expect("a lock");
     let has_all = |python: &Path| {

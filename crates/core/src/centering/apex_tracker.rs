@@ -65,13 +65,13 @@ impl ApexTracker {
         pose: Option<&TimedPose>,
         params: &LoopParams,
     ) -> BeamObservation {
-        if let Some(told) = pose {
-            self.pose = told.pose;
+        if let Some(reported) = pose {
+            self.pose = reported.pose;
         }
         let all_lit = sample.psds.iter().all(|psd| *psd == PsdState::Good);
         let mirror = match (params.target, pose) {
             _ if !all_lit => self.pose, // the best known pose
-            (Target::Apex, Some(told)) => told.pose,
+            (Target::Apex, Some(reported)) => reported.pose,
             // With nominal wedges, equal powers mean zero offset.
             (Target::Apex, None) | (Target::Balance, _) => Pose::default(),
         };
@@ -96,7 +96,7 @@ impl ApexTracker {
     fn track(&mut self, sample: &Sample, apex: BeamPoint, pose: Option<&TimedPose>, bandwidth_hz: f64) {
         let (position, time) = match (read_back(sample), pose) {
             (Some(_), _) => (apex, sample.time),
-            (None, Some(told)) => (self.optics.across(told.pose.t).into(), told.time),
+            (None, Some(reported)) => (self.optics.across(reported.pose.t).into(), reported.time),
             (None, None) => return,
         };
         if position.iter().all(|p| p.is_finite()) {

@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn it_knows_where_the_stage_was_sent() {
+    fn the_history_returns_the_commanded_positions() {
         let at = |delay_s| ramp().before(Mono(100 * MS), delay_s).unwrap()[0];
         assert!((at(0.0) - 100e-6).abs() < 1e-12);
         assert!((at(0.01) - 90e-6).abs() < 1.5e-6, "{}", at(0.01));
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stage_on_its_way_follows_and_one_that_stays_behind_does_not() {
+    fn a_moving_stage_follows_and_a_lagging_one_does_not() {
         let history = ramp();
         for (x, follows) in [(100e-6, true), (90e-6, true), (80e-6, true), (70e-6, false), (110e-6, false)] {
             assert_eq!(history.leads_to(StagePosition([x, 0.0]), 3e-6), follows, "{x}");
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn its_memory_is_bounded() {
+    fn the_length_of_the_history_is_limited() {
         let mut history = CommandHistory::default();
         for k in 0..1_000_000 {
             history.push(StagePosition([0.0; 2]), Mono(k * MS / 10), 10.0);

@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn it_brings_the_offset_to_zero_without_ringing() {
+    fn the_controller_brings_the_offset_to_zero_without_ringing() {
         let run = settle(&CONTROLLER, 100e-6, 200);
         let last = run.last().unwrap().position[0];
         assert!((last - 100e-6).abs() < 1e-9, "{last}");
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn it_never_leaves_its_limits_and_leaves_the_rail_at_once() {
+    fn the_output_stays_within_limits_and_leaves_the_rail_at_once() {
         let run = settle(&CONTROLLER, 2e-3, 2000);
         assert!(run.iter().all(|m| m.position[0].abs() <= 400e-6));
         let railed = *run.last().unwrap();
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn it_never_moves_faster_than_the_slew_limit() {
+    fn the_output_keeps_the_slew_limit() {
         let slow = Controller { slew: 1e-3, ..CONTROLLER };
         let run = settle(&slow, 300e-6, 1000);
         assert!(run.windows(2).all(|w| (w[1].position[0] - w[0].position[0]).abs() <= 1.0001e-6));
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_does_not_move_it() {
+    fn invalid_inputs_do_not_move_the_output() {
         let memory = ControllerState::at(StagePosition([1e-5, -2e-5]));
         for nonsense in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             for error in [[nonsense, nonsense], [nonsense, 1e-6], [1e-6, nonsense]] {
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn no_change_of_gains_setpoint_or_limits_makes_it_jump() {
+    fn changes_of_gains_setpoint_or_limits_cause_no_jump() {
         let memory = CONTROLLER.update(
             &ControllerState::at(StagePosition([100e-6, 0.0])),
             StageMove([5e-6, 0.0]),
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn feed_forward_goes_with_the_apex_within_the_limits() {
+    fn feed_forward_follows_the_apex_within_the_limits() {
         let memory = CONTROLLER.update(
             &ControllerState::at(StagePosition([10e-6, 0.0])),
             STILL,
@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stage_that_stays_behind_is_waited_for_and_come_back_to() {
+    fn the_controller_waits_for_a_lagging_stage() {
         let before = ControllerState::at(StagePosition([50e-6, 0.0]));
         let next = |error| {
             CONTROLLER.update(&before, error, STILL, DT).hold_if_stalled(&before, StagePosition([10e-6, 0.0]))
@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn a_target_is_gone_to_at_the_slew_limit_and_no_farther_than_the_range() {
+    fn a_target_is_approached_at_the_slew_limit_and_within_the_range() {
         let mut memory = ControllerState::at(StagePosition([0.0; 2]));
         let mut steps = 0;
         while memory.position != StagePosition([400e-6, -120e-6]) {
@@ -251,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn taking_over_makes_no_proportional_kick() {
+    fn taking_over_causes_no_proportional_step() {
         let next = CONTROLLER.update(
             &ControllerState::at(StagePosition([0.0; 2])),
             StageMove([100e-6, 0.0]),

@@ -86,9 +86,9 @@ impl BeamObservation {
         let (beam, mut apex) = (Vec2::from(beam), Vec2::from(apex));
         for facet in (0..3).filter(|i| sample.psds[*i] == PsdState::Good) {
             let spot = [sample.spots[2 * facet], sample.spots[2 * facet + 1]];
-            if let Some(glimpse) = optics.glimpse(facet, spot, pose) {
-                let distance = (beam - apex).dot(&glimpse.downhill);
-                apex += glimpse.downhill * (distance - glimpse.distance());
+            if let Some(facet_offset) = optics.facet_offset(facet, spot, pose) {
+                let distance = (beam - apex).dot(&facet_offset.downhill);
+                apex += facet_offset.downhill * (distance - facet_offset.distance());
             }
         }
         apex.into()

@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn it_moves_at_its_speed() {
+    fn the_search_moves_at_its_speed() {
         let path = path(StagePosition([0.0; 2]), 2e-3);
         let speed = 0.25 * RADIUS / DELAY;
         let inside = |p: &StagePosition| p[0].hypot(p[1]) < 1.9e-3;

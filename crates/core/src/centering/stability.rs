@@ -46,7 +46,7 @@ mod tests {
     }
 
     #[test]
-    fn the_limit_is_that_of_theory() {
+    fn the_stability_limit_agrees_with_theory() {
         // An integrator with a delay is stable up to Ki delay = pi/2; a sampled one acts half a period
         // earlier.
         let limit = |period_s| {

@@ -30,7 +30,7 @@ pub struct StageModel {
     memory: Option<ControllerState>,
     /// The loop does not control the stage; it must take over at the actual position before it moves the
     /// stage.
-    apart: bool,
+    detached: bool,
     /// Nothing but the loop has moved the stage since the loop took over.
     ours: bool,
     command_status: CommandStatus,
@@ -48,7 +48,7 @@ impl Default for StageModel {
     fn default() -> Self {
         Self {
             memory: None,
-            apart: true,
+            detached: true,
             ours: false,
             command_status: CommandStatus::default(),
             unanswered: VecDeque::new(),
@@ -64,12 +64,12 @@ impl StageModel {
     /// The state from which the controller continues; `None` unless the loop controls the stage and the stage
     /// takes commands.
     pub fn memory(&self) -> Option<ControllerState> {
-        self.memory.filter(|_| !self.apart && self.command_status != CommandStatus::Gone)
+        self.memory.filter(|_| !self.detached && self.command_status != CommandStatus::Gone)
     }
 
     /// The last commanded position, metres; `None` unless the loop controls the stage.
     pub fn commanded(&self) -> Option<StagePosition> {
-        self.memory.filter(|_| !self.apart).map(|memory| memory.position)
+        self.memory.filter(|_| !self.detached).map(|memory| memory.position)
     }
 
     /// Records that the stage takes no commands.
@@ -106,7 +106,7 @@ impl StageModel {
         }
         if accepted {
             self.accepted = Some(position);
-        } else if let (Some(accepted), false) = (self.accepted, self.apart) {
+        } else if let (Some(accepted), false) = (self.accepted, self.detached) {
             self.memory = Some(ControllerState::at(accepted));
         }
     }
@@ -128,15 +128,15 @@ impl StageModel {
 
     /// The loop releases the stage.
     pub fn let_go(&mut self) {
-        self.apart = true;
+        self.detached = true;
     }
 
     /// Records that the stage has acted on its own, and has moved to `park` if given. The model assumes the
     /// stage there until a readback shows otherwise.
     pub fn released(&mut self, park: Option<StagePosition>) {
-        let park = park.filter(|_| !self.apart);
+        let park = park.filter(|_| !self.detached);
         self.memory = self.memory.map(|m| ControllerState::at(park.unwrap_or(m.position)));
-        (self.apart, self.ours, self.accepted) = (true, false, None);
+        (self.detached, self.ours, self.accepted) = (true, false, None);
         if self.command_status == CommandStatus::Refuses {
             self.command_status = CommandStatus::Obeys;
         }
@@ -146,13 +146,13 @@ impl StageModel {
     /// Takes over the stage at its actual position, unless the loop already controls the stage. Returns true
     /// if it took over.
     pub fn take_over(&mut self, sample: &Sample, params: &LoopParams, dt: f64) -> bool {
-        if !self.apart || self.command_status == CommandStatus::Gone {
+        if !self.detached || self.command_status == CommandStatus::Gone {
             return false;
         }
         let memory = self.found(sample, params, dt);
         self.history.clear();
         self.sent(memory, sample, params);
-        (self.apart, self.ours, self.stuck_s) = (false, true, 0.0);
+        (self.detached, self.ours, self.stuck_s) = (false, true, 0.0);
         true
     }
 

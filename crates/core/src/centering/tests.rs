@@ -116,7 +116,7 @@ fn near(a: [f64; 2], b: [f64; 2]) -> bool {
 }
 
 #[test]
-fn in_the_shadow_it_says_what_it_would_do_and_does_nothing() {
+fn in_shadow_mode_commands_are_reported_and_not_sent() {
     let mut bench = Bench::new(|params| params.mode = LoopMode::Shadow);
     bench.stage_um = [20.0, 10.0];
     assert_eq!(bench.run(500), 0);
@@ -135,7 +135,7 @@ fn in_the_shadow_it_says_what_it_would_do_and_does_nothing() {
 }
 
 #[test]
-fn it_lets_go_where_the_stage_is_and_takes_over_where_it_finds_it() {
+fn the_loop_releases_and_takes_over_the_stage_at_its_position() {
     for readback in [true, false] {
         let mut bench = Bench::new(|params| params.on_lease = LeaseAction::Park);
         bench.readback = readback;
@@ -158,7 +158,7 @@ fn it_lets_go_where_the_stage_is_and_takes_over_where_it_finds_it() {
 }
 
 #[test]
-fn a_stage_that_was_moved_by_others_is_taken_over_where_it_is() {
+fn a_stage_moved_by_others_is_taken_over_at_its_position() {
     let mut bench = Bench::new(|_| {});
     bench.run(500);
     bench.retune(|params| params.mode = LoopMode::Off);
@@ -171,7 +171,7 @@ fn a_stage_that_was_moved_by_others_is_taken_over_where_it_is() {
 }
 
 #[test]
-fn it_goes_to_another_setpoint_and_is_locked_there() {
+fn the_loop_moves_to_another_setpoint_and_locks_there() {
     let mut bench = Bench::new(|_| {});
     bench.run(500);
     bench.retune(|params| params.setpoint = BeamOffset([20e-6, -5e-6]));
@@ -202,7 +202,7 @@ fn gains_change_without_a_step() {
 }
 
 #[test]
-fn nearer_limits_are_gone_to_in_steps_seeing_and_blind() {
+fn narrower_limits_are_reached_in_steps_with_and_without_light() {
     let mut bench = Bench::new(|_| {});
     bench.laser_um = [-300.0, 0.0];
     bench.stage_um = [250.0, 0.0];
@@ -222,7 +222,7 @@ fn nearer_limits_are_gone_to_in_steps_seeing_and_blind() {
 }
 
 #[test]
-fn no_nonsense_reaches_the_stage() {
+fn invalid_inputs_give_no_command() {
     let mut bench = Bench::new(|_| {});
     bench.run(500);
     let at = bench.stage_um;
@@ -246,7 +246,7 @@ fn no_nonsense_reaches_the_stage() {
 }
 
 #[test]
-fn what_was_late_is_not_acted_upon_again_and_again() {
+fn late_samples_do_not_repeat_a_correction() {
     let mut bench = Bench::new(|_| {});
     let now = Mono(51 * DT_NS);
     let outcomes: Vec<_> = (0..=50)
@@ -266,7 +266,7 @@ fn what_was_late_is_not_acted_upon_again_and_again() {
 }
 
 #[test]
-fn a_source_that_is_always_late_is_said_to_be() {
+fn a_source_that_is_always_late_is_reported() {
     let mut bench = Bench::new(|_| {});
     let mut transitions = Vec::new();
     for _ in 0..200 {
@@ -288,7 +288,7 @@ fn a_source_that_is_always_late_is_said_to_be() {
 }
 
 #[test]
-fn a_stage_that_refuses_is_held_where_it_last_obeyed() {
+fn a_refusing_stage_is_held_at_its_last_accepted_position() {
     let mut bench = Bench::new(|_| {});
     bench.run(500);
     let obeyed = bench.stage_um;
@@ -305,7 +305,7 @@ fn a_stage_that_refuses_is_held_where_it_last_obeyed() {
 }
 
 #[test]
-fn a_search_goes_on_within_limits_that_have_come_closer() {
+fn a_search_continues_within_narrower_limits() {
     let mut bench = Bench::new(|params| params.controller.slew = 0.005);
     bench.run(300);
     let dark = |bench: &mut Bench| {
@@ -323,7 +323,7 @@ fn a_search_goes_on_within_limits_that_have_come_closer() {
 }
 
 #[test]
-fn it_is_not_lost_by_a_stage_that_sticks_and_comes_free() {
+fn a_stage_that_sticks_for_a_time_causes_no_loss() {
     let mut bench = Bench::new(|_| {});
     bench.laser_um = [0.0, 0.0];
     bench.run(500);

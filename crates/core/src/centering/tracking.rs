@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sine_comes_out_smaller_by_what_the_bandwidth_says() {
+    fn a_sine_is_attenuated_according_to_the_bandwidth() {
         for (frequency, gain) in [(20.0, 1.0), (200.0, 0.5_f64.sqrt()), (800.0, 1.0 / 257_f64.sqrt())] {
             let omega = TAU * frequency;
             let velocity = track(|t| 10e-6 * (omega * t).sin(), 0.0, 20_000);
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_comes_through_as_the_documentation_says() {
+    fn the_noise_gain_agrees_with_the_documentation() {
         // The noise of the velocity, expressed as a position: integrated as the controller does.
         let velocity = track(|_| 0.0, 1e-6, 200_000);
         let mut position = 0.0;
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_is_no_velocity() {
+    fn a_jump_does_not_change_the_velocity() {
         let course = |t: f64| 1e-3 * t + if t > 0.05 { 100e-6 } else { 0.0 };
         let velocity = track(course, 0.1e-6, 1000);
         let worst = velocity[480..520].iter().map(|v| (v - 1e-3).abs()).fold(0.0, f64::max);
@@ -174,13 +174,13 @@ mod tests {
     }
 
     #[test]
-    fn a_change_that_stays_is_followed_even_if_it_was_out_of_all_proportion() {
+    fn a_lasting_change_of_any_size_is_followed() {
         let velocity = track(|t| if t > 0.05 { 0.2 * (t - 0.05) } else { 0.0 }, 0.01e-6, 1500);
         assert!((velocity[1499] / 0.2 - 1.0).abs() < 0.01, "{}", velocity[1499]);
     }
 
     #[test]
-    fn a_pause_starts_it_over() {
+    fn a_pause_restarts_the_tracker() {
         let mut tracking = Tracking::default();
         for k in 0..100 {
             tracking.update(BeamPoint([f64::from(k) * 1e-6, 0.0]), Mono(i64::from(k) * 100_000), BAND, 0.001);

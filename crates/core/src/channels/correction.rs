@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bilinear_error_is_taken_out_exactly() {
+    fn a_bilinear_error_is_corrected_exactly() {
         let error = |u: f64, v: f64| [1e-3 * u + 2.0 * u * v, -3e-3 * v + 1e-5];
         let table = Correction::new(&grid(error), 6.5e-3).unwrap();
         for (u, v) in [(0.0, 0.0), (1.3e-3, -4.4e-3), (-6.5e-3, 6.5e-3), (3e-3, 3e-3), (7e-3, 7e-3)] {
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_grid_over_the_area_is_refused() {
+    fn an_invalid_grid_is_refused() {
         let say = |rows: &[CorrectionPoint], half| Correction::new(rows, half).unwrap_err().to_string();
         let mut rows = grid(|_, _| [0.0; 2]);
         assert!(say(&rows, 8e-3).contains("8.000 mm"));

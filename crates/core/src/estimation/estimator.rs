@@ -242,8 +242,10 @@ impl Estimation {
         report: &mut PoseReport,
     ) {
         let Settings { estimator, readback, fuse, .. } = &self.settings;
-        let Some(sighting) = mean.sample.steering.map(|stage| readback.sighting(stage)) else { return };
-        let Some(innovation) = Innovation::new(estimator.optics(), solution, spread, &sighting) else {
+        let Some(beam_position) = mean.sample.steering.map(|stage| readback.beam_position(stage)) else {
+            return;
+        };
+        let Some(innovation) = Innovation::new(estimator.optics(), solution, spread, &beam_position) else {
             return;
         };
         report.steering_residual = Some(innovation.residual.norm());

@@ -137,7 +137,7 @@ mod tests {
         }
 
         #[test]
-        fn a_tare_makes_its_pose_zero(base in transform(), tool in transform(), pose in sensor_pose()) {
+        fn a_tare_sets_its_pose_to_zero(base in transform(), tool in transform(), pose in sensor_pose()) {
             let before = Pose::from(&(frames(base, tool, [0.0; 6]).outer * Rigid::from(&pose)
                 * frames(base, tool, [0.0; 6]).tool));
             prop_assume!(before.pitch.cos() > 0.1);
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn no_frames_change_nothing_at_all() {
+    fn default_frames_change_nothing() {
         let pose = Pose::from_array([1e-4, -2e-4, 3e-4, 1e-3, -2e-3, 3e-3]);
         let covariance = Matrix6::from_fn(|i, k| 1e-12 / (1.0 + i as f64 + k as f64));
         let frames = frames([0.0; 6], [0.0; 6], [0.0; 6]);
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pitch_near_90_degrees_is_refused_and_one_a_bit_off_is_fine() {
+    fn a_pitch_near_90_degrees_is_refused_and_a_smaller_one_is_accepted() {
         let pose = Pose::default();
         for pitch in [89.5, 90.0, 90.5, -90.0, 270.0] {
             let frames = frames([0.0, 0.0, 0.0, 0.0, pitch, 0.0], [0.0; 6], [0.0; 6]);

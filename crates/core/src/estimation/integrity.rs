@@ -39,7 +39,7 @@ impl Readback {
 
     /// The beam position for a position of the stage, metres. Averaging does not reduce its standard
     /// uncertainty: drift of the laser direction does not average out.
-    pub fn sighting(&self, stage: [f64; 2]) -> BeamPosition {
+    pub fn beam_position(&self, stage: [f64; 2]) -> BeamPosition {
         BeamPosition { at: self.map.beam(StagePosition(stage)).into(), sigma: self.sigma }
     }
 }
@@ -87,7 +87,7 @@ mod tests {
     use crate::steering::BeamPoint;
 
     #[test]
-    fn ten_in_a_row_contradict_and_one_that_fits_ends_it() {
+    fn ten_contradictions_in_sequence_are_reported_and_one_agreement_ends_the_report() {
         let mut integrity = Integrity::default();
         let mut seen = |normalized_residual: f64, times: usize| {
             (0..times)
@@ -103,10 +103,10 @@ mod tests {
     }
 
     #[test]
-    fn a_stage_that_is_mounted_askew_tells_where_the_beam_is() {
+    fn a_rotated_stage_gives_the_beam_position() {
         let map = BeamMap::new([[0.0, -2.0], [0.5, 0.0]], BeamPoint([10e-6, 20e-6]));
-        let sighting = Readback::new(map, 1.5e-6).sighting([100e-6, 30e-6]);
-        assert!((sighting.at - Vec2::new(-50e-6, 70e-6)).norm() < 1e-18, "{sighting:?}");
-        assert_eq!(sighting.sigma, 1.5e-6);
+        let beam_position = Readback::new(map, 1.5e-6).beam_position([100e-6, 30e-6]);
+        assert!((beam_position.at - Vec2::new(-50e-6, 70e-6)).norm() < 1e-18, "{beam_position:?}");
+        assert_eq!(beam_position.sigma, 1.5e-6);
     }
 }

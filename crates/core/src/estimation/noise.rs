@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn the_configured_deviation_stands_while_the_noise_is_no_larger() {
+    fn the_configured_noise_is_used_while_the_actual_noise_is_not_larger() {
         let noise = fed(1.0, 20_000, |k| 5.0 * k);
         for signal in 0..SIGNALS {
             assert_eq!(noise.sigma(signal, 1.0), 1.0);
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn more_noise_raises_it_to_what_it_is() {
+    fn larger_noise_raises_the_estimate_to_its_value() {
         let noise = fed(1.5, 20_000, |k| 5.0 * k);
         for signal in 0..SIGNALS {
             let live = noise.sigma(signal, 1.0);
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn a_burst_is_noticed_within_the_short_window() {
+    fn a_burst_is_detected_within_the_short_window() {
         let mut noise = fed(1.0, 5000, |_| 0.0);
         for k in 0..64 {
             noise.push([f64::from(k % 2) * 20.0; SIGNALS]);
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_is_no_noise() {
+    fn a_gap_does_not_raise_the_noise() {
         let mut noise = fed(0.1, 100, |_| 0.0);
         noise.interrupt();
         noise.push([1e6; SIGNALS]);

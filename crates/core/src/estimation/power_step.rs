@@ -13,7 +13,7 @@ const LIMIT: f64 = 0.05 / 3.0;
 const SIGNIFICANT: f64 = 5.0;
 /// A change beyond this many standard uncertainties makes the power unsteady, even without a step: by chance
 /// 12 times in 100 000.
-const UNEASY: f64 = 4.0;
+const UNSTEADY: f64 = 4.0;
 /// A step affects at most this many samples: two that show a part of it (the channel map interpolates every
 /// channel to the time of its scan with the previous scan), and two more that are compared with those.
 const LONGEST: u32 = 4;
@@ -25,7 +25,7 @@ pub enum Power {
     #[default]
     Steady,
     /// The power changes by more than its noise; the ratios may be wrong by as much.
-    Uneasy,
+    Unsteady,
     /// The power steps; the ratios may be wrong by more than can be stated.
     Step,
 }
@@ -50,8 +50,8 @@ impl PowerSteps {
             let ratio = change / (std::f64::consts::SQRT_2 * sigma);
             if change > LIMIT * total.min(*last) && ratio > SIGNIFICANT {
                 Power::Step
-            } else if ratio > UNEASY {
-                Power::Uneasy
+            } else if ratio > UNSTEADY {
+                Power::Unsteady
             } else {
                 Power::Steady
             }
@@ -79,14 +79,14 @@ mod tests {
     }
 
     #[test]
-    fn a_step_between_two_scans_spoils_the_two_after_it() {
+    fn a_step_between_two_scans_affects_the_two_after_it() {
         for to in [0.5, 0.94, 1.06, 2.0] {
             assert_eq!(beside(&[1.0, 1.0, to, to, to]), [false, false, true, true, false], "{to}");
         }
     }
 
     #[test]
-    fn a_step_within_a_scan_shows_in_parts() {
+    fn a_step_within_a_scan_is_detected_in_parts() {
         for part in [1.02, 1.04] {
             let expected = [false, false, true, true, true, false];
             assert_eq!(beside(&[1.0, 1.0, part, 1.06, 1.06, 1.06]), expected, "{part}");
@@ -94,18 +94,18 @@ mod tests {
     }
 
     #[test]
-    fn what_is_slow_or_small_or_noise_is_no_step() {
+    fn slow_or_small_changes_and_noise_are_not_steps() {
         assert!(!beside(&[1.0, 1.016, 1.0]).contains(&true));
         assert!(!beside(&std::array::from_fn::<_, 50, _>(|k| 1.0 + 0.008 * k as f64)).contains(&true));
         let mut steps = PowerSteps::default();
         assert!(![1.0, 1.05, 0.98].into_iter().any(|total| steps.push(total, 0.011) == Power::Step));
         steps.interrupt();
-        let uneasy = [1.0, 1.03, 1.07].map(|total| steps.push(total, 0.01));
-        assert_eq!(uneasy, [Power::Steady, Power::Steady, Power::Uneasy]);
+        let states = [1.0, 1.03, 1.07].map(|total| steps.push(total, 0.01));
+        assert_eq!(states, [Power::Steady, Power::Steady, Power::Unsteady]);
     }
 
     #[test]
-    fn after_an_interruption_there_is_nothing_to_compare_with() {
+    fn after_an_interruption_the_first_sample_is_not_compared() {
         let mut steps = PowerSteps::default();
         steps.push(1.0, 1e-6);
         steps.interrupt();
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_end_is_unsteady() {
+    fn a_lasting_change_is_unsteady() {
         let mut steps = PowerSteps::default();
         let unsteady =
             [1.0, 1.1, 1.0, 1.1, 1.0, 1.1].map(|total| (steps.push(total, 1e-6), steps.unsteady()));

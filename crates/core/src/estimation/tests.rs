@@ -44,7 +44,7 @@ fn sample(index: u64) -> Sample {
 }
 
 #[test]
-fn only_the_pose_goes_to_the_users_frame() {
+fn only_the_pose_is_transformed_to_the_users_frame() {
     let estimation = estimation(|s| {
         s.frames = Frames::new(&Rigid::identity(), &Rigid::identity(), &rigid([0.0, 0.0, -0.04], [0.0; 3]));
     });
@@ -60,7 +60,7 @@ fn only_the_pose_goes_to_the_users_frame() {
 }
 
 #[test]
-fn a_pose_that_has_no_angles_there_has_a_reason_instead() {
+fn a_pose_without_defined_angles_has_a_reason_instead() {
     let estimation = estimation(|s| {
         let base = rigid([0.0; 3], [0.0, 90.0_f64.to_radians(), 0.0]);
         s.frames = Frames::new(&base, &Rigid::identity(), &Rigid::identity());
@@ -74,7 +74,7 @@ fn a_pose_that_has_no_angles_there_has_a_reason_instead() {
 }
 
 #[test]
-fn a_block_has_samples_of_one_meaning_only() {
+fn a_block_contains_samples_of_one_configuration_only() {
     let mut estimation = estimation(|s| s.average = 4);
     let steering = LoopState::default();
     let mut reports = Vec::new();
@@ -98,7 +98,7 @@ fn reports(estimation: &mut Estimation, samples: impl Iterator<Item = Sample>) -
 }
 
 #[test]
-fn only_a_position_that_is_read_back_is_judged() {
+fn only_a_position_from_readback_is_checked() {
     let commanded = LoopState { position: Some(StagePosition([1e-3, 0.0])), ..LoopState::default() };
     let mut estimation = estimation(|_| {});
     for index in 0..20 {
@@ -109,7 +109,7 @@ fn only_a_position_that_is_read_back_is_judged() {
 }
 
 #[test]
-fn the_ray_model_knows_no_offset_and_judges_nothing() {
+fn the_ray_model_has_no_offset_and_no_integrity_check() {
     let mut estimation =
         estimation(|s| s.estimator = Estimator::new(Optics::new(&Head::default()), Model::Ray));
     let reports = reports(&mut estimation, (0..20).map(|k| read_back(k, [100.0, 0.0])));
@@ -126,14 +126,14 @@ fn the_residual_is_of_the_beam_by_matrix_and_origin() {
     assert!(fits.iter().all(|r| r.steering_residual.unwrap() < 1e-9));
     let off = reports(&mut estimation, (20..40).map(|k| read_back(k, [-40.0, 20.0])));
     assert!(off.iter().all(|r| (r.steering_residual.unwrap() - 30e-6).abs() < 1e-9));
-    let told: Vec<_> = off.iter().map(|r| r.status.has(Status::INCONSISTENT)).collect();
-    assert_eq!(told, (0..20).map(|k| k >= 9).collect::<Vec<_>>());
+    let flags: Vec<_> = off.iter().map(|r| r.status.has(Status::INCONSISTENT)).collect();
+    assert_eq!(flags, (0..20).map(|k| k >= 9).collect::<Vec<_>>());
     let back = reports(&mut estimation, [sample(40), read_back(41, [-40.0, 5.0])].into_iter());
     assert!(back.iter().all(|r| !r.status.has(Status::INCONSISTENT)));
 }
 
 #[test]
-fn ten_reports_that_fit_are_fused_and_none_that_does_not() {
+fn fusion_starts_after_ten_consistent_reports_and_excludes_inconsistent_ones() {
     let mut estimation =
         estimation(|s| (s.fuse, s.readback) = (true, Readback::new(BeamMap::default(), 0.1e-6)));
     let stages = (0..30).map(|k| read_back(k, [if k < 20 { 0.3 } else { 20.0 }, 0.0]));
@@ -153,7 +153,7 @@ fn ten_reports_that_fit_are_fused_and_none_that_does_not() {
 }
 
 #[test]
-fn a_step_of_the_power_leaves_the_block_without_a_pose_and_is_no_noise() {
+fn a_block_with_a_step_of_the_power_has_no_pose_and_does_not_raise_the_noise() {
     for average in [1, 4] {
         let mut estimation = estimation(|s| s.average = average);
         let brighter = |k: u64| if k < 100 { 1.0 } else { 1.2 };
@@ -170,7 +170,7 @@ fn a_step_of_the_power_leaves_the_block_without_a_pose_and_is_no_noise() {
 }
 
 #[test]
-fn after_darkness_or_a_gap_there_is_no_step_to_judge() {
+fn after_darkness_or_a_gap_no_step_is_detected() {
     for gap in [true, false] {
         let mut estimation = estimation(|_| {});
         let samples = (0..20).map(|k| {

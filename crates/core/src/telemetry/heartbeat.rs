@@ -92,7 +92,7 @@ impl Heartbeats {
 #[derive(Debug, Default)]
 pub struct Heartbeat {
     /// Counts the starts and ends of polls: odd within a poll.
-    edges: AtomicU64,
+    transitions: AtomicU64,
     ended: AtomicBool,
     /// Set by the task that monitors the heartbeats.
     stalled: AtomicBool,
@@ -102,12 +102,12 @@ pub struct Heartbeat {
 impl Heartbeat {
     /// Heartbeats begun so far.
     pub fn count(&self) -> u64 {
-        self.edges.load(Relaxed).div_ceil(2)
+        self.transitions.load(Relaxed).div_ceil(2)
     }
 
     /// Whether the task is within a poll.
     pub fn inside(&self) -> bool {
-        self.edges.load(Relaxed) % 2 == 1
+        self.transitions.load(Relaxed) % 2 == 1
     }
 
     /// Whether the task has ended.
@@ -133,7 +133,7 @@ impl Heartbeat {
 
     fn edge(&self) {
         // Only the task itself writes.
-        self.edges.store(self.edges.load(Relaxed) + 1, Relaxed);
+        self.transitions.store(self.transitions.load(Relaxed) + 1, Relaxed);
     }
 }
 
@@ -164,7 +164,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn every_poll_is_a_turn_until_the_end() {
+    async fn every_poll_is_a_beat_until_the_end() {
         let heartbeats = Heartbeats::default();
         let turn = heartbeats.of(Task::Centering);
         let task = async {
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_drill_ends_a_task_or_its_turns() {
+    async fn a_drill_ends_a_task_or_its_beats() {
         let turn = Heartbeat::default();
         turn.drill(Drill::End);
         counted(std::future::pending(), &turn).await;

@@ -34,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_written_is_read() {
+    fn the_written_status_is_read() {
         let glance = LatestStatus::default();
         assert_eq!(glance.newest(), None);
         for lock in LockState::ALL {

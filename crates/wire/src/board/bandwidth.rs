@@ -36,7 +36,7 @@ mod tests {
     use crate::channel::MAX_CHANNELS;
 
     #[test]
-    fn the_budget_counts_what_is_sent() {
+    fn the_budget_agrees_with_the_sent_bytes() {
         let mut ack = Vec::new();
         Answer::Ack { id: 1, result: SteerResult::Accepted }.encode(&mut ack);
         assert_eq!(ack.len(), ACK_BYTES);

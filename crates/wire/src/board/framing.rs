@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn framing_adds_what_the_budget_counts() {
+    fn the_overhead_of_framing_agrees_with_the_budget() {
         for body in 0..=MAX_MESSAGE - CRC - 2 {
             let mut out = Vec::new();
             encode(&vec![7; 2 + body], &mut out);

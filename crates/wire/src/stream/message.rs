@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn messages_of_unknown_kind_are_stepped_over() {
+    fn messages_of_unknown_kind_are_skipped() {
         let mut unknown = json(Kind::Heartbeat, &"something new").unwrap();
         unknown[..4].copy_from_slice(b"TFX1");
         let at = unknown.len() - CRC_SIZE;

@@ -154,17 +154,17 @@ impl StreamRequest {
         let mut request = Self::default();
         let mut seen = BTreeSet::new();
         for option in options {
-            let told = quoted(option.as_bytes());
+            let option_text = quoted(option.as_bytes());
             let Some((key, value)) = option.split_once('=') else {
-                return wrong(format!("{told} is not an option of stream"), OPTIONS);
+                return wrong(format!("{option_text} is not an option of stream"), OPTIONS);
             };
             match key {
-                "format" => request.format = format(&told, value)?,
-                "divider" => request.pace = Pace::Divider(divider(&told, value)?),
-                "rate_hz" => request.pace = Pace::RateHz(rate(&told, value)?),
+                "format" => request.format = format(&option_text, value)?,
+                "divider" => request.pace = Pace::Divider(divider(&option_text, value)?),
+                "rate_hz" => request.pace = Pace::RateHz(rate(&option_text, value)?),
                 "fields" => request.fields = Some(fields(value)?),
-                "held" => request.held = on_or_off(&told, value)?,
-                _ => return wrong(format!("{told} is not an option of stream"), OPTIONS),
+                "held" => request.held = on_or_off(&option_text, value)?,
+                _ => return wrong(format!("{option_text} is not an option of stream"), OPTIONS),
             }
             if !seen.insert(key) {
                 return wrong(format!("{key} is given twice"), "each option once");
@@ -180,33 +180,33 @@ impl StreamRequest {
     }
 }
 
-fn format(told: &str, value: &str) -> Result<Format, CommandError> {
+fn format(option_text: &str, value: &str) -> Result<Format, CommandError> {
     let formats = [Format::Binary, Format::Json, Format::Csv];
     match formats.into_iter().find(|f| f.name() == value) {
         Some(format) => Ok(format),
-        None => wrong(told, "format=binary, format=json, format=csv"),
+        None => wrong(option_text, "format=binary, format=json, format=csv"),
     }
 }
 
-pub(super) fn divider(told: &str, value: &str) -> Result<u32, CommandError> {
+pub(super) fn divider(option_text: &str, value: &str) -> Result<u32, CommandError> {
     match value.parse() {
         Ok(divider @ 1..=MAX_DIVIDER) => Ok(divider),
-        _ => wrong(told, format!("a divider from 1 to {MAX_DIVIDER}")),
+        _ => wrong(option_text, format!("a divider from 1 to {MAX_DIVIDER}")),
     }
 }
 
-fn rate(told: &str, value: &str) -> Result<f64, CommandError> {
+fn rate(option_text: &str, value: &str) -> Result<f64, CommandError> {
     match value.parse() {
         Ok(rate) if (1e-3..=1e6).contains(&rate) => Ok(rate),
-        _ => wrong(told, "a rate_hz from 0.001 to 1000000"),
+        _ => wrong(option_text, "a rate_hz from 0.001 to 1000000"),
     }
 }
 
-pub(super) fn on_or_off(told: &str, value: &str) -> Result<bool, CommandError> {
+pub(super) fn on_or_off(option_text: &str, value: &str) -> Result<bool, CommandError> {
     match value {
         "on" => Ok(true),
         "off" => Ok(false),
-        _ => wrong(told, "on, off"),
+        _ => wrong(option_text, "on, off"),
     }
 }
 
@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn commands_are_understood_whatever_their_case() {
+    fn commands_are_case_insensitive() {
         assert_eq!(parse("pose?"), Ok(ClientCommand::Pose));
         assert_eq!(parse("  BYE "), Ok(ClientCommand::Bye));
         assert_eq!(parse("Stream"), Ok(ClientCommand::Stream(StreamRequest::default())));
@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_say_what_is_allowed() {
+    fn errors_state_the_allowed_values() {
         for (line, found, allowed) in [
             ("pose", "\"pose\" is not a command", "pose?"),
             ("pose? now", "\"now\" after pose?", "nothing"),
@@ -339,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_end_with_or_without_cr_and_are_not_endless() {
+    fn lines_end_with_or_without_cr_and_have_a_limited_length() {
         let mut lines = Lines::default();
         lines.push(b"pose?\r\nsta");
         assert_eq!(lines.next_line(), Some(Ok(b"pose?".to_vec())));
@@ -358,7 +358,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_line_gets_one_line_back(line in prop::collection::vec(any::<u8>(), 0..=MAX_LINE)) {
+        fn any_line_gets_a_one_line_answer(line in prop::collection::vec(any::<u8>(), 0..=MAX_LINE)) {
             if let Err(error) = ClientCommand::parse(&line) {
                 let text = error.to_string();
                 prop_assert!(text.is_ascii() && !text.contains(['\n', '\r']), "{}", text);
@@ -366,7 +366,7 @@ mod tests {
         }
 
         #[test]
-        fn what_a_client_asks_is_what_is_understood(
+        fn requests_survive_a_round_trip(
             format in prop::sample::select(vec![Format::Binary, Format::Json, Format::Csv]),
             pace in prop_oneof![(1..=MAX_DIVIDER).prop_map(Pace::Divider), (1e-3..1e6).prop_map(Pace::RateHz)],
             held: bool,

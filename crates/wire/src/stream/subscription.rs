@@ -124,7 +124,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_a_client_asks_is_what_is_understood(
+        fn requests_survive_a_round_trip(
             lease_s in 1..=MAX_LEASE_S, divider in 1..1_000_000u32, big_endian: bool, held: bool, nonce: Option<u64>,
         ) {
             let ask = SubscriptionRequest::Subscribe { lease_s, delivery: Delivery { divider, big_endian, held }, nonce };

@@ -93,7 +93,7 @@ impl Bench {
 }
 
 #[test]
-fn a_board_is_identified_started_and_heard() {
+fn a_board_is_identified_started_and_its_scans_arrive() {
     let mut bench = Bench::new();
     bench.session.connected(bench.now);
     assert_eq!(bench.requests(), [Request::Identify]);
@@ -109,7 +109,7 @@ fn a_board_is_identified_started_and_heard() {
 }
 
 #[test]
-fn every_mishap_is_counted_in_its_place() {
+fn each_kind_of_fault_has_its_counter() {
     let mut bench = Bench::running();
     bench.index(0);
     assert_eq!(bench.index(3), (3, 2));
@@ -132,7 +132,7 @@ fn every_mishap_is_counted_in_its_place() {
 }
 
 #[test]
-fn a_stall_is_told_and_scans_may_come_back_by_themselves() {
+fn a_stall_is_reported_and_scans_may_resume_by_themselves() {
     let mut bench = Bench::running();
     bench.index(0);
     bench.wait(19 * MS);
@@ -151,7 +151,7 @@ fn a_stall_is_told_and_scans_may_come_back_by_themselves() {
 }
 
 #[test]
-fn a_board_that_lost_its_power_is_started_again_and_the_index_goes_on() {
+fn a_board_is_restarted_after_a_power_failure_and_the_index_continues() {
     let mut bench = Bench::running();
     (0..100).for_each(|k| drop(bench.scan(k)));
     bench.wait(20 * MS);
@@ -175,7 +175,7 @@ fn a_board_that_lost_its_power_is_started_again_and_the_index_goes_on() {
 }
 
 #[test]
-fn a_scan_after_a_reconnect_is_younger_than_those_before() {
+fn scans_after_a_reconnect_are_later_than_those_before() {
     let mut bench = Bench::running();
     let Some(SourceEvent::Scan(before)) = bench.scan(0) else { panic!("no scan") };
     let gone = SourceError::Unplugged { port: "/dev/null".into(), reason: "pulled".into() };
@@ -190,7 +190,7 @@ fn a_scan_after_a_reconnect_is_younger_than_those_before() {
 }
 
 #[test]
-fn only_the_newest_command_is_sent_and_its_answer_is_told() {
+fn only_the_newest_command_is_sent_and_its_answer_is_reported() {
     let mut bench = Bench::running();
     let command = |id| OutputCommand { id, codes: [-5, 5], lease_ms: 200, on_expiry: LeaseAction::Park };
     (1..=3).for_each(|id| bench.session.steer(command(id)));
@@ -203,7 +203,7 @@ fn only_the_newest_command_is_sent_and_its_answer_is_told() {
 }
 
 #[test]
-fn a_board_that_cannot_be_used_is_told_why() {
+fn an_unusable_board_is_reported_with_the_reason() {
     let twice = |roles: &mut Vec<Role>| roles[3] = Role::U(0);
     let mut boards = [board(), board(), board(), board(), board(), board()];
     twice(&mut boards[0].roles);
@@ -221,7 +221,9 @@ fn a_board_that_cannot_be_used_is_told_why() {
         bench.session.connected(bench.now);
         bench.start(board);
         match bench.session.event() {
-            Some(SourceEvent::Down(SourceError::Unfit(told))) => assert!(told.contains(reason), "{told}"),
+            Some(SourceEvent::Down(SourceError::Unfit(message))) => {
+                assert!(message.contains(reason), "{message}")
+            }
             other => panic!("{reason}: {other:?}"),
         }
         bench.wait(NS_PER_S);
@@ -230,7 +232,7 @@ fn a_board_that_cannot_be_used_is_told_why() {
 }
 
 #[test]
-fn a_board_of_another_version_is_told_as_such() {
+fn a_board_of_another_version_is_reported() {
     let mut bench = Bench::new();
     bench.session.connected(bench.now);
     let mut frame = Vec::new();

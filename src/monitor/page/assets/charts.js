@@ -1,18 +1,17 @@
-// Strip charts and spectra. Only what can be seen is drawn, and never so often that the page has no time
-// for anything else.
+// Strip charts and spectra. Only visible charts are drawn, and drawing takes a limited part of the time.
 
 import { plot, through } from "./plot.js";
 import { AXES, duration, fixed, node, say, time, unit } from "./words.js";
 
 const LINES = [["--line-1", "solid"], ["--line-2", "dash"], ["--line-3", "dot"]];
-/** A spectrum that has got nothing new for longer than a window and this is old. */
+/** A spectrum is old if it has no new data for its window and this time. */
 const OLD_MS = 2500;
-/** Time that goes back by more fine stretches is set back; less is told twice. */
+/** A step back by more fine intervals is a restart of a replay; a smaller one is a repetition of known intervals. */
 const BACK = 50;
-/** Between the times at the axis, seconds. */
+/** Allowed steps between the times at the axis, milliseconds. */
 const STEPS_MS = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200].map((s) => s * 1000);
 
-/** Charts that are drawn when they have something new, can be seen, and it is their turn. */
+/** Charts that are drawn if they have new data, are visible, and their drawing interval has elapsed. */
 class Charts {
   constructor() {
     this.visible = new Set();
@@ -29,7 +28,7 @@ class Charts {
     return element;
   }
 
-  /** Drawing takes a fifth of the time at most. */
+  /** Limits drawing to a fifth of the time. */
   tick(period_ms) {
     const start = performance.now();
     if (!this.dirty || document.hidden || start < this.next_ms) return;
@@ -40,7 +39,7 @@ class Charts {
   }
 }
 
-/** The six axes over time. Holds one stretch per pixel or so, whatever the time shown. */
+/** The six axes over time. Holds about one interval per pixel for every time span. */
 export class Strips extends Charts {
   constructor(parent) {
     super();
@@ -48,19 +47,19 @@ export class Strips extends Charts {
     this.elements = AXES.map((axis, i) => this.add(parent.appendChild(node("div", { class: "chart", "data-axis": i }))));
   }
 
-  /** What the daemon kept. */
+  /** Takes the history from the daemon. */
   past({ width_ms, through, bins }, span_s) {
     Object.assign(this, { width_ms, through, bins, span_ms: span_s * 1000, dirty: true });
   }
 
-  /** Fine stretches go into those of the chart; what the past had already is left out. */
+  /** Adds fine intervals to those of the chart; skips intervals that the history already contains. */
   add_news(news, fine_ms, now_ms) {
     if (!this.width_ms) return;
     const factor = this.width_ms / fine_ms;
     for (const [fine, ...row] of news) {
       if (fine <= this.through) {
         if (this.through - fine < BACK) continue;
-        this.bins = []; // a replay began again: what was drawn lies in its future
+        this.bins = []; // a replay has restarted: the drawn intervals are in its future
       }
       this.through = fine;
       const k = Math.floor(fine / factor);
@@ -76,7 +75,7 @@ export class Strips extends Charts {
     this.dirty = true;
   }
 
-  /** Mean and range of an axis over all that is shown. */
+  /** Mean and range of an axis over the time span of the chart. */
   statistics(axis) {
     const at = 2 + 3 * axis;
     let [n, sum, min, max] = [0, 0, Infinity, -Infinity];
@@ -89,12 +88,12 @@ export class Strips extends Charts {
     return n > 0 ? { mean: sum / n, range: max - min } : { mean: null, range: null };
   }
 
-  /** Stretches that are farther apart have a hole between them. */
-  get hole_ms() {
+  /** There is a gap between intervals with a larger distance than this. */
+  get gap_ms() {
     return Math.max(this.width_ms, 1.5 * (this.period_ms ?? 0));
   }
 
-  /** Time, and smallest, largest and mean of each stretch; nothing where poses are missing. */
+  /** Time, and smallest, largest and mean of each interval; null where poses are missing. */
   lines(axis) {
     const { scale } = unit(axis);
     const at = 2 + 3 * axis;
@@ -103,11 +102,11 @@ export class Strips extends Charts {
     let before = null;
     for (const bin of this.bins) {
       const middle = (bin[0] + 0.5) * this.width_ms;
-      if (before !== null && (bin[0] - before) * this.width_ms > this.hole_ms) put(middle - this.width_ms, null, null, null);
+      if (before !== null && (bin[0] - before) * this.width_ms > this.gap_ms) put(middle - this.width_ms, null, null, null);
       put(middle, ...bin.slice(at, at + 3).map((value) => value * scale));
       before = bin[0];
     }
-    if (before === null) put(this.now_ms, null, null, null); // the axes need a place
+    if (before === null) put(this.now_ms, null, null, null); // the axes need a time
     return lines;
   }
 
@@ -132,14 +131,14 @@ export class Strips extends Charts {
       ],
       x: {
         range: () => [this.now_ms - this.span_ms, this.now_ms], steps: STEPS_MS, values: (u, splits) => splits.map(clock),
-        tell: (ms) => time(ms), reach: () => Math.max(this.hole_ms, this.span_ms / 200), // in a hole nothing is read out
+        tell: (ms) => time(ms), reach: () => Math.max(this.gap_ms, this.span_ms / 200), // no readout in a gap
       },
       y: { tell: (value) => `${fixed(value, unit(axis).digits)} ${unit(axis).name}` },
     });
   }
 }
 
-/** `[poses, min, max, mean, ...]` into a stretch. */
+/** Merges `[poses, min, max, mean, ...]` into an interval. */
 function merge(bin, row) {
   const n = bin[1] + row[0];
   for (let i = 2; i < bin.length; i += 3) {
@@ -150,12 +149,12 @@ function merge(bin, row) {
   bin[1] = n;
 }
 
-/** Amplitude densities: translations and rotations, nanometres and nanoradians per root hertz. */
+/** Amplitude spectral densities of translations and rotations, nm/√Hz and nrad/√Hz. */
 export class Spectra extends Charts {
   constructor(parent, words) {
     super();
     Object.assign(this, { parent, words });
-    parent.hidden = true; // no empty space where there is no spectrum
+    parent.hidden = true; // no empty space without a spectrum
     this.elements = [0, 3].map((first) => this.add(parent.appendChild(node("div", { class: "chart", "data-axis": first }))));
   }
 
@@ -167,7 +166,7 @@ export class Spectra extends Charts {
     this.parent.hidden = false;
     this.parent.classList.toggle("old", old);
     const what = `Welch, Hann windows of ${of} overlapping by half, ${Math.min(segments, 16)} of 16 averaged, lines ${resolution_hz.toPrecision(3)} Hz apart, from all ${rate_hz} poses a second.`;
-    say(this.words, old ? `Old, of ${time(until_ms, now_ms)}: since then no ${of} of poses without a gap.` : what);
+    say(this.words, old ? `Old, from ${time(until_ms, now_ms)}: no ${of} of poses without a gap since then.` : what);
     if (old && this.spectrum) return;
     Object.assign(this, { spectrum, dirty: true });
   }

@@ -1,9 +1,9 @@
-// The way to the daemon: one WebSocket, opened again when it breaks, silent while nobody looks.
+// The connection to the daemon: one WebSocket, reopened after a failure, paused while the page is hidden.
 
-const QUIET_MS = 1500; // updates come every 100 ms
+const QUIET_MS = 1500; // updates arrive every 100 ms
 const AGAIN_MS = [250, 500, 1000, 2000];
 
-/** Calls back with every message, and with `broken(reason, since_ms)` while there is no news. */
+/** Calls `message` with every message, and `broken(reason, since_ms)` while no updates arrive. */
 export class Link {
   constructor({ message, broken }) {
     Object.assign(this, { message, broken, span_s: 60, attempts: 0, heard_ms: Date.now(), why: null });
@@ -23,7 +23,7 @@ export class Link {
         this.attempts = 0;
         this.why = null;
       }
-      if (message.missed) this.look(); // the charts have a hole: the past again
+      if (message.missed) this.look(); // the charts have a gap: request the history again
       this.message(message);
     };
     socket.onclose = (event) => {
@@ -34,7 +34,7 @@ export class Link {
     };
   }
 
-  /** Says what is looked at, or that nothing is. */
+  /** Sends the time span of the charts to the daemon, or a pause while the page is hidden. */
   look(span_s = this.span_s) {
     this.span_s = span_s;
     if (this.socket.readyState !== WebSocket.OPEN) return;
@@ -42,10 +42,10 @@ export class Link {
     if (document.hidden) this.broken("Paused while hidden", this.heard_ms);
   }
 
-  /** A connection that stands and brings nothing is no connection. */
+  /** An open connection without updates counts as broken. */
   watch() {
     if (!document.hidden && Date.now() - this.heard_ms > QUIET_MS) {
-      this.broken(this.why ?? "No news from the daemon", this.heard_ms);
+      this.broken(this.why ?? "No updates from the daemon", this.heard_ms);
     }
   }
 }

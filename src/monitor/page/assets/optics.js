@@ -19,7 +19,7 @@ function set(element, attributes) {
 
 const close = (points) => points.map((p) => p.map((x) => x.toFixed(4)).join(",")).join(" ");
 
-/** A square per detector: the area, the margin, the spot and where it was. Millimetres, v upwards. */
+/** A square per detector: the area, the margin, the spot and its trail. Millimetres, v upwards. */
 export class Detectors {
   constructor(parent) {
     this.magnified = false;
@@ -88,10 +88,10 @@ const mean = (points) => [0, 1].map((i) => points.reduce((sum, p) => sum + p[i],
 /** Corners of the triangle: A at the right as in the head, B and C behind. */
 const CORNERS = PSDS.map((_, i) => [Math.cos((i * 2 * Math.PI) / 3), -Math.sin((i * 2 * Math.PI) / 3)]);
 
-/** Where three shares that add up to 1 are in the triangle. */
+/** The point in the triangle for three shares with the sum 1. */
 const place = (shares) => [0, 1].map((i) => shares.reduce((sum, share, k) => sum + share * CORNERS[k][i], 0));
 
-/** The shares of the three powers: in the middle they are equal. */
+/** The shares of the three powers: equal shares are in the middle. */
 export class Balance {
   constructor(svg) {
     this.svg = svg;
@@ -106,7 +106,7 @@ export class Balance {
     this.none = draw(svg, "text", { class: "none", "text-anchor": "middle" });
   }
 
-  /** Each share may be so far from a third: a hexagon. */
+  /** The limit on the distance of each share from a third, drawn as a hexagon. */
   configure(config) {
     const b = Math.min(config.estimation.balance_limit, 1 / 3);
     const around = [[b, 0, -b], [0, b, -b], [-b, b, 0], [-b, 0, b], [0, -b, b], [b, -b, 0]];

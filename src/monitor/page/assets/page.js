@@ -1,4 +1,4 @@
-// The live page: what comes from the daemon, to its places.
+// The live page: shows the messages of the daemon in the elements of the page.
 
 import { Spectra, Strips } from "./charts.js";
 import { Link } from "./link.js";
@@ -8,10 +8,10 @@ import { AXES, LOCK_GRADES, SHAPES, chooseUnits, count, duration, facts, fixed, 
 const SPANS = [[10, "10 s"], [60, "1 min"], [600, "10 min"], [3600, "1 h"], [21600, "6 h"]];
 const FINE_MS = 20;
 const RECENT_MS = 10 * 60e3;
-/** Bits that say what a frame is, not what is wrong with it. */
+/** Bits that describe the kind of a frame and are not faults. */
 const MARKS = ["POSE_VALID", "STEERING_MEASURED"];
 
-/** Of a replay. */
+/** Text for values of the loop in a replay. */
 const NO_LOOP = "none: a replay";
 
 const $ = (id) => document.getElementById(id);
@@ -38,7 +38,7 @@ let hello = null;
 let newest = null;
 let counters = null;
 
-// What the person chooses.
+// Settings of the user.
 
 function theme(name) {
   if (name === "auto") document.documentElement.removeAttribute("data-theme");
@@ -74,7 +74,7 @@ for (const [seconds, name] of SPANS) {
   $("span").append(node("label", {}, radio, node("span", {}, name)));
 }
 
-// What the daemon says.
+// Messages of the daemon.
 
 const link = new Link({ message, broken });
 link.look(span_s);
@@ -111,7 +111,7 @@ function begin(first) {
   $("control").hidden = !hello.control;
   const idle = descriptor.replay !== undefined;
   for (const button of document.querySelectorAll("#control :is(button, input)")) button.disabled = idle;
-  if (idle) say($("answer"), "◆ A recording is replayed: nothing steers, and nothing about it can be changed");
+  if (idle) say($("answer"), "◆ A recording is replayed: commands are not available");
 }
 const hex = (n) => n.toString(16).padStart(8, "0");
 
@@ -119,7 +119,7 @@ function show(update) {
   const { frame } = update;
   const now_ms = frame ? frame.time_ns / 1e6 : Date.now();
   document.body.classList.toggle("stale", frame === null || update.dead?.silent === true);
-  verdict(update, now_ms);
+  headline(update, now_ms);
   faults(update, now_ms);
   if (frame === null) return;
   newest = frame;
@@ -146,8 +146,8 @@ function pose(frame) {
   $("pose").dataset.time = frame.time_ns / 1e6;
 }
 
-/** One sentence above all: what a person wants to know first. */
-function verdict({ frame, ready, dead }, now_ms) {
+/** The headline: the most important state in one sentence. */
+function headline({ frame, ready, dead }, now_ms) {
   const wrong = ready.checks.filter((check) => !check.ok);
   if (!dead && frame && hello.descriptor.replay) return grade("note", replayed(frame, hello.descriptor.replay, wrong));
   if (dead) {
@@ -159,30 +159,30 @@ function verdict({ frame, ready, dead }, now_ms) {
   const from = since ? ` since ${time(Date.parse(since), now_ms)}` : "";
   if (name === "lock") {
     const { mode } = hello.config.centering;
-    const loop = mode === "shadow" ? " (the loop is in the shadow)" : "";
+    const loop = mode === "shadow" ? " (loop in shadow mode)" : "";
     return grade("warn", `Pose valid, beam not locked: ${reason}${loop}${from}`);
   }
   grade("bad", `No valid pose: ${reasons(reason)}${from}`);
 }
 
-/** Nothing of a replay is of now, whatever the frames say. */
+/** The headline of a replay, which must not look like live data. */
 function replayed({ status, lock }, { file, recorded, repeat }, wrong) {
   const what = `Replay of ${file}, recorded ${recorded.slice(0, 10)} ${time(Date.parse(recorded))}`;
   if (status.includes("SOURCE_DOWN")) {
     const over = !repeat && counters?.replay_ends > 0;
-    return `${what}: ${over ? "it is at its end" : "it has no samples here"}`;
+    return `${what}: ${over ? "ended" : "no samples at this position"}`;
   }
   const dark = wrong.find((check) => check.name === "optics");
   return `${what}: ${dark ? `no valid pose: ${reasons(dark.reason)}` : still({ status, lock }).toLowerCase()}`;
 }
 
-/** What the frames say that come while a task stands still. */
+/** Pose and lock state of the frames while a task is stalled. */
 function still({ status, lock }) {
   const pose = status.includes("POSE_VALID") ? "Pose valid" : "No valid pose";
   return `${pose}, beam ${lock === "locked" ? "locked" : `not locked (${lock})`}`;
 }
 
-/** "PSD_A_LOW, PSD_B_LOW" in words; the three detectors together where all are meant. */
+/** "PSD_A_LOW, PSD_B_LOW" in words; equal faults of several detectors in one phrase. */
 function reasons(names) {
   const words = names.split(", ").map((name) => {
     const bit = hello.bits.find((bit) => bit.name === name);
@@ -196,7 +196,7 @@ function reasons(names) {
 }
 
 function grade(name, text) {
-  const place = $("verdict");
+  const place = $("headline");
   if (place.dataset.grade !== name) place.dataset.grade = name;
   say(place.querySelector(".shape"), SHAPES[name]);
   say(place.querySelector(".text"), text);
@@ -204,7 +204,7 @@ function grade(name, text) {
 
 function broken(why, since_ms) {
   document.body.classList.add("stale");
-  grade("none", `${why} since ${time(since_ms)}: what is shown is old`);
+  grade("none", `${why} since ${time(since_ms)}: the data shown are old`);
 }
 
 function beam(frame, update, now_ms) {
@@ -212,7 +212,7 @@ function beam(frame, update, now_ms) {
   const away = dx === null ? null : Math.hypot(dx, dy);
   const since = `since ${time(update.lock_since_ms, now_ms)}`;
   const measured = frame.status.includes("STEERING_MEASURED") ? "read back" : "as commanded";
-  const steering = frame.steering_x_m === null ? "not known" : measured;
+  const steering = frame.steering_x_m === null ? "unknown" : measured;
   facts($("beam-facts"), [
     ["loop", hello.descriptor.replay ? NO_LOOP : hello.config.centering.mode],
     ["lock", `${SHAPES[LOCK_GRADES[frame.lock]]} ${frame.lock}`],
@@ -226,11 +226,11 @@ function beam(frame, update, now_ms) {
   ]);
 }
 
-/** What is wrong now, then what was lately. */
+/** Present faults, then recent ones. */
 function faults({ history, dead }, now_ms) {
-  const told = history.map((spell) => ({ ...spell, ...hello.bits[spell.bit], ...meaning(hello.bits[spell.bit]) }));
-  const shown = told.filter((spell) => !MARKS.includes(spell.name) && (spell.until_ms === null || now_ms - spell.until_ms < RECENT_MS));
-  if (dead?.since_ns) shown.push({ bit: -1, name: dead.silent ? "no frames" : "standstill", grade: "bad", text: dead.why, since_ms: dead.since_ns / 1e6, until_ms: null, times: 1 });
+  const explained = history.map((spell) => ({ ...spell, ...hello.bits[spell.bit], ...meaning(hello.bits[spell.bit]) }));
+  const shown = explained.filter((spell) => !MARKS.includes(spell.name) && (spell.until_ms === null || now_ms - spell.until_ms < RECENT_MS));
+  if (dead?.since_ns) shown.push({ bit: -1, name: dead.silent ? "no frames" : "stalled", grade: "bad", text: dead.why, since_ms: dead.since_ns / 1e6, until_ms: null, times: 1 });
   const rank = (spell) => (spell.until_ms === null ? 0 : 4) + ["bad", "warn", "note"].indexOf(spell.grade);
   shown.sort((a, b) => rank(a) - rank(b) || a.bit - b.bit);
   const list = $("faults").querySelector("ul");
@@ -245,13 +245,13 @@ function faults({ history, dead }, now_ms) {
     say(text, `${kind}: ${spell.text}`);
     const times = spell.times > 1 ? `, ${count(spell.times)} times` : "";
     const span = over
-      ? `over: ${time(spell.since_ms, now_ms)} for ${duration(spell.until_ms - spell.since_ms)}`
+      ? `ended: ${time(spell.since_ms, now_ms)} for ${duration(spell.until_ms - spell.since_ms)}`
       : `since ${time(spell.since_ms, now_ms)}`;
     say(when, `${spell.name}, ${span}${times}`);
   });
 }
 
-/** Rates are of the last second, made of ten updates. */
+/** Rates over the last second, from ten updates. */
 const lately = [];
 function losses(update) {
   lately.push(update);
@@ -276,7 +276,7 @@ function losses(update) {
   lately.length = 0;
 }
 
-// What the person orders.
+// Commands of the user.
 
 for (const button of document.querySelectorAll("#control button")) {
   button.addEventListener("click", () => order(button.dataset.command));
@@ -296,7 +296,7 @@ async function order(command) {
   }
 }
 
-// Nothing turns while nobody looks.
+// No drawing while the page is hidden.
 let turning;
 function turn() {
   clearInterval(turning);

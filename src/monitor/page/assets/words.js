@@ -1,4 +1,4 @@
-// How things are said: units, numbers, times, states.
+// Texts for units, numbers, times and states.
 
 export const AXES = [
   { name: "tx", value: "tx_m", sd: "sd_tx_m" },
@@ -24,7 +24,7 @@ export function chooseUnits(name) {
 /** The unit of axis 0 to 5: the first three are lengths. */
 export const unit = (axis) => UNITS[chosen][axis < 3 ? 0 : 1];
 
-/** A number with its digits; a dash for what is not known. */
+/** A number with its digits; a dash for an unknown value. */
 export function fixed(x, digits) {
   if (x === null || x === undefined || !Number.isFinite(x)) return "–";
   return x.toFixed(digits).replace(/^-(?=0\.?0*$)/, "").replace("-", "−");
@@ -33,12 +33,12 @@ export function fixed(x, digits) {
 /** Metres or radians in the unit of this axis. */
 export const inUnit = (x, axis) => fixed(x === null || x === undefined ? x : x * unit(axis).scale, unit(axis).digits);
 
-/** Micrometres, whatever the units are: offsets of the beam are never anything else. */
+/** Micrometres, independent of the chosen units: used for offsets of the beam. */
 export const um = (metres, digits = 2) => (metres === null || metres === undefined ? "–" : `${fixed(metres * 1e6, digits)} µm`);
 
 export const count = (n) => String(n).replace(/\B(?=(\d{3})+(?!\d))/g, "\u202f");
 
-/** Time of day, UTC; with the date if it is another day than that of `now_ms`. */
+/** Time of day, UTC; with the date if it differs from that of `now_ms`. */
 export function time(ms, now_ms = ms) {
   const text = new Date(ms).toISOString();
   const day = text.slice(0, 10) === new Date(now_ms).toISOString().slice(0, 10) ? "" : `${text.slice(0, 10)} `;
@@ -54,7 +54,7 @@ export function duration(ms) {
   return `${(s / 3600).toFixed(1)} h`;
 }
 
-/** Grades go with a shape and a word, never with a colour alone. */
+/** Each grade has a shape and a word besides its colour. */
 export const SHAPES = { good: "●", warn: "▲", bad: "■", note: "◆", none: "○" };
 
 export const LOCK_GRADES = {
@@ -62,7 +62,7 @@ export const LOCK_GRADES = {
   off: "note", manual: "note", railed: "bad", lost: "bad",
 };
 
-/** What a status bit says: "Fatal: too little light on PSD A." is bad, and starts after the colon. */
+/** Grade and text of a status bit: "Fatal: too little light on PSD A." has the grade bad and the text after the colon. */
 export function meaning(bit) {
   const [, grade, text] = /^(?:(Fatal|Warning): )?(.*?)\.?$/.exec(bit.meaning) ?? [null, null, bit.meaning];
   const lower = /^[A-Z][a-z]/.test(text) ? text[0].toLowerCase() + text.slice(1) : text;
@@ -76,12 +76,12 @@ export function node(tag, attributes = {}, ...children) {
   return element;
 }
 
-/** Writes only what has changed: an unchanged page costs no layout. */
+/** Writes only changed texts, because an unchanged page needs no layout. */
 export function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** Names and values, as rows of a list of terms. */
+/** Names and values as rows of a description list. */
 export function facts(list, rows) {
   while (list.children.length > rows.length) list.lastChild.remove();
   rows.forEach(([name, value, title], i) => {

@@ -35,16 +35,16 @@ fn an_answer_ends_with_the_first_line_that_does_not_end_with_a_space() {
 }
 
 #[test]
-fn values_are_read_as_what_they_are() {
+fn values_are_parsed_by_type() {
     assert_eq!(answer(b"7\n").code(), Ok(7));
     assert_eq!(answer(b"-1024\n").code(), Ok(-1024));
     assert_eq!(answer(b"1=1 \nY_2=0\n").flags(&axes()), Ok([true, false]));
     assert_eq!(answer(b"1=\xb5m \nY_2=MM\n").words(&axes()), Ok(["\u{b5}m".into(), "MM".into()]));
-    assert_eq!(answer(b"(c) Somebody, E-1, 007, 1.0\n").line("a name"), Ok("(c) Somebody, E-1, 007, 1.0"));
+    assert_eq!(answer(b"(c) Example, E-1, 007, 1.0\n").line("a name"), Ok("(c) Example, E-1, 007, 1.0"));
 }
 
 #[test]
-fn what_was_not_asked_for_is_refused_with_what_was_expected() {
+fn unexpected_answers_are_refused_with_the_expected_one() {
     let numbers = |bytes| answer(bytes).numbers(&axes()).unwrap_err().to_string();
     let wrong: [&[u8]; 8] = [
         b"1=1.0 \n3=2.0\n",         // another axis
@@ -66,7 +66,7 @@ fn what_was_not_asked_for_is_refused_with_what_was_expected() {
 }
 
 #[test]
-fn bytes_without_end_are_not_collected() {
+fn the_length_of_an_answer_is_limited() {
     let mut endless = Answer::default();
     assert_eq!(endless.push(&[b'x'; LINE]), Ok(false));
     assert_eq!(endless.push(b"x"), Err(AnswerError::TooLong));
@@ -76,7 +76,7 @@ fn bytes_without_end_are_not_collected() {
 
 proptest! {
     #[test]
-    fn numbers_that_are_said_are_the_numbers_that_are_read(
+    fn numbers_survive_a_round_trip(
         a in -1e6..1e6_f64, b in -1e6..1e6_f64, cut in 0..20_usize,
     ) {
         let text = format!("1={a:+.6} \nY_2={b:.6e}\n");
@@ -89,7 +89,7 @@ proptest! {
     }
 
     #[test]
-    fn a_motion_is_made_of_two_numbers_or_is_none(a in any::<f64>(), b in any::<f64>()) {
+    fn a_motion_needs_two_finite_numbers(a in any::<f64>(), b in any::<f64>()) {
         match move_to(&axes(), [a, b]) {
             None => prop_assert!(!(a.is_finite() && b.is_finite())),
             Some(line) => {
@@ -103,7 +103,7 @@ proptest! {
     }
 
     #[test]
-    fn whatever_comes_is_taken_or_refused(bytes in proptest::collection::vec(any::<u8>(), 0..600)) {
+    fn any_bytes_are_accepted_or_refused(bytes in proptest::collection::vec(any::<u8>(), 0..600)) {
         let mut answer = Answer::default();
         if answer.push(&bytes) == Ok(true) {
             let _ = (answer.code(), answer.flags(&axes()), answer.words(&axes()));

@@ -43,7 +43,7 @@ fn locked_only_after_the_confirmation_time_within_limits() {
 }
 
 #[test]
-fn a_large_rms_is_not_locked_even_if_samples_in_between_are_small() {
+fn with_a_large_rms_there_is_no_lock_even_with_small_samples_in_between() {
     let mut lock = new();
     feed(&mut lock, off_by(100e-6), 10);
     assert_eq!(feed(&mut lock, off_by(1e-6), 60), LockState::Acquiring);
@@ -61,7 +61,7 @@ fn railed_is_not_locked() {
 }
 
 #[test]
-fn what_must_not_search_any_more_stops() {
+fn a_search_stops_when_it_is_no_longer_allowed() {
     let mut lock = new();
     feed(&mut lock, LockInput::Dark, 150);
     assert_eq!(lock.state(), LockState::Searching);
@@ -70,7 +70,7 @@ fn what_must_not_search_any_more_stops() {
 }
 
 #[test]
-fn what_is_found_and_lost_again_and_again_is_given_up() {
+fn a_beam_that_is_found_and_lost_repeatedly_is_abandoned() {
     let mut lock = new();
     let mut found = 0;
     while lock.state() != LockState::Held || found < 5 {
@@ -102,7 +102,7 @@ fn a_loss_is_confirmed_twice_before_the_search() {
 }
 
 #[test]
-fn what_is_unclear_is_held_and_never_searched() {
+fn an_unclear_state_is_held_and_never_searched() {
     let mut lock = new();
     let held = [(Action::Holding, LockState::Held), (Action::Holding, LockState::Lost)];
     assert_eq!(course(&mut lock, LockInput::Unclear(LockCause::Clipped), 10_000), held);
@@ -114,7 +114,7 @@ fn what_is_unclear_is_held_and_never_searched() {
 }
 
 #[test]
-fn with_some_light_it_jumps_after_one_confirmation_and_searches_when_that_does_not_help() {
+fn with_some_light_the_loop_jumps_after_one_confirmation_and_then_searches() {
     let mut lock = new();
     feed(&mut lock, off_by(0.0), 60);
     assert_eq!(feed(&mut lock, ELSEWHERE, 49), LockState::Held);
@@ -132,7 +132,7 @@ fn with_some_light_it_jumps_after_one_confirmation_and_searches_when_that_does_n
 }
 
 #[test]
-fn a_covered_psd_has_more_patience() {
+fn a_covered_psd_is_held_longer() {
     let mut lock = new();
     feed(&mut lock, off_by(0.0), 60);
     assert_eq!(feed(&mut lock, COVERED_ONE, 990), LockState::Lost);
@@ -141,7 +141,7 @@ fn a_covered_psd_has_more_patience() {
 }
 
 #[test]
-fn after_so_many_searches_in_vain_it_waits_for_light_or_a_person() {
+fn after_the_limit_of_failed_searches_the_loop_waits_for_light_or_a_command() {
     let mut lock = new();
     let searched = |lock: &mut Lock| {
         feed(lock, LockInput::Dark, 110);
