@@ -77,7 +77,7 @@ fn measure(record: Option<&str>) -> io::Result<bool> {
             .spawn()?,
     );
     let expected = (RATE_HZ * SECONDS) as u64;
-    let mut seen = Received::default();
+    let mut seen = Arrivals::default();
     while seen.last_index() + 1 < expected {
         let mut bytes = [0; 256];
         let n = socket.recv(&mut bytes)?;
@@ -134,7 +134,7 @@ fn recorded(folder: &Path, cpu_s: f64) -> io::Result<bool> {
 
 /// Statistics of the received frames.
 #[derive(Default)]
-struct Received {
+struct Arrivals {
     first: Option<PoseFrame>,
     last: Option<PoseFrame>,
     received: u64,
@@ -149,7 +149,7 @@ struct Received {
     sent_ns: Vec<u32>,
 }
 
-impl Received {
+impl Arrivals {
     fn last_index(&self) -> u64 {
         self.last.map_or(0, |frame| frame.sample_index)
     }

@@ -89,7 +89,11 @@ fn dependencies(folder: &Path, module: Option<&str>, found: &mut BTreeMap<String
         let own = module.unwrap_or_else(|| name.trim_end_matches(".rs")).to_owned();
         if path.is_dir() {
             dependencies(&path, Some(&own), found);
-        } else if name.ends_with(".rs") && name != "tests.rs" && own != "lib" && own != "main" {
+        } else if path.extension().is_some_and(|end| end == "rs")
+            && name != "tests.rs"
+            && own != "lib"
+            && own != "main"
+        {
             let mut others = named(&fs::read_to_string(&path).unwrap());
             others.remove(&own);
             found.entry(own).or_default().extend(others);

@@ -194,7 +194,9 @@ fn check_describes_the_recording_and_notes_an_unusable_folder() {
     assert!(!home.path("here").exists(), "check does not make the folder");
     let told = check("mode = \"always\"\nfolder = \"missing/here\"");
     assert!(
-        told.contains("note") && told.contains("recording.folder") && told.contains("/missing,"),
+        told.contains("note")
+            && told.contains("recording.folder")
+            && told.contains("/missing does not exist"),
         "{told}"
     );
     home.write("taken", "");

@@ -222,7 +222,7 @@ fn an_unusable_board_is_reported_with_the_reason() {
         bench.start(board);
         match bench.session.event() {
             Some(SourceEvent::Down(SourceError::Unfit(message))) => {
-                assert!(message.contains(reason), "{message}")
+                assert!(message.contains(reason), "{message}");
             }
             other => panic!("{reason}: {other:?}"),
         }
