@@ -77,7 +77,7 @@ pub(crate) fn park(args: &ParkArgs) -> anyhow::Result<()> {
 }
 
 /// Parks with the outputs of the board.
-async fn outputs(mut source: impl Source, config: &Config) -> Result<StagePosition, Failure> {
+async fn outputs(mut source: impl Source, config: &Config) -> Result<[f64; 2], Failure> {
     let steering = &config.steering;
     let position = steering.park_um.map(|um| um * 1e-6);
     let mut why = "the board does not answer".to_owned();
@@ -103,11 +103,11 @@ async fn outputs(mut source: impl Source, config: &Config) -> Result<StagePositi
     })
     .await;
     source.close().await;
-    answered(parked.ok(), &why, StagePosition(steering.park_um))
+    answered(parked.ok(), &why, steering.park_um)
 }
 
 /// Parks a stage that has its own controller.
-async fn stage(config: &Config, counters: &Counters) -> Result<StagePosition, Failure> {
+async fn stage(config: &Config, counters: &Counters) -> Result<[f64; 2], Failure> {
     let (_limits, limits) = watch::channel(config.steering.clone());
     let Some((mut driver, task)) = gcs::pair(config, limits) else {
         return Err(Failure::new(exit::SOFTWARE, "the stage has no driver"));
@@ -134,10 +134,10 @@ async fn stage(config: &Config, counters: &Counters) -> Result<StagePosition, Fa
         parked = timeout(PARK_TIMEOUT, talk) => parked.ok(),
         () = task.run(counters) => None,
     };
-    answered(parked, &why, StagePosition(config.steering.park_um))
+    answered(parked, &why, config.steering.park_um)
 }
 
-fn answered(accepted: Option<bool>, why: &str, park_um: StagePosition) -> Result<StagePosition, Failure> {
+fn answered(accepted: Option<bool>, why: &str, park_um: [f64; 2]) -> Result<[f64; 2], Failure> {
     let failed = |why: &str| Err(Failure::new(exit::UNAVAILABLE, format!("not parked: {why}")));
     match accepted {
         Some(true) => Ok(park_um),
