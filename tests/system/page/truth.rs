@@ -212,7 +212,7 @@ fn a_hidden_page_receives_no_updates_and_returns_with_its_whole_history() {
     page.show();
     page.until(FINE);
     assert!(updates(&mut stream) > before);
-    page.until("document.querySelector('.strips .chart').chart.data[0].length > 30");
+    page.until("document.querySelector('.strips .chart').chart?.data[0].length > 30");
     // There is no gap for the time in which the page was hidden.
     let holes =
         page.eval("document.querySelector('.strips .chart').chart.data[3].filter((y) => y === null).length");
