@@ -15,24 +15,25 @@ const STALE_S: f64 = 1.0;
 /// Answer to `pose?`: the newest pose.
 pub fn pose(encoded: &EncodedFrame, frames_hz: f64) -> String {
     let frame = encoded.frame();
-    let valid = valid(encoded, frames_hz);
+    let age_s = encoded.age_s();
+    let valid = valid(frame, age_s, frames_hz);
     let mut line = format!("valid={}", u8::from(valid));
     for (name, x) in POSE.iter().zip(frame.pose) {
         // Seventeen digits reproduce a 64-bit number exactly.
         let _ = if valid { write!(line, " {name}={x:.16e}") } else { write!(line, " {name}=nan") };
     }
-    line + &state(frame, encoded.age_s())
+    line + &state(frame, age_s)
 }
 
 /// Answer to `status?`: the newest status.
 pub fn status(encoded: &EncodedFrame, frames_hz: f64) -> String {
-    let frame = encoded.frame();
+    let (frame, age_s) = (encoded.frame(), encoded.age_s());
     let names: Vec<_> = frame.status.names().collect();
     let names = if names.is_empty() { "none".into() } else { names.join(",") };
     format!(
         "valid={}{} bits={names} session=0x{:08x} config=0x{:08x} rate_hz={frames_hz}",
-        u8::from(valid(encoded, frames_hz)),
-        state(frame, encoded.age_s()),
+        u8::from(valid(frame, age_s, frames_hz)),
+        state(frame, age_s),
         frame.session,
         frame.config
     )
@@ -46,8 +47,9 @@ pub fn descriptor(descriptor: &Descriptor) -> serde_json::Result<Vec<u8>> {
     Ok(format!("{{\"descriptor\":{}}}\n", serde_json::to_string(descriptor)?).into_bytes())
 }
 
-fn valid(encoded: &EncodedFrame, frames_hz: f64) -> bool {
-    encoded.frame().status.has(Status::POSE_VALID) && encoded.age_s() <= STALE_S.max(3.0 / frames_hz)
+/// Validity at this age. The answer states the same age, so that the two never contradict each other.
+fn valid(frame: &PoseFrame, age_s: f64, frames_hz: f64) -> bool {
+    frame.status.has(Status::POSE_VALID) && age_s <= STALE_S.max(3.0 / frames_hz)
 }
 
 fn state(frame: &PoseFrame, age_s: f64) -> String {

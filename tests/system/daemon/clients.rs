@@ -41,7 +41,7 @@ fn a_client_that_never_reads_and_one_that_sends_garbage_delay_no_other_client() 
     let mut streams = [Stream::tcp(address), Stream::tcp(address)];
     // These streams are checked for gaps while the buffers of the stalled client fill up and it is
     // disconnected ...
-    daemon.message("disconnected: took nothing");
+    daemon.message("disconnected: accepted no data");
     // ... and after that.
     streams[0].skip_to_now();
     streams[0].samples(500);

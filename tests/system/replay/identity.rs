@@ -17,7 +17,11 @@ fn all_frames_are_identical_and_the_exit_code_is_0() {
         let frames: Vec<u64> =
             done.out.split_ascii_whitespace().filter_map(|word| word.parse().ok()).take(2).collect();
         assert!(frames[0] == frames[1] && frames[0] > 800, "{}", done.out);
-        assert!(done.out.contains("from 1 keyframe,"), "computed from the first keyframe only: {}", done.out);
+        assert!(
+            done.out.contains("from 1 keyframe and"),
+            "computed from the first keyframe only: {}",
+            done.out
+        );
     }
 }
 
@@ -45,7 +49,7 @@ fn another_configuration_gives_statistics_and_a_recording_of_its_own() {
     // For a configuration without valid poses, the reason is printed.
     let blind = lab.write("blind.toml", "channels.sum_threshold_v = 50.0");
     let done = run(trifacet(&["replay", "--config"]).arg(&blind).arg(&file));
-    assert!(done.code == 0 && done.out.contains("3000 say PSD_A_LOW PSD_B_LOW PSD_C_LOW"), "{}", done.out);
+    assert!(done.code == 0 && done.out.contains("3000 have PSD_A_LOW PSD_B_LOW PSD_C_LOW"), "{}", done.out);
     assert!(!done.out.contains("now minus then"), "{}", done.out);
 }
 
@@ -79,7 +83,7 @@ fn files_of_a_rotated_recording_replay_together_and_separately() {
     }
     let done = run(trifacet(&["replay"]).args([&first, &second]));
     assert_eq!(done.code, 0, "{}", done.err);
-    assert!(done.out.contains("from 1 keyframe,"), "{}", done.out);
+    assert!(done.out.contains("from 1 keyframe and"), "{}", done.out);
 }
 
 #[test]
