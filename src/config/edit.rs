@@ -70,7 +70,7 @@ pub fn write(file: &Path, edits: &[Edit]) -> anyhow::Result<()> {
     Ok(fs::rename(&new, &target)?)
 }
 
-/// Checks whether [`write`] could replace this file. Changes nothing.
+/// Checks whether [`write()`] could replace this file. Changes nothing.
 ///
 /// # Errors
 /// Fails if the file does not exist, or if no new file can be created beside it.

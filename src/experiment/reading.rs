@@ -97,7 +97,7 @@ pub fn write(record: &Record, to: impl Write) -> std::io::Result<()> {
     out.flush()
 }
 
-/// Reads a file that [`write`] wrote.
+/// Reads a file that [`write()`] wrote.
 ///
 /// # Errors
 /// Fails if the file cannot be read or contains an error. The message contains file and line.

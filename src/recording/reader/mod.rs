@@ -2,7 +2,7 @@
 //! the reader panic, or use more memory than the largest chunk.
 //!
 //! - [`parts`]: a file to chunks, skipping damage. [`chunk`]: decompression and checksum.
-//! - [`continuity`]: whether each sample follows the one before. [`tally`]: counts of the contents.
+//! - `continuity`: whether each sample follows the one before. [`tally`]: counts of the contents.
 //! - [`damage`]: descriptions of errors.
 
 mod bytes;

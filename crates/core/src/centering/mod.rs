@@ -1,7 +1,7 @@
 //! The centering loop: finds the apex, moves the beam onto it, and keeps it there. Pure.
 //!
 //! - [`centering`]: the loop: a sample and the last pose in, a steering command out.
-//! - [`params`]: gains, limits and times of the loop. [`modes`]: its modes.
+//! - [`params`]: gains, limits and times of the loop. `modes`: its modes.
 //! - [`state`]: inputs besides samples, and outputs.
 //! - [`observation`], [`apex_tracker`]: what a sample shows, and where the apex is.
 //! - [`stage`], [`command_history`]: the commanded position of the stage, and whether the stage follows.

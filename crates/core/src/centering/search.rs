@@ -1,6 +1,6 @@
 //! The search: a spiral over the range of the stage.
 //!
-//! The turns of the spiral are [`PITCH`] beam radii apart. No point of the range is therefore farther from
+//! The turns of the spiral are `PITCH` beam radii apart. No point of the range is therefore farther from
 //! the path than three quarters of the beam radius; at that distance all three PSDs receive a few percent of
 //! the beam. The beam moves by a quarter of its radius within the loop delay, so that the light is still
 //! there when the loop detects it. Points outside the range are skipped.

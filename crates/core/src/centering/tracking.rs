@@ -11,7 +11,7 @@
 //!   deviation.
 //! - A larger bandwidth follows faster motion, and passes more noise to the stage.
 //!
-//! A jump of the mirror is not a velocity. An innovation beyond [`GATE`] times its usual size is ignored
+//! A jump of the mirror is not a velocity. An innovation beyond `GATE` times its usual size is ignored
 //! once. The second one in a row resets the position and keeps the velocity; the controller then corrects the
 //! jump as an error. The usual size is a running rms of the innovations; an innovation beyond the gate enters
 //! it with a bound.
