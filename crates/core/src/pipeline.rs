@@ -45,7 +45,7 @@ use crate::channels::{ChannelMap, Channels, MissingSignal};
 use crate::estimation::{Estimation, PoseReport};
 use crate::signals::{Identity, Sample, Scan};
 use crate::steering::Command;
-use crate::time::{Mono, NS_PER_S};
+use crate::time::Mono;
 
 /// The shortest silence that is reported.
 const SHORTEST_SILENCE: Duration = Duration::from_millis(20);
@@ -162,6 +162,8 @@ pub struct Pipeline {
     measurement: Measurement,
     centering: Centering,
     pose: Option<TimedPose>,
+    /// The times of silence of the source that is up.
+    times: Option<SilenceTimes>,
     /// When the next silence is due, and since when it counts.
     silence: Option<(Mono, Mono)>,
 }
@@ -184,7 +186,7 @@ pub struct Step {
 impl Pipeline {
     /// A pipeline at rest, without a source.
     pub fn new(measurement: Measurement, centering: Centering) -> Self {
-        Self { measurement, centering, pose: None, silence: None }
+        Self { measurement, centering, pose: None, times: None, silence: None }
     }
 
     /// The three parts, for three tasks.
@@ -198,7 +200,9 @@ impl Pipeline {
     /// # Errors
     /// The source lacks one of the nine signals.
     pub fn source(&mut self, identity: Arc<Identity>, now: Mono) -> Result<(), MissingSignal> {
+        let times = SilenceTimes::new(identity.rate_hz);
         self.measurement.source(identity)?;
+        self.times = Some(times);
         self.silence = self.due(now, |times| times.first);
         Ok(())
     }
@@ -206,11 +210,6 @@ impl Pipeline {
     /// The loop, to steer it by hand and to report what the stage does.
     pub fn centering(&mut self) -> &mut Centering {
         &mut self.centering
-    }
-
-    /// Mapping and estimation, as they are between two scans.
-    pub fn measurement(&self) -> &Measurement {
-        &self.measurement
     }
 
     /// Takes a scan at the moment `now`; `None` without a source.
@@ -267,8 +266,7 @@ impl Pipeline {
     }
 
     fn due(&self, now: Mono, wait: impl FnOnce(&SilenceTimes) -> Duration) -> Option<(Mono, Mono)> {
-        let rate_hz = self.measurement.mapping.identity()?.rate_hz;
-        let wait_ns = wait(&SilenceTimes::new(rate_hz)).as_secs_f64() * NS_PER_S as f64;
-        Some((now + wait_ns as i64, now))
+        let wait_ns = wait(self.times.as_ref()?).as_nanos() as i64;
+        Some((now + wait_ns, now))
     }
 }
