@@ -153,7 +153,7 @@ impl<D: Driver, C: Clock> Side<D, C> {
         let Some(transition) = transition else { return };
         let time = self.clock.now();
         let Transition { from, to, cause } = transition;
-        self.records.put(|| Entry::Lock { time, before: from, after: to, cause: cause.text().into() });
+        self.records.put(|| Entry::lock(time, transition));
         tracing::info!(from = from.name(), to = to.name(), cause = cause.text(), "lock");
         self.counters.lock_cause(cause).inc();
         self.counters.lock(to).inc();

@@ -68,7 +68,7 @@ impl ClosedLoopSim {
         let twin = Twin::new(config).map_err(|e| wrong(e.to_string()))?;
         let mut pipeline = config.pipeline(&context.tables, context.id())?;
         let identity = Arc::new(twin.identity().clone());
-        pipeline.source(identity, Mono(0)).map_err(|e| wrong(e.to_string()))?;
+        pipeline.source(identity, Mono(0))?;
         Ok(Self {
             outputs: twin.outputs().clone(),
             twin,
@@ -181,7 +181,7 @@ impl ClosedLoopSim {
 }
 
 fn record_transition(records: &RecordSender, time: Mono, transition: Option<Transition>) {
-    if let Some(Transition { from, to, cause }) = transition {
-        records.put(|| Entry::Lock { time, before: from, after: to, cause: cause.text().into() });
+    if let Some(transition) = transition {
+        records.put(|| Entry::lock(time, transition));
     }
 }

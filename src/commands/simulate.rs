@@ -52,7 +52,7 @@ pub(crate) fn simulate(args: &SimulateArgs) -> anyhow::Result<()> {
     }
     let wrong = |message: String| Failure::new(exit::CONFIG, message);
     let mut twin = Twin::new(&config).map_err(|e| wrong(e.to_string()))?;
-    let mut map = config.read_channels()?.map(twin.identity()).map_err(|e| wrong(e.to_string()))?;
+    let mut map = config.read_channels()?.map(twin.identity()).map_err(Failure::from)?;
     written(table(&mut twin, &mut map, args.samples, io::stdout().lock()))
 }
 

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use trifacet_core::centering::controller::Controller;
 use trifacet_core::centering::lock::LockLimits;
 use trifacet_core::centering::{Centering, LoopParams};
-use trifacet_core::channels::{Channels, PsdChannels};
+use trifacet_core::channels::{Channels, MissingSignal, PsdChannels};
 use trifacet_core::estimation::integrity::Readback;
 use trifacet_core::estimation::{Estimation, Frames, Settings};
 use trifacet_core::pipeline::{Mapping, Measurement, Pipeline};
@@ -43,6 +43,13 @@ pub enum AssemblyError {
 impl From<AssemblyError> for Failure {
     fn from(error: AssemblyError) -> Self {
         Self::new(exit::CONFIG, error.to_string())
+    }
+}
+
+/// The source does not fit the configuration.
+impl From<MissingSignal> for Failure {
+    fn from(missing: MissingSignal) -> Self {
+        Self::new(exit::CONFIG, missing.to_string())
     }
 }
 

@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use nalgebra::Matrix6;
 use tokio::sync::mpsc;
 use trifacet_core::centering::LoopState;
+use trifacet_core::centering::lock::Transition;
 use trifacet_core::estimation::EstimatorState;
 use trifacet_core::signals::{Identity, Sample, Scan};
 use trifacet_core::telemetry::Counters;
@@ -66,6 +67,11 @@ pub enum Entry {
 }
 
 impl Entry {
+    /// A change of the lock state at this time.
+    pub fn lock(time: Mono, Transition { from, to, cause }: Transition) -> Self {
+        Self::Lock { time, before: from, after: to, cause: cause.text().into() }
+    }
+
     /// Time of the event. A keyframe lies between two events.
     pub fn time(&self) -> Option<Mono> {
         match self {

@@ -3,13 +3,12 @@
 use std::sync::Arc;
 
 use trifacet_core::centering::LoopState;
-use trifacet_core::channels::MissingSignal;
 use trifacet_core::estimation::{Estimation, EstimatorState, PoseReport};
 use trifacet_core::pipeline::Measurement;
 use trifacet_core::signals::{Identity, Sample, Scan};
 
 use crate::config::CalibrationContext;
-use crate::exit::{self, Failure};
+use crate::exit::Failure;
 use crate::recording::{Entry, Keyframe};
 
 /// Channel map and estimation, with the recorded or another configuration.
@@ -161,10 +160,9 @@ impl Engine {
 impl State {
     fn new(keyframe: &Keyframe, other: Option<&Arc<CalibrationContext>>) -> Result<Self, Failure> {
         let context = Arc::clone(other.unwrap_or(&keyframe.context));
-        let wrong = |missing: MissingSignal| Failure::new(exit::CONFIG, missing.to_string());
         let mut measurement = context.config.measurement(&context.tables, context.id())?;
         if let Some(source) = &keyframe.source {
-            measurement.source(Arc::clone(source)).map_err(wrong)?;
+            measurement.source(Arc::clone(source))?;
         }
         if other.is_none() {
             measurement.estimation.remember(keyframe.memory.clone());

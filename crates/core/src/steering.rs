@@ -3,14 +3,13 @@
 use std::ops::Deref;
 
 use nalgebra::{Matrix2, Vector2};
-use serde::{Deserialize, Serialize};
 use trifacet_wire::actuator::LeaseAction;
 
 /// Two axes with a meaning of their own, so that a position of the stage is never taken for one of the beam.
 macro_rules! axes {
     ($(#[doc = $doc:literal])* $name:ident) => {
         $(#[doc = $doc])*
-        #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+        #[derive(Clone, Copy, Debug, Default, PartialEq)]
         pub struct $name(pub [f64; 2]);
 
         /// Read access to the two axes.
