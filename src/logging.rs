@@ -12,9 +12,10 @@ use std::{fmt, io};
 use journal::{Entries, Journal};
 use limit::Limiter;
 use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
+use tracing_subscriber::filter::Targets;
 use tracing_subscriber::layer::{Layer as _, SubscriberExt};
+use tracing_subscriber::reload;
 use tracing_subscriber::util::SubscriberInitExt;
-use tracing_subscriber::{EnvFilter, reload};
 
 use crate::config::{LogConfig, LogFormat};
 use crate::exit::{self, Failure};
@@ -22,7 +23,7 @@ use crate::exit::{self, Failure};
 /// Largest number of lines that wait to be written. Further lines are dropped.
 const QUEUE: usize = 10_000;
 
-type Refilter = dyn Fn(EnvFilter) -> Result<(), reload::Error> + Send + Sync;
+type Refilter = dyn Fn(Targets) -> Result<(), reload::Error> + Send + Sync;
 
 /// The log of the process. Dropping it writes the queued lines.
 pub struct Logging {
@@ -84,8 +85,9 @@ impl Logging {
     }
 }
 
-fn filter(level: &str) -> Result<EnvFilter, Failure> {
-    let wrong = |e: &dyn fmt::Display| Failure::new(exit::CONFIG, format!("log.level = {level:?}: {e}"));
-    let filter = EnvFilter::try_new(level).map_err(|e| wrong(&e))?;
-    Ok(filter.add_directive(limit::ALWAYS.parse().map_err(|e| wrong(&e))?))
+fn filter(level: &str) -> Result<Targets, Failure> {
+    let filter: Targets =
+        level.parse().map_err(|e| Failure::new(exit::CONFIG, format!("log.level = {level:?}: {e}")))?;
+    let (target, level) = limit::ALWAYS;
+    Ok(filter.with_target(target, level))
 }

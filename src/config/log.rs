@@ -1,7 +1,7 @@
 //! `[log]`: level and format of the log.
 
 use serde::{Deserialize, Serialize};
-use tracing_subscriber::filter::EnvFilter;
+use tracing_subscriber::filter::Targets;
 
 use super::check::Checker;
 
@@ -40,7 +40,7 @@ impl LogConfig {
             let level = part.rsplit('=').next().unwrap_or_default().trim().to_lowercase();
             LEVELS.contains(&level.as_str())
         });
-        let fine = levels && EnvFilter::builder().parse(&self.level).is_ok();
+        let fine = levels && self.level.parse::<Targets>().is_ok();
         let allowed =
             "off, error, warn, info, debug or trace, or a list such as \"info,trifacet::twin=debug\"";
         at.demand(fine, "level", format!("{:?}", self.level), allowed);

@@ -22,7 +22,7 @@ use crate::clock::SystemClock;
 const BURST: u32 = 20;
 const INTERVAL_S: i64 = 10;
 /// Target of the summary lines, which the filter always admits: without log lines there are no summaries.
-pub(super) const ALWAYS: &str = "trifacet::logging=info";
+pub(super) const ALWAYS: (&str, Level) = ("trifacet::logging", Level::INFO);
 
 /// Number of remembered messages; beyond it, messages with nothing left to summarise are forgotten.
 const MOST: usize = 256;
