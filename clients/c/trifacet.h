@@ -48,6 +48,10 @@
 #define TRIFACET_RECORDING_FAULT   (UINT32_C(1) << 24)
 #define TRIFACET_POWER_STEP        (UINT32_C(1) << 25)
 
+/* Bits with which a pose is not usable for control: it contradicts another signal, its time is unknown, it is an
+ * earlier one, or its light was not measured now. */
+#define TRIFACET_UNUSABLE (TRIFACET_INCONSISTENT | TRIFACET_CLOCK_UNSYNCED | TRIFACET_POSE_HELD | TRIFACET_NOT_REAL)
+
 /* The light is computed or recorded, not measured: never control a machine with such a pose. To test a program
  * with the daemon's digital twin, define this as 0 before the header is included. */
 #ifndef TRIFACET_NOT_REAL
@@ -245,11 +249,12 @@ static inline int64_t trifacet_local_age_ns(const struct trifacet_frame *frame, 
     return waited_ns + (int64_t)frame->send_delay_ns;
 }
 
-/* Whether a machine may act on this pose: it is valid, from measured light, and its age is within plus and minus
- * the limit. The status is checked first, because the numbers of an invalid frame are NaN. */
+/* Whether a machine may act on this pose: it is valid, no bit of TRIFACET_UNUSABLE is set, and its age is within
+ * plus and minus the limit. The status is checked first, because the numbers of an invalid frame are NaN. Whether
+ * the beam is on the apex is a separate question: see `lock`. */
 static inline int trifacet_usable(const struct trifacet_frame *frame, int64_t age_ns, int64_t max_age_ns)
 {
-    return (frame->status & TRIFACET_POSE_VALID) != 0 && (frame->status & TRIFACET_NOT_REAL) == 0
+    return (frame->status & TRIFACET_POSE_VALID) != 0 && (frame->status & TRIFACET_UNUSABLE) == 0
         && age_ns <= max_age_ns && age_ns >= -max_age_ns;
 }
 

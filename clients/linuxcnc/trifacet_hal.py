@@ -85,8 +85,8 @@ class Pins:
 
     def usable(self, frame, age):
         h = self.hal
-        return (frame is not None and frame.valid and age <= h["max-age"]
-                and (h["allow-simulated"] or not frame.status & NOT_REAL))
+        forbidden = trifacet.UNUSABLE & ~NOT_REAL if h["allow-simulated"] else trifacet.UNUSABLE
+        return frame is not None and frame.valid and not frame.status & forbidden and age <= h["max-age"]
 
     def update(self, frame, age, losses):
         """Sets all pins."""

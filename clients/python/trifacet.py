@@ -32,6 +32,9 @@ LOCK_STATES = ("off", "manual", "searching", "acquiring", "locked", "railed", "l
 POSE_VALID = 1 << STATUS_BITS.index("POSE_VALID")
 SIMULATED = 1 << STATUS_BITS.index("SIMULATED")
 REPLAYED = 1 << STATUS_BITS.index("REPLAYED")
+# Bits with which a pose is not usable for control.
+UNUSABLE = sum(1 << STATUS_BITS.index(name) for name in (
+    "INCONSISTENT", "CLOCK_UNSYNCED", "POSE_HELD", "REPLAYED", "SIMULATED"))
 
 _HEADER = struct.Struct("<4sBBH")  # magic, major, minor, size: the beginning of every message
 _BODY = struct.Struct("<IIQQqIIIHBB 3d3d 3f3f 2ff HH 2f2f2f 3f2f")
@@ -122,7 +125,8 @@ class Frame(NamedTuple):
 
     @property
     def clock_sigma(self):
-        """Standard uncertainty of `time_ns` on the daemon's clock, seconds; NaN if unknown."""
+        """Standard uncertainty of `time_ns` on the daemon's clock, seconds; NaN if unknown. Compare it with your
+        tolerance for the time, such as the tolerable position error divided by the velocity of the axis."""
         return math.nan if self.clock_quality == CLOCK_UNKNOWN else self.clock_quality * 1e-7
 
     def age(self):
@@ -130,11 +134,12 @@ class Frame(NamedTuple):
         return (time.time_ns() - self.time_ns) * 1e-9
 
     def usable(self, max_age, simulated=False):
-        """Whether a machine may act on this pose: it is valid, its age is within plus and minus `max_age` seconds, and
-        it is from measured light, unless `simulated` is set. A negative age means that the clocks do not agree.
+        """Whether a machine may act on this pose: it is valid, no bit of `UNUSABLE` is set, and its age is within plus
+        and minus `max_age` seconds. `simulated` permits SIMULATED and REPLAYED, for tests. A negative age means that
+        the clocks do not agree. Whether the beam is on the apex is a separate question: see `lock`.
         """
-        computed = self.status & (SIMULATED | REPLAYED)
-        return self.valid and abs(self.age()) <= max_age and (simulated or not computed)
+        forbidden = UNUSABLE & ~(SIMULATED | REPLAYED) if simulated else UNUSABLE
+        return self.valid and not self.status & forbidden and abs(self.age()) <= max_age
 
 
 class Losses:

@@ -10,6 +10,7 @@ pub struct Utc {
     offset: SlewedOffset,
     read: fn() -> Reading,
     due: Mono,
+    followed: u32,
 }
 
 impl Utc {
@@ -21,7 +22,7 @@ impl Utc {
     /// UTC from the readings of `read`.
     pub fn reading(read: fn() -> Reading) -> Self {
         let start = read();
-        Self { offset: SlewedOffset::new(start), read, due: start.0 + NS_PER_S }
+        Self { offset: SlewedOffset::new(start), read, due: start.0 + NS_PER_S, followed: 0 }
     }
 
     /// Nanoseconds of UTC since 1970 at `t`, and whether they agree with the system clock. `now` is the
@@ -34,14 +35,27 @@ impl Utc {
         (self.offset.utc_ns(t), self.offset.synced())
     }
 
+    /// Number of steps of the system clock that were followed.
+    pub fn steps_followed(&self) -> u32 {
+        self.followed
+    }
+
     fn look(&mut self) {
         let was_synced = self.offset.synced();
-        self.offset.update((self.read)());
+        if let Some(step_ns) = self.offset.update((self.read)()) {
+            self.followed = self.followed.wrapping_add(1);
+            let step_s = step_ns as f64 / 1e9;
+            tracing::warn!(
+                step_s,
+                "the time of the frames follows a step of the system clock; a new session begins"
+            );
+            return;
+        }
         let error_ms = self.offset.error_ns() as f64 / 1e6;
         match (was_synced, self.offset.synced()) {
             (true, false) => tracing::warn!(
                 error_ms,
-                "the system clock stepped; frames carry CLOCK_UNSYNCED while their time follows at 500 ppm"
+                "the system clock stepped; frames carry CLOCK_UNSYNCED until their time agrees with it again"
             ),
             (false, true) => tracing::info!("the time of the frames agrees with the system clock again"),
             _ => {}
@@ -99,5 +113,7 @@ mod tests {
         let almost = second(1) + -1;
         assert_eq!(utc.at(almost, almost), (EPOCH + NS_PER_S - 1, true));
         assert_eq!(utc.at(second(1), second(1)), (EPOCH + NS_PER_S, false), "flagged, not followed");
+        assert_eq!(utc.at(second(2), second(2)), (EPOCH + 5 * NS_PER_S, true), "confirmed and followed");
+        assert_eq!(utc.steps_followed(), 1);
     }
 }

@@ -299,7 +299,8 @@ impl RunningConfig {
             );
         }
         (self.facts, self.tables) = (facts, tables);
-        self.descriptor.send_replace(facts.descriptor());
+        // The session may have changed since the start.
+        self.descriptor.send_modify(|now| *now = Descriptor { session: now.session, ..facts.descriptor() });
         Ok(())
     }
 
@@ -330,7 +331,7 @@ impl RunningConfig {
             "pid": std::process::id(),
             "uptime_s": now.seconds_since(self.started),
             "file": self.file,
-            "session": format!("{:08x}", self.facts.id.session),
+            "session": format!("{:08x}", self.descriptor.borrow().session),
             "config": self.id(),
             "replay": replay,
             "loop": self.loop_now().await?,

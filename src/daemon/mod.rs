@@ -98,6 +98,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
             tcp: server.is_some().then_some(to_tcp),
             monitor: monitor.is_some().then_some(to_monitor),
             recording_fault: Arc::clone(&recording.state.fault),
+            descriptor: descriptor.clone(),
         },
     )?;
     let parts = Parts {

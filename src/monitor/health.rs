@@ -9,21 +9,28 @@ use trifacet_wire::{LockState, PoseFrame, Status};
 pub enum Subject {
     /// Samples come from a source, not from a recording.
     Samples,
+    /// The time of the measurement is reliable.
+    Time,
     /// The frame has a valid pose.
     Optics,
+    /// The pose agrees with the other signals.
+    Consistency,
     /// The loop holds the beam on the apex.
     Lock,
 }
 
 impl Subject {
     /// All subjects, in the order of the signal flow.
-    pub const ALL: [Subject; 3] = [Subject::Samples, Subject::Optics, Subject::Lock];
+    pub const ALL: [Subject; 5] =
+        [Subject::Samples, Subject::Time, Subject::Optics, Subject::Consistency, Subject::Lock];
 
     /// Name of the subject.
     pub fn name(self) -> &'static str {
         match self {
             Subject::Samples => "samples",
+            Subject::Time => "time",
             Subject::Optics => "optics",
+            Subject::Consistency => "consistency",
             Subject::Lock => "lock",
         }
     }
@@ -31,7 +38,9 @@ impl Subject {
     fn holds(self, frame: &PoseFrame) -> bool {
         match self {
             Subject::Samples => Status(frame.status.0 & NO_SAMPLES.0) == Status::default(),
+            Subject::Time => !frame.status.has(Status::CLOCK_UNSYNCED),
             Subject::Optics => frame.status.has(Status::POSE_VALID),
+            Subject::Consistency => !frame.status.has(Status::INCONSISTENT),
             Subject::Lock => frame.lock == LockState::Locked,
         }
     }
@@ -40,6 +49,8 @@ impl Subject {
     fn reason(self, frame: &PoseFrame) -> String {
         match self {
             Subject::Samples => names(frame.status, NO_SAMPLES),
+            Subject::Time => names(frame.status, Status::CLOCK_UNSYNCED),
+            Subject::Consistency => names(frame.status, Status::INCONSISTENT),
             Subject::Optics => {
                 let fatal = names(frame.status, Status::FATAL);
                 // The only other cause of an invalid frame is a gap within an averaged block.
@@ -71,7 +82,7 @@ pub struct Standstill {
 
 /// Result of each check, and the time of its last change.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Checks([Option<Check>; 3]);
+pub struct Checks([Option<Check>; Subject::ALL.len()]);
 
 #[derive(Clone, Copy, Debug)]
 struct Check {
@@ -166,14 +177,15 @@ mod tests {
         checks.frame(&good);
         let readiness = checks.readiness(Some(&good), None);
         assert!(readiness.ready);
-        assert_eq!(checks_of(&readiness), [(true, "1970-01-01T00:00:01Z", ""); 3]);
+        assert_eq!(checks_of(&readiness), [(true, "1970-01-01T00:00:01Z", ""); 5]);
         checks.frame(&held);
         checks.frame(&lost);
         let readiness = checks.readiness(Some(&lost), None);
         assert!(!readiness.ready);
         let at = "1970-01-01T00:00:02Z";
         let dark = (false, at, "PSD_A_LOW, PSD_B_LOW");
-        assert_eq!(checks_of(&readiness), [(true, "1970-01-01T00:00:01Z", ""), dark, (false, at, "lost")]);
+        let good = (true, "1970-01-01T00:00:01Z", "");
+        assert_eq!(checks_of(&readiness), [good, good, dark, good, (false, at, "lost")]);
     }
 
     #[test]
@@ -185,19 +197,35 @@ mod tests {
         let readiness = checks.readiness(Some(&replayed), None);
         assert!(!readiness.ready);
         let at = "1970-01-01T00:00:01Z";
-        assert_eq!(checks_of(&readiness), [(false, at, "REPLAYED"), (true, at, ""), (true, at, "")]);
+        let fine = (true, at, "");
+        assert_eq!(checks_of(&readiness), [(false, at, "REPLAYED"), fine, fine, fine, fine]);
+    }
+
+    #[test]
+    fn ready_means_usable_for_control_and_locked() {
+        let [good, ..] = frames();
+        for (bit, name) in Status::NAMES {
+            let frame = PoseFrame { status: good.status | *bit, ..good };
+            let mut checks = Checks::default();
+            checks.frame(&frame);
+            let ready = checks.readiness(Some(&frame), None).ready;
+            // POSE_HELD is set for single clients only; with a fatal bit the estimator does not set POSE_VALID.
+            if *bit != Status::POSE_HELD && !Status::FATAL.has(*bit) {
+                assert_eq!(ready, frame.status.usable(Status::SIMULATED), "{name}");
+            }
+        }
     }
 
     #[test]
     fn no_check_stays_green_without_frames() {
         let [good, held, _] = frames();
         let mut checks = Checks::default();
-        assert_eq!(checks_of(&checks.readiness(None, None)), [(false, "", "no frame has been made yet"); 3]);
+        assert_eq!(checks_of(&checks.readiness(None, None)), [(false, "", "no frame has been made yet"); 5]);
         let dead = Standstill { why: "dead".into(), since_ns: Some(4_000_000_000), silent: true };
-        assert_eq!(checks_of(&checks.readiness(None, Some(&dead))), [(false, "", "dead"); 3]);
+        assert_eq!(checks_of(&checks.readiness(None, Some(&dead))), [(false, "", "dead"); 5]);
         checks.frame(&good);
         let at = "1970-01-01T00:00:04Z";
-        assert_eq!(checks_of(&checks.readiness(Some(&good), Some(&dead))), [(false, at, "dead"); 3]);
+        assert_eq!(checks_of(&checks.readiness(Some(&good), Some(&dead))), [(false, at, "dead"); 5]);
         checks.frame(&held);
         let down = PoseFrame { status: Status::SOURCE_DOWN, time_ns: 5_000_000_000, ..held };
         checks.frame(&down);

@@ -6,11 +6,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use tokio::sync::mpsc::error::TrySendError;
-use tokio::sync::mpsc::{self};
+use tokio::sync::{mpsc, watch};
 use trifacet_core::estimation::PoseReport;
 use trifacet_core::stamp::Stamp;
 use trifacet_core::telemetry::{Counter, Counters};
 use trifacet_core::time::Clock;
+use trifacet_wire::stream::Descriptor;
 use trifacet_wire::{PoseFrame, Status};
 
 use super::target::{Subscribers, Targets};
@@ -21,7 +22,7 @@ use crate::exit::Failure;
 /// Distinguishes the frames of one run of a daemon with one configuration from all others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StreamId {
-    /// Random; differs after each restart.
+    /// Random; differs after each restart, and after each step of the time.
     pub session: u32,
     /// Hash of geometry and calibration.
     pub config: u32,
@@ -45,7 +46,7 @@ pub struct PublisherSettings {
 }
 
 /// Outlets for frames besides the fixed targets. `None` disables an outlet.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Outlets {
     /// The subscribers of [`super::subscription_server`].
     pub subscribers: Option<Subscribers>,
@@ -55,6 +56,8 @@ pub struct Outlets {
     pub monitor: Option<mpsc::Sender<PoseFrame>>,
     /// Set while a recording loses data.
     pub recording_fault: Arc<AtomicBool>,
+    /// The descriptor, which learns of a new session.
+    pub descriptor: watch::Sender<Descriptor>,
 }
 
 /// Makes frames from reports and sends them. Runs on the fast thread.
@@ -68,6 +71,7 @@ pub struct Publisher<C> {
     tcp: Option<mpsc::Sender<PoseFrame>>,
     monitor: Option<mpsc::Sender<PoseFrame>>,
     recording_fault: Arc<AtomicBool>,
+    descriptor: watch::Sender<Descriptor>,
     sequence: u64,
 }
 
@@ -84,15 +88,19 @@ impl<C: Clock> Publisher<C> {
         outlets: Outlets,
     ) -> Result<Self, Failure> {
         let PublisherSettings { id, udp } = settings;
-        let Outlets { subscribers, tcp, monitor, recording_fault } = outlets;
+        let Outlets { subscribers, tcp, monitor, recording_fault, descriptor } = outlets;
         let targets = Targets::open(&udp, subscribers)?;
-        Ok(Self { id, targets, clock, utc, counters, tcp, monitor, recording_fault, sequence: 0 })
+        Ok(Self { id, targets, clock, utc, counters, tcp, monitor, recording_fault, descriptor, sequence: 0 })
     }
 
     /// Sends the frame of a report to all receivers and returns it. Frames are sent at the full rate, valid
     /// or not: silence means that the link is down, and status bits give the reason for an invalid pose.
     pub fn publish(&mut self, report: &PoseReport) -> PoseFrame {
+        let steps = self.utc.steps_followed();
         let (time_ns, synced) = self.utc.at(report.time, self.clock.now());
+        if self.utc.steps_followed() != steps {
+            self.begin_session();
+        }
         self.publish_of(report, time_ns, synced)
     }
 
@@ -116,6 +124,14 @@ impl<C: Clock> Publisher<C> {
     }
 }
 
+impl<C> Publisher<C> {
+    /// Begins a new session: differences between times of two sessions have no meaning.
+    fn begin_session(&mut self) {
+        self.id = StreamId::new(self.id.config);
+        self.descriptor.send_modify(|descriptor| descriptor.session = self.id.session);
+    }
+}
+
 /// Passes a frame to a channel. A closed channel is not a loss: the daemon notices that its reader has ended.
 fn hand_on(frame: PoseFrame, to: Option<&mpsc::Sender<PoseFrame>>, overflows: &Counter) {
     if let Some(to) = to
@@ -128,11 +144,14 @@ fn hand_on(frame: PoseFrame, to: Option<&mpsc::Sender<PoseFrame>>, overflows: &C
 #[cfg(test)]
 mod tests {
     use std::net::{SocketAddr, UdpSocket};
+    use std::sync::atomic::AtomicI64;
     use std::time::Duration;
 
     use trifacet_core::time::Mono;
 
     use super::*;
+    use crate::config::Model;
+    use crate::publishing::descriptor::StreamFacts;
 
     #[derive(Clone)]
     struct Fixed(Mono);
@@ -143,18 +162,29 @@ mod tests {
         }
     }
 
+    fn outlets() -> Outlets {
+        let facts = StreamFacts {
+            id: StreamId { session: 1, config: 2 },
+            sample_rate_hz: 1000.0,
+            average: 1,
+            model: Model::Ray,
+            calibrated: false,
+        };
+        Outlets {
+            subscribers: None,
+            tcp: None,
+            monitor: None,
+            recording_fault: Arc::default(),
+            descriptor: watch::Sender::new(facts.descriptor()),
+        }
+    }
+
     fn publisher(udp: Vec<SocketAddr>, tcp: Option<mpsc::Sender<PoseFrame>>) -> Publisher<Fixed> {
         let udp = udp.into_iter().map(UdpTarget::to).collect();
         let settings = PublisherSettings { id: StreamId { session: 1, config: 2 }, udp };
         let utc = Utc::reading(|| (Mono(0), 5_000_000_000));
-        Publisher::new(
-            settings,
-            Fixed(Mono(1_200_000)),
-            utc,
-            Arc::default(),
-            Outlets { tcp, ..Outlets::default() },
-        )
-        .unwrap()
+        Publisher::new(settings, Fixed(Mono(1_200_000)), utc, Arc::default(), Outlets { tcp, ..outlets() })
+            .unwrap()
     }
 
     #[test]
@@ -195,7 +225,7 @@ mod tests {
         let utc = Utc::reading(|| (Mono(0), 0));
         let counters = Arc::default();
         let mut publisher =
-            Publisher::new(settings, Fixed(Mono(1_200_000)), utc, counters, Outlets::default()).unwrap();
+            Publisher::new(settings, Fixed(Mono(1_200_000)), utc, counters, outlets()).unwrap();
         for n in 0..6 {
             let status = if n < 2 { PoseReport::example().status } else { Status::PSD_A_LOW };
             publisher.publish(&PoseReport { status, ..PoseReport::example() });
@@ -253,5 +283,41 @@ mod tests {
     #[test]
     fn every_start_is_another_session() {
         assert_ne!(StreamId::new(1).session, StreamId::new(1).session);
+    }
+
+    #[test]
+    fn a_step_of_the_system_clock_begins_a_new_session() {
+        #[derive(Clone)]
+        struct Ticking(Arc<AtomicI64>);
+        impl Clock for Ticking {
+            fn now(&self) -> Mono {
+                Mono(self.0.load(Ordering::Relaxed))
+            }
+        }
+        /// The system clock is an hour ahead from the second reading on.
+        fn read() -> (Mono, i64) {
+            static CALLS: AtomicI64 = AtomicI64::new(0);
+            let n = CALLS.fetch_add(1, Ordering::Relaxed);
+            let step_s = if n == 0 { 0 } else { 3600 };
+            (Mono(n * 1_000_000_000), (1_800_000_000 + n + step_s) * 1_000_000_000)
+        }
+        let clock = Ticking(Arc::default());
+        let settings = PublisherSettings { id: StreamId { session: 1, config: 2 }, udp: Vec::new() };
+        let outlets = outlets();
+        let descriptor = outlets.descriptor.subscribe();
+        let utc = Utc::reading(read);
+        let mut publisher = Publisher::new(settings, clock.clone(), utc, Arc::default(), outlets).unwrap();
+        let mut frame = |s: i64| {
+            clock.0.store(s * 1_000_000_000, Ordering::Relaxed);
+            publisher.publish(&PoseReport { time: Mono(s * 1_000_000_000), ..PoseReport::example() })
+        };
+        assert_eq!(frame(0).session, 1);
+        let unconfirmed = frame(1);
+        assert!(unconfirmed.session == 1 && unconfirmed.status.has(Status::CLOCK_UNSYNCED));
+        let followed = frame(2);
+        assert!(followed.session != 1 && !followed.status.has(Status::CLOCK_UNSYNCED));
+        assert_eq!(followed.time_ns, (1_800_000_002 + 3600) * 1_000_000_000);
+        assert_eq!(descriptor.borrow().session, followed.session);
+        assert_eq!(frame(3).session, followed.session);
     }
 }

@@ -7,6 +7,10 @@ use trifacet_wire::{PoseFrame, Status};
 use crate::estimation::PoseReport;
 use crate::time::Mono;
 
+/// Largest standard uncertainty of a measurement time that can be relied upon, nanoseconds: beyond it,
+/// `clock_quality` nears the end of its range.
+const RELIABLE_NS: f64 = 5e6;
+
 /// The fields of a frame besides the report: sender, number and times.
 #[derive(Clone, Copy, Debug)]
 pub struct Stamp {
@@ -41,7 +45,8 @@ impl PoseReport {
         if pose.is_none() {
             status.0 &= !Status::POSE_VALID.0;
         }
-        status.set(Status::CLOCK_UNSYNCED, !stamp.synced);
+        let unreliable = report.time_sigma_ns.is_some_and(|sigma_ns| sigma_ns > RELIABLE_NS);
+        status.set(Status::CLOCK_UNSYNCED, !stamp.synced || unreliable);
         let variances = pose.and(report.covariance).map(|c| c.diagonal());
         PoseFrame {
             session: stamp.session,
@@ -117,7 +122,7 @@ mod tests {
 
     #[test]
     fn numbers_too_large_for_their_field_saturate() {
-        let late = Stamp { sent: Mono(i64::MAX), synced: false, ..Stamp::example() };
+        let late = Stamp { sent: Mono(i64::MAX), synced: true, ..Stamp::example() };
         let report = PoseReport { lost: 70_000, time_sigma_ns: Some(1e9), ..PoseReport::example() };
         let frame = report.frame(late);
         assert_eq!(frame.send_delay_ns, u32::MAX);
@@ -126,5 +131,7 @@ mod tests {
         assert!(frame.status.has(Status::CLOCK_UNSYNCED));
         let unknown = PoseReport { time_sigma_ns: None, ..report };
         assert_eq!(unknown.frame(late).clock_quality, CLOCK_UNKNOWN);
+        assert!(!unknown.frame(late).status.has(Status::CLOCK_UNSYNCED));
+        assert!(unknown.frame(Stamp { synced: false, ..late }).status.has(Status::CLOCK_UNSYNCED));
     }
 }

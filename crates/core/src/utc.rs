@@ -2,7 +2,8 @@
 //!
 //! The offset follows the system clock at no more than 500 ppm, so that the time between two frames is
 //! correct to 0.05 % whatever happens to the system clock. A step of that clock is flagged, and the offset
-//! approaches it at the slew rate.
+//! approaches it at the slew rate. A step that would take minutes to slew (the clock was set, or the machine
+//! slept) is followed at once, when a second reading confirms it.
 
 use crate::time::Mono;
 
@@ -11,6 +12,9 @@ const SLEW: i64 = 2000;
 
 /// If the system clock is farther away than this (1 ms), it has stepped, and the time is not UTC.
 const STEP_NS: i64 = 1_000_000;
+
+/// If the system clock is farther away than this (0.1 s, 200 s of slewing), the offset follows its step.
+const FOLLOW_NS: i64 = 100_000_000;
 
 /// A moment read from both clocks: monotonic, and nanoseconds of UTC since 1970.
 pub type Reading = (Mono, i64);
@@ -46,11 +50,19 @@ impl SlewedOffset {
         Self { before: piece, now: piece }
     }
 
-    /// Takes a later reading of both clocks.
-    pub fn update(&mut self, (mono, utc): Reading) {
+    /// Takes a later reading of both clocks. Returns the size of a step that was followed, nanoseconds. From
+    /// then on all moments, also earlier ones, have the new offset: two time scales are never mixed.
+    pub fn update(&mut self, (mono, utc): Reading) -> Option<i64> {
         let offset = self.now.offset_at(mono);
+        let change = utc - mono.0 - offset;
+        let confirmed = (change - self.now.change).abs() <= STEP_NS;
+        if change.abs() > FOLLOW_NS && confirmed {
+            *self = Self::new((mono, utc));
+            return Some(change);
+        }
         self.before = self.now;
-        self.now = Piece { from: mono, offset, change: utc - mono.0 - offset };
+        self.now = Piece { from: mono, offset, change };
+        None
     }
 
     /// Nanoseconds of UTC since 1970 at this moment.
@@ -105,6 +117,29 @@ mod tests {
             }
             assert!(offset.synced());
             assert_eq!(offset.utc_ns(second(31)), EPOCH + 31 * NS_PER_S + step);
+        }
+    }
+
+    #[test]
+    fn a_large_step_is_followed_once_it_is_confirmed() {
+        for step in [3600 * NS_PER_S, -3600 * NS_PER_S, 101_000_000] {
+            let mut offset = SlewedOffset::new((second(0), EPOCH));
+            let reading = |s: i64, step: i64| (second(s), EPOCH + s * NS_PER_S + step);
+            assert_eq!(offset.update(reading(1, step)), None, "one reading may be wrong");
+            assert!(!offset.synced());
+            assert_eq!(offset.utc_ns(second(1)), EPOCH + NS_PER_S);
+            let followed = offset.update(reading(2, step)).unwrap();
+            assert!((followed - step).abs() <= NS_PER_S / 2000, "{followed}");
+            assert!(offset.synced());
+            assert_eq!(offset.utc_ns(second(3)), EPOCH + 3 * NS_PER_S + step);
+            assert_eq!(offset.utc_ns(second(1)), EPOCH + NS_PER_S + step, "one scale for all moments");
+            assert_eq!(offset.update(reading(4, step)), None);
+        }
+        let mut offset = SlewedOffset::new((second(0), EPOCH));
+        for s in 1..10 {
+            let wild = s * 2 * NS_PER_S;
+            assert_eq!(offset.update((second(s), EPOCH + s * NS_PER_S + wild)), None, "still being set");
+            assert!(!offset.synced());
         }
     }
 

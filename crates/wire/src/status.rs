@@ -56,7 +56,7 @@ bits! {
     SAMPLE_GAP = 15,
     /// Fatal: no samples.
     SOURCE_DOWN = 16,
-    /// Warning: the acquisition time is not tied to UTC.
+    /// Warning: the measurement time is not reliable.
     CLOCK_UNSYNCED = 17,
     /// Warning: a PSD has no correction table.
     UNCALIBRATED = 18,
@@ -90,6 +90,33 @@ impl Status {
             | Status::SOURCE_DOWN.0
             | Status::POWER_STEP.0,
     );
+
+    /// Bits with which a pose is not usable for control: it contradicts another signal, its time is unknown,
+    /// it is an earlier one, or its light was not measured now. A caller may permit some of them
+    /// ([`Status::usable`]).
+    pub const UNUSABLE: Status = Status(
+        Status::INCONSISTENT.0
+            | Status::CLOCK_UNSYNCED.0
+            | Status::POSE_HELD.0
+            | Status::REPLAYED.0
+            | Status::SIMULATED.0,
+    );
+
+    /// Whether a control may use the pose: `POSE_VALID` is set, and of [`Status::UNUSABLE`] at most the
+    /// `permitted` bits. This is the one definition that readiness, alerts, client kits and the masks for PLCs
+    /// follow. Whether the beam is on the apex (`NOT_LOCKED`) is a separate question, because a pose without
+    /// lock is valid, with larger uncertainties.
+    ///
+    /// ```
+    /// use trifacet_wire::Status;
+    ///
+    /// let frame = Status::POSE_VALID | Status::SIMULATED | Status::UNCALIBRATED;
+    /// assert!(!frame.usable(Status::default()));
+    /// assert!(frame.usable(Status::SIMULATED)); // to test with the digital twin
+    /// ```
+    pub fn usable(self, permitted: Status) -> bool {
+        self.has(Status::POSE_VALID) && self.0 & Status::UNUSABLE.0 & !permitted.0 == 0
+    }
 
     /// Whether all bits of `other` are set.
     pub fn has(self, other: Status) -> bool {

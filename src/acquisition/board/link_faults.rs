@@ -1,9 +1,13 @@
 //! Faults of the link to the board: counted individually, logged at most once a second.
 
+use std::mem::Discriminant;
 use std::sync::Arc;
 
 use trifacet_core::telemetry::Counters;
 use trifacet_core::time::{Mono, NS_PER_S};
+use trifacet_wire::board::message::BoardScan;
+
+use crate::acquisition::timebase::TickFault;
 
 /// Faults between board and host, in the order of the names below.
 #[derive(Clone, Copy, Debug)]
@@ -21,6 +25,8 @@ pub(super) enum LinkFault {
     Overrun,
     /// The outputs hold or park because no command arrived in time.
     LeaseExpired,
+    /// The tick disagrees with the sequence numbers or with the clock of the host.
+    Clock,
 }
 
 /// Counts faults without an event of their own in the daemon's counters, and logs them in summary lines.
@@ -28,8 +34,10 @@ pub(super) enum LinkFault {
 pub(super) struct Tally {
     counters: Arc<Counters>,
     /// Counts since the last line: the name of each kind, and its number.
-    recent: [(&'static str, u64); 8],
+    recent: [(&'static str, u64); 9],
     reported_at: Option<Mono>,
+    /// Kinds of clock faults that have been described since the start of the board.
+    described: Vec<Discriminant<TickFault>>,
 }
 
 impl Tally {
@@ -43,8 +51,14 @@ impl Tally {
             "not understood by the board",
             "overruns",
             "leases expired",
+            "faults of its clock",
         ];
-        Self { counters, recent: names.map(|name| (name, 0)), reported_at: None }
+        Self { counters, recent: names.map(|name| (name, 0)), reported_at: None, described: Vec::new() }
+    }
+
+    /// The board has started: faults of its clock are described again.
+    pub(super) fn restarted(&mut self) {
+        self.described.clear();
     }
 
     /// Counts `n` lost scans.
@@ -54,6 +68,20 @@ impl Tally {
 
     pub(super) fn count(&mut self, mishap: LinkFault) {
         self.add(mishap, 1);
+    }
+
+    /// Counts a fault of the board's clock. The first one of each kind is described.
+    pub(super) fn clock_fault(&mut self, fault: TickFault, scan: &BoardScan) {
+        self.count(LinkFault::Clock);
+        let kind = std::mem::discriminant(&fault);
+        if !self.described.contains(&kind) {
+            self.described.push(kind);
+            tracing::warn!(
+                sequence = scan.sequence,
+                tick = scan.tick,
+                "the clock of the board is wrong: {fault}"
+            );
+        }
     }
 
     fn add(&mut self, mishap: LinkFault, n: u64) {
@@ -67,6 +95,7 @@ impl Tally {
             LinkFault::BoardError => &counters.board_errors,
             LinkFault::Overrun => &counters.converter_overruns,
             LinkFault::LeaseExpired => &counters.leases_expired,
+            LinkFault::Clock => &counters.clock_faults,
         };
         counter.add(n);
         self.recent[mishap as usize].1 += n;

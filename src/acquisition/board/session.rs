@@ -12,7 +12,7 @@ use trifacet_wire::board::{Answer, BoardIdentity, Deframer, MessageError, Reques
 
 use super::link_faults::{LinkFault, Tally};
 use super::{Arrival, Sequence, compatibility};
-use crate::acquisition::timebase::Timebase;
+use crate::acquisition::timebase::{ScanCounters, Timebase};
 use crate::acquisition::{SourceError, SourceEvent};
 use crate::config::{Config, SteeringKind};
 
@@ -54,6 +54,9 @@ impl From<&Config> for Settings {
     }
 }
 
+/// A board that cannot generate the configured rate uses the nearest one. A larger difference is logged.
+const RATE_TOLERANCE: f64 = 1e-3;
+
 /// State of the session.
 #[derive(Debug)]
 enum State {
@@ -77,6 +80,8 @@ struct Running {
     patience_ns: i64,
     /// Arrival of the last new scan.
     last_arrival: Mono,
+    /// Sequence number of the last new scan.
+    last_sequence: Option<u32>,
     lease_expired: bool,
 }
 
@@ -281,11 +286,21 @@ impl Session {
         self.command = None;
         self.state = State::Running(Running {
             channels: board.roles.len(),
-            timebase: Timebase::new(board.tick_hz, self.settings.latency_ns, self.last),
+            timebase: Timebase::new(board.tick_hz, rate_hz, self.settings.latency_ns, self.last),
             patience_ns: STALL_NS.max((STALL_PERIODS / rate_hz * NS_PER_S as f64) as i64),
             last_arrival: now,
+            last_sequence: None,
             lease_expired: true, // a lease of the previous daemon is not counted
         });
+        self.tally.restarted();
+        if (rate_hz / self.settings.rate_hz - 1.0).abs() > RATE_TOLERANCE {
+            let configured_hz = self.settings.rate_hz;
+            tracing::warn!(
+                configured_hz,
+                rate_hz,
+                "the board samples at another rate than acquisition.rate_hz"
+            );
+        }
         tracing::debug!("board started: {}, {} channels at {rate_hz} Hz", board.name, board.roles.len());
         self.reported = None;
         self.events.push_back(SourceEvent::Up(compatibility::identity(&board, rate_hz)));
@@ -313,8 +328,13 @@ impl Session {
         }
         running.lease_expired = scan.lease_expired;
         running.last_arrival = now;
-        let moment = running.timebase.moment(scan.tick, now);
+        let last = running.last_sequence.replace(scan.sequence);
+        let periods = last.map_or(1, |last| scan.sequence.wrapping_sub(last));
+        let moment = running.timebase.moment(ScanCounters { tick: scan.tick, periods }, now);
         self.last = Some(moment.time);
+        if let Some(fault) = moment.fault {
+            self.tally.clock_fault(fault, scan);
+        }
         self.events.push_back(SourceEvent::Scan(Scan {
             index,
             time: moment.time,

@@ -9,3 +9,4 @@ mod receiving;
 mod tables;
 mod tools;
 mod twincat;
+mod usability;

@@ -105,8 +105,9 @@ fn the_status_bits_are_those_of_the_code() {
             (name, u32::from_str_radix(hex, 16).unwrap())
         })
         .collect();
-    let coded: Vec<_> = Status::NAMES.iter().map(|(bit, name)| ((*name).to_owned(), bit.0)).collect();
-    assert_eq!(bits, coded);
+    let mask = ("UNUSABLE".to_owned(), Status::UNUSABLE.0);
+    let coded = Status::NAMES.iter().map(|(bit, name)| ((*name).to_owned(), bit.0)).chain([mask]);
+    assert_eq!(bits, coded.collect::<Vec<_>>());
 }
 
 /// Extracts the table from the file and computes the two steps of the file with it.

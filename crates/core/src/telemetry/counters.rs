@@ -71,6 +71,8 @@ counters! {
     Loss converter_overruns,
     /// Times the board held or parked the steering because no new command arrived in time.
     Loss leases_expired,
+    /// Faults of the board's clock: its tick disagrees with its sequence numbers or with the clock of the host.
+    Event clock_faults,
     /// Times the source went down.
     Loss source_downs,
     /// Times the replay reached the end of the recording.

@@ -1,0 +1,221 @@
+//! Boards whose counters are wrong: every time is right within its stated uncertainty, or is flagged.
+
+use proptest::prelude::*;
+use rand::SeedableRng;
+use rand_distr::{Distribution, Exp1};
+use rand_pcg::Pcg64Mcg;
+use trifacet_core::time::{Mono, NS_PER_S};
+
+use super::{MOST_AFTER_NS, ScanCounters, TickFault, Timebase};
+
+const START: Mono = Mono(1_000_000_000_000);
+/// A larger uncertainty sets `CLOCK_UNSYNCED` (`trifacet_core::stamp`).
+const FLAGGED_NS: f64 = 5e6;
+
+/// A board that declares 1 MHz and answers 1 kHz.
+struct Board {
+    /// Its sample rate.
+    rate_hz: f64,
+    /// What it sends as the tick of scan `k`, instead of the right number of ticks.
+    tick: Box<dyn Fn(u64, u64) -> u64>,
+    /// What it sends as the sequence number of scan `k`.
+    sequence: Box<dyn Fn(u64) -> u64>,
+}
+
+impl Board {
+    fn with_tick(tick: impl Fn(u64, u64) -> u64 + 'static) -> Self {
+        Self { rate_hz: 1000.0, tick: Box::new(tick), sequence: Box::new(|k| k) }
+    }
+
+    /// The first `scans` scans: what the timebase returns, and its error in nanoseconds.
+    fn run(&self, scans: u64) -> Vec<Outcome> {
+        let mut random = Pcg64Mcg::seed_from_u64(11);
+        let mut timebase = Timebase::new(1_000_000, 1000.0, 0, None);
+        let mut last = None;
+        let mut last_arrival = START;
+        let scan = |k: u64| {
+            let t_s = k as f64 / self.rate_hz;
+            let tick = (self.tick)(k, (t_s * 1e6).round() as u64) as u32;
+            let sequence = (self.sequence)(k) as u32;
+            let periods = last.replace(sequence).map_or(1, |last| sequence.wrapping_sub(last));
+            let late: f64 = Exp1.sample(&mut random);
+            let arrival = (START + (t_s * 1e9 + late * 100e3) as i64).max(last_arrival);
+            last_arrival = arrival;
+            let moment = timebase.moment(ScanCounters { tick, periods }, arrival);
+            assert!(moment.time <= arrival + MOST_AFTER_NS, "scan {k} is in the future");
+            Outcome { k, error_ns: (moment.time - START) as f64 - t_s * 1e9, moment }
+        };
+        (0..scans).map(scan).collect()
+    }
+}
+
+#[derive(Debug)]
+struct Outcome {
+    k: u64,
+    error_ns: f64,
+    moment: super::Moment,
+}
+
+impl Outcome {
+    fn flagged(&self) -> bool {
+        self.moment.sigma_ns > FLAGGED_NS
+    }
+}
+
+/// No time is wrong by more than five stated uncertainties and the mean delay of the line.
+fn assert_honest(outcomes: &[Outcome]) {
+    for outcome in outcomes {
+        let allowed = 5.0 * outcome.moment.sigma_ns + 100e3;
+        assert!(outcome.error_ns.abs() <= allowed, "{outcome:?}");
+    }
+}
+
+fn faults(outcomes: &[Outcome]) -> Vec<(u64, TickFault)> {
+    outcomes.iter().filter_map(|o| o.moment.fault.map(|fault| (o.k, fault))).collect()
+}
+
+#[test]
+fn a_single_wrong_tick_costs_nothing() {
+    for wrong in [-1500_i64, -65_536, 65_536, 1_000_000_000, 700] {
+        let outcomes = Board::with_tick(
+            move |k, ticks| {
+                if k == 2500 { ticks.wrapping_add_signed(wrong) } else { ticks }
+            },
+        )
+        .run(5000);
+        assert_honest(&outcomes);
+        assert!(!outcomes.iter().any(Outcome::flagged));
+        let found = faults(&outcomes);
+        assert_eq!(found.iter().map(|(k, _)| *k).collect::<Vec<_>>(), [2500], "{wrong}: {found:?}");
+    }
+}
+
+#[test]
+fn a_tick_of_another_rate_is_flagged_and_named_and_the_sequence_gives_the_time() {
+    type Tick = fn(u64, u64) -> u64;
+    let cases: [(&str, Tick); 5] = [
+        ("ten times too fast", |_, ticks| ticks * 10),
+        ("a thousand times too slow", |_, ticks| ticks / 1000),
+        ("a third too slow", |_, ticks| ticks * 2 / 3),
+        ("at rest", |_, _| 77),
+        ("random", |k, _| k.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 13),
+    ];
+    for (name, tick) in cases {
+        let outcomes = Board::with_tick(tick).run(5000);
+        assert_honest(&outcomes);
+        let late = outcomes.iter().skip(3).filter(|o| !o.flagged()).count();
+        assert_eq!(late, 0, "{name}: {late} times are believed");
+        assert!(outcomes.iter().all(|o| o.error_ns.abs() < 20e6), "{name}");
+        let rate = faults(&outcomes).into_iter().find(|(_, f)| matches!(f, TickFault::Rate { .. }));
+        assert!(rate.is_some_and(|(k, _)| k < 1200), "{name}: {rate:?}");
+    }
+}
+
+#[test]
+fn a_narrow_tick_is_named_and_the_time_stays_right() {
+    let outcomes = Board::with_tick(|_, ticks| ticks & 0xffff).run(5000);
+    assert_honest(&outcomes);
+    let found = faults(&outcomes);
+    assert!(found.len() > 70 && found.iter().all(|(_, f)| *f == TickFault::Narrow { bits: 16 }), "{found:?}");
+    assert!(outcomes.iter().skip(1000).all(|o| o.error_ns.abs() < 50e3));
+}
+
+#[test]
+fn a_clock_that_jumps_goes_on_after_one_scan() {
+    for jump in [5_000_000_u64, 0xffff_0000] {
+        let outcomes =
+            Board::with_tick(move |k, ticks| if k >= 2500 { ticks.wrapping_add(jump) } else { ticks })
+                .run(5000);
+        assert_honest(&outcomes);
+        assert_eq!(faults(&outcomes).len(), 1);
+        assert!(!outcomes.iter().any(Outcome::flagged));
+    }
+}
+
+#[test]
+fn another_sample_rate_than_answered_is_named_and_the_tick_gives_the_time() {
+    for rate_hz in [100.0, 800.0, 1300.0] {
+        let board = Board { rate_hz, ..Board::with_tick(|_, ticks| ticks) };
+        let outcomes = board.run((4.0 * rate_hz) as u64);
+        assert_honest(&outcomes);
+        let last = outcomes.last().unwrap();
+        assert!(!last.flagged() && last.error_ns.abs() < 100e3, "{rate_hz} Hz: {last:?}");
+        let named = faults(&outcomes).into_iter().find_map(|(_, fault)| match fault {
+            TickFault::SampleRate { measured_hz, .. } => Some(measured_hz),
+            _ => None,
+        });
+        // A rate that is nearly right agrees with the sequence from scan to scan.
+        let measured_hz = named.unwrap_or(1000.0);
+        assert!((measured_hz / rate_hz - 1.0).abs() < 0.35, "{rate_hz} Hz: {measured_hz} Hz");
+    }
+}
+
+#[test]
+fn an_oscillator_of_one_percent_is_followed_and_named() {
+    for drift in [0.01, -0.01] {
+        let outcomes =
+            Board::with_tick(move |_, ticks| (ticks as f64 * (1.0 + drift)).round() as u64).run(20_000);
+        let named = faults(&outcomes).into_iter().find_map(|(k, fault)| match fault {
+            TickFault::Rate { measured_hz, .. } => Some((k, measured_hz)),
+            _ => None,
+        });
+        let (k, measured_hz) = named.unwrap();
+        assert!(k < 10_000 && (measured_hz / 1e6 - 1.0 - drift).abs() < 0.002, "{k}: {measured_hz}");
+        assert!(outcomes.iter().skip(10_000).all(|o| o.error_ns.abs() < 1e6 && !o.flagged()));
+    }
+}
+
+#[test]
+fn a_wrong_sequence_number_does_not_move_the_time() {
+    for jump in [1000_u64, 100_000, 0x7000_0000] {
+        let board = Board {
+            sequence: Box::new(move |k| if k >= 2500 { k + jump } else { k }),
+            ..Board::with_tick(|_, ticks| ticks)
+        };
+        let outcomes = board.run(5000);
+        assert!(outcomes.iter().all(|o| o.error_ns.abs() < 5e6 || o.flagged()), "{jump}");
+        assert!(outcomes.last().unwrap().error_ns.abs() < 1e6, "{jump}: {:?}", outcomes.last());
+        assert_eq!(faults(&outcomes).len(), 1, "{jump}");
+    }
+}
+
+#[test]
+fn a_host_that_slept_begins_again() {
+    let mut timebase = Timebase::new(1_000_000, 1000.0, 0, None);
+    let mut take = |k: u64, slept: u64| {
+        let device_ms = k + slept;
+        let arrival = START + (k * 1_000_000) as i64;
+        let periods = if k == 2000 && slept > 0 { 1 + slept as u32 } else { 1 };
+        let moment = timebase.moment(ScanCounters { tick: (device_ms * 1000) as u32, periods }, arrival);
+        ((moment.time - arrival).abs(), moment.fault)
+    };
+    for k in 0..2000 {
+        take(k, 0);
+    }
+    let (error_ns, fault) = take(2000, 3_600_000);
+    assert!(error_ns < 2_000_000 && matches!(fault, Some(TickFault::Ahead { ns }) if ns > 3599 * NS_PER_S));
+    for k in 2001..4000 {
+        let (error_ns, fault) = take(k, 3_600_000);
+        assert!(error_ns < 2_000_000 && fault.is_none());
+    }
+}
+
+proptest! {
+    /// Whatever a board sends, times are in order, and not after their arrival by more than what order needs.
+    #[test]
+    fn no_counters_make_a_time_that_the_arrival_excludes(
+        scans in prop::collection::vec((any::<u32>(), prop_oneof![1_u32..4, any::<u32>()], 0_i64..50_000_000), 1..200),
+        tick_hz in 10_000_u32..=1_000_000_000, rate_hz in 1.0_f64..20_000.0,
+    ) {
+        let mut timebase = Timebase::new(tick_hz, rate_hz, 0, None);
+        let (mut arrival, mut last, mut count) = (START, Mono(0), 0);
+        for (tick, periods, pause_ns) in scans {
+            arrival = arrival + pause_ns;
+            let moment = timebase.moment(ScanCounters { tick, periods }, arrival);
+            prop_assert!(moment.time <= arrival + MOST_AFTER_NS + count && moment.time > last);
+            prop_assert!(moment.sigma_ns.is_finite());
+            count += 1;
+            last = moment.time;
+        }
+    }
+}
