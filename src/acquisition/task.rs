@@ -14,6 +14,7 @@ use trifacet_core::telemetry::Counters;
 use trifacet_core::telemetry::heartbeat::HEARTBEAT;
 use trifacet_core::time::Clock;
 use trifacet_wire::actuator::OutputCommand;
+use trifacet_wire::channel::Role;
 
 use super::{Source, SourceError, SourceEvent};
 use crate::config::CalibrationContext;
@@ -71,8 +72,17 @@ pub async fn run<S: Source, C: Clock>(
     stop: CancellationToken,
 ) {
     let AcquisitionLinks { samples, newest, answers, mut commands, mut changes } = links;
-    let mut intake =
-        Intake { mapping, counters, samples, newest, answers, up: false, dropped: 0, change: None };
+    let mut intake = Intake {
+        mapping,
+        counters,
+        samples,
+        newest,
+        answers,
+        up: false,
+        frozen: Vec::new(),
+        dropped: 0,
+        change: None,
+    };
     let mut heartbeat = interval(HEARTBEAT);
     loop {
         tokio::select! {
@@ -101,6 +111,8 @@ struct Intake {
     answers: watch::Sender<Answers>,
     /// Scans are arriving.
     up: bool,
+    /// Channels that repeat the same code.
+    frozen: Vec<Role>,
     /// Samples dropped because the queue to estimation was full, since the last one that was passed on.
     dropped: u32,
     /// A change that waits for room in the queue to estimation: no sample may overtake it.
@@ -119,6 +131,7 @@ impl Intake {
                         let identity = self.mapping.identity().cloned();
                         self.answers.send_modify(|answers| answers.source = identity);
                     }
+                    self.name_frozen();
                     self.newest.send_replace(Some(sample));
                     self.hand_on(sample, scan);
                 }
@@ -131,6 +144,18 @@ impl Intake {
             }
             SourceEvent::Down(down) => self.down(down),
         }
+    }
+
+    /// Logs the channels that have frozen, and those that have recovered.
+    fn name_frozen(&mut self) {
+        let frozen: Vec<Role> = self.mapping.frozen().collect();
+        for channel in frozen.iter().filter(|channel| !self.frozen.contains(channel)) {
+            tracing::warn!(%channel, "a channel repeats the same code although its signal has noise");
+        }
+        for channel in self.frozen.iter().filter(|channel| !frozen.contains(channel)) {
+            tracing::info!(%channel, "the code of the channel changes again");
+        }
+        self.frozen = frozen;
     }
 
     fn up(&mut self, identity: Identity) {
@@ -240,6 +265,7 @@ mod tests {
             newest: watch::Sender::default(),
             answers: watch::Sender::default(),
             up: false,
+            frozen: Vec::new(),
             dropped: 0,
             change: None,
         };

@@ -20,6 +20,17 @@ pub enum FaultKind {
         /// Index of the channel.
         channel: u8,
     },
+    /// One channel (0 to 8) repeats its last code.
+    Frozen {
+        /// Index of the channel.
+        channel: u8,
+    },
+    /// The clock of the board runs at another rate; with factor 0 it stands still. Only an emulated board has a
+    /// clock of its own.
+    ClockRate {
+        /// The factor.
+        factor: f64,
+    },
     /// A fraction of the scans is not sent by the board.
     Dropped {
         /// Fraction, 0 to 1.
@@ -84,6 +95,8 @@ enum KindName {
     BeamBlocked,
     PsdDark,
     Clipped,
+    Frozen,
+    ClockRate,
     Dropped,
     Corrupted,
     Stalled,
@@ -118,6 +131,8 @@ impl TryFrom<FaultKeys> for Fault {
             KindName::BeamBlocked => FaultKind::BeamBlocked,
             KindName::PsdDark => FaultKind::PsdDark { psd: needed(keys.psd.take(), "psd")? },
             KindName::Clipped => FaultKind::Clipped { channel: needed(keys.channel.take(), "channel")? },
+            KindName::Frozen => FaultKind::Frozen { channel: needed(keys.channel.take(), "channel")? },
+            KindName::ClockRate => FaultKind::ClockRate { factor: needed(keys.factor.take(), "factor")? },
             KindName::Dropped => FaultKind::Dropped { fraction: needed(keys.fraction.take(), "fraction")? },
             KindName::Corrupted => {
                 FaultKind::Corrupted { fraction: needed(keys.fraction.take(), "fraction")? }
@@ -154,11 +169,15 @@ impl Fault {
         at.optional("for_s", self.for_s, 0.0..=1e6);
         match self.kind {
             FaultKind::PsdDark { psd } => at.number("psd", psd, 0.0..=2.0),
-            FaultKind::Clipped { channel } => at.number("channel", channel, 0.0..=8.0),
+            FaultKind::Clipped { channel } | FaultKind::Frozen { channel } => {
+                at.number("channel", channel, 0.0..=8.0);
+            }
             FaultKind::Dropped { fraction } | FaultKind::Corrupted { fraction } => {
                 at.number("fraction", fraction, 0.0..=1.0);
             }
-            FaultKind::LaserPower { factor } | FaultKind::NoiseBurst { factor } => {
+            FaultKind::LaserPower { factor }
+            | FaultKind::NoiseBurst { factor }
+            | FaultKind::ClockRate { factor } => {
                 at.number("factor", factor, 0.0..=1000.0);
             }
             FaultKind::LaserBump { shift_um } => at.numbers("shift_um", &shift_um, -10_000.0..=10_000.0),

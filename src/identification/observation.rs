@@ -41,6 +41,12 @@ pub enum ObservationError {
         /// A, B or C.
         psd: char,
     },
+    /// A channel repeats the same code.
+    #[error("a channel of PSD {psd} repeats the same code")]
+    Frozen {
+        /// A, B or C.
+        psd: char,
+    },
     /// The stage cannot move further.
     #[error("the stage is at its own limit")]
     StageLimit,
@@ -85,6 +91,7 @@ impl Observer {
                 PsdState::Good => {}
                 PsdState::Low => return Err(ObservationError::LittleLight { psd }),
                 PsdState::Clipped => return Err(ObservationError::Clipped { psd }),
+                PsdState::Frozen => return Err(ObservationError::Frozen { psd }),
             }
         }
         if sample.output_railed {

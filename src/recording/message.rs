@@ -177,6 +177,7 @@ impl Sample {
             0 => Ok(PsdState::Good),
             1 => Ok(PsdState::Low),
             2 => Ok(PsdState::Clipped),
+            3 => Ok(PsdState::Frozen),
             _ => Err(Unknown(number, "PSD state")),
         };
         let [a, b, c] = self.psds;

@@ -243,7 +243,7 @@ impl Emulator {
         let begin = self.out.len();
         let sent = self.send(&Answer::Scan(BoardScan {
             sequence,
-            tick: (scan.t_s * f64::from(TICK_HZ)).round() as u64 as u32,
+            tick: (scan.clock_s * f64::from(TICK_HZ)).round() as u64 as u32,
             output_railed: scan.output_railed,
             lease_expired: self.state.lease_expired,
             overrun: false,

@@ -32,6 +32,10 @@ pub struct Active {
     pub dark: [bool; 3],
     /// Channels at their rail.
     pub clipped: [bool; SIGNALS.len()],
+    /// Channels that repeat their last code.
+    pub frozen: [bool; SIGNALS.len()],
+    /// The clock of the board runs at this rate, 1 without a fault.
+    pub clock: f64,
     /// Fraction of the scans that is dropped.
     pub dropped: f64,
     /// Fraction of the scans that is damaged.
@@ -86,6 +90,8 @@ impl Default for Active {
         Self {
             dark: [false; 3],
             clipped: [false; SIGNALS.len()],
+            frozen: [false; SIGNALS.len()],
+            clock: 1.0,
             dropped: 0.0,
             corrupted: 0.0,
             stalled: false,
@@ -113,6 +119,8 @@ impl Active {
             FaultKind::BeamBlocked => self.dark = [true; 3],
             FaultKind::PsdDark { psd } => self.dark[usize::from(psd)] = true,
             FaultKind::Clipped { channel } => self.clipped[usize::from(channel)] = true,
+            FaultKind::Frozen { channel } => self.frozen[usize::from(channel)] = true,
+            FaultKind::ClockRate { factor } => self.clock *= factor,
             FaultKind::Dropped { fraction } => self.dropped = either(self.dropped, fraction),
             FaultKind::Corrupted { fraction } => self.corrupted = either(self.corrupted, fraction),
             FaultKind::Stalled => self.stalled = true,
@@ -141,11 +149,17 @@ fn check(fault: &Fault) -> Result<(), (&'static str, &'static str)> {
         _ if !fault.at_s.is_finite() => Err(("at_s", "must be a finite number of seconds")),
         _ if fault.for_s.is_some_and(|x| !within(x, f64::MAX)) => Err(("for_s", "must be 0 or more")),
         FaultKind::PsdDark { psd: 3.. } => Err(("psd", "must be 0, 1 or 2 (A, B, C)")),
-        FaultKind::Clipped { channel: 9.. } => Err(("channel", "must be 0 to 8")),
+        FaultKind::Clipped { channel: 9.. } | FaultKind::Frozen { channel: 9.. } => {
+            Err(("channel", "must be 0 to 8"))
+        }
         FaultKind::Dropped { fraction } | FaultKind::Corrupted { fraction } if !within(fraction, 1.0) => {
             Err(("fraction", "must be from 0 to 1"))
         }
-        FaultKind::LaserPower { factor } | FaultKind::NoiseBurst { factor } if !within(factor, f64::MAX) => {
+        FaultKind::LaserPower { factor }
+        | FaultKind::NoiseBurst { factor }
+        | FaultKind::ClockRate { factor }
+            if !within(factor, f64::MAX) =>
+        {
             Err(("factor", "must be a finite number, 0 or more"))
         }
         FaultKind::LaserBump { shift_um } if !shift_um.iter().all(|um| um.is_finite()) => {

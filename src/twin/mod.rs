@@ -67,6 +67,8 @@ pub struct TwinScan {
     pub index: u64,
     /// Time of the scan: `index / rate`, seconds since the start of the twin.
     pub t_s: f64,
+    /// The same time by the clock of the board.
+    pub clock_s: f64,
     /// The codes; only the first `Identity::roles.len()` are used.
     pub codes: [i32; MAX_CHANNELS],
     /// Whether the scan arrives. The codes are valid also for a scan that does not arrive.
@@ -109,6 +111,10 @@ pub struct Twin {
     noise: Pcg64,
     fates: Pcg64,
     index: u64,
+    /// Codes of the previous scan.
+    codes: [i32; MAX_CHANNELS],
+    /// By how much the clock of the board is ahead, seconds.
+    clock_ahead_s: f64,
 }
 
 impl Twin {
@@ -140,6 +146,8 @@ impl Twin {
             noise: random(seed, 0),
             fates: random(seed, 1),
             index: 0,
+            codes: [0; MAX_CHANNELS],
+            clock_ahead_s: 0.0,
         })
     }
 
@@ -190,6 +198,7 @@ impl Twin {
     /// Takes the next scan.
     pub fn next_scan(&mut self) -> TwinScan {
         let (index, t_s) = (self.index, self.next_s());
+        let clock_s = t_s + self.clock_ahead_s;
         self.index += 1;
         let mut faults = self.faults.active(t_s);
         let noise = Noise::draw(&mut self.noise).louder(faults.noise);
@@ -205,7 +214,12 @@ impl Twin {
             }
             *code = self.code(channel, &moment, &faults, &noise);
         }
-        TwinScan { index, t_s, codes, fate, output_railed: self.stage.railed(), truth }
+        for (channel, _) in faults.frozen.iter().enumerate().filter(|(_, frozen)| **frozen) {
+            codes[channel] = self.codes[channel];
+        }
+        self.codes = codes;
+        self.clock_ahead_s += (faults.clock - 1.0) / self.rate_hz;
+        TwinScan { index, t_s, clock_s, codes, fate, output_railed: self.stage.railed(), truth }
     }
 
     /// Mirror, laser and light at `t_s`, and the position of the stage.

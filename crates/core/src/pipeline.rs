@@ -39,6 +39,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use trifacet_wire::channel::Role;
+
 use crate::centering::lock::Transition;
 use crate::centering::{Centering, LoopState, TimedPose};
 use crate::channels::{ChannelMap, Channels, MissingSignal};
@@ -114,6 +116,11 @@ impl Mapping {
         if let Some((_, map)) = &mut self.source {
             map.follow(scan);
         }
+    }
+
+    /// The signals whose channels repeat the same code although they have noise.
+    pub fn frozen(&self) -> impl Iterator<Item = Role> {
+        self.source.iter().flat_map(|(_, map)| map.frozen())
     }
 
     /// The sample of a scan; `None` without a source.

@@ -66,6 +66,8 @@ pub enum PsdState {
     Low,
     /// A channel is at the rail of the converter.
     Clipped,
+    /// A channel repeats the same code although its signal has noise: it is not measured.
+    Frozen,
 }
 
 /// The nine signals in physical units.

@@ -74,6 +74,8 @@ bits! {
     RECORDING_FAULT = 24,
     /// Fatal: the laser power has stepped.
     POWER_STEP = 25,
+    /// Fatal: a channel repeats the same code; it is not measured.
+    CHANNEL_FROZEN = 26,
 }
 
 impl Status {
@@ -88,7 +90,8 @@ impl Status {
             | Status::NOT_CONVERGED.0
             | Status::OUT_OF_RANGE.0
             | Status::SOURCE_DOWN.0
-            | Status::POWER_STEP.0,
+            | Status::POWER_STEP.0
+            | Status::CHANNEL_FROZEN.0,
     );
 
     /// Bits with which a pose is not usable for control: it contradicts another signal, its time is unknown,

@@ -11,8 +11,8 @@ use trifacet_core::time::{Mono, NS_PER_S};
 
 /// Ticks and sequence agree within this part of a period ...
 const PART_OF_PERIOD: f64 = 0.5;
-/// ... and within this part of the time between the two scans.
-const PART_OF_TIME: f64 = 0.02;
+/// ... and within this part of the time between the two scans, or since the trial began.
+const PART_OF_TIME: f64 = 1e-3;
 /// The arrivals of at least this time decide which counter is right, nanoseconds ...
 const TRIAL_NS: i64 = NS_PER_S;
 /// ... and of at least this many scans.

@@ -195,7 +195,7 @@ const CLIPPED: &str = "the converter is at its limit there: too much light or to
 const EDGE: &str = "the spot is near the edge there: move the mirror towards the middle";
 
 /// The status bits that make a pose invalid.
-const FATAL: [(Status, &str); 10] = [
+const FATAL: [(Status, &str); 11] = [
     (
         Status::SOURCE_DOWN,
         "no samples: check that the board is plugged in and powered, and see the daemon's log",
@@ -213,6 +213,10 @@ const FATAL: [(Status, &str); 10] = [
     (
         Status::POWER_STEP,
         "steps of the laser power: check that the power is stable and nothing cuts into the beam",
+    ),
+    (
+        Status::CHANNEL_FROZEN,
+        "a channel repeats the same code: check converter and board; the daemon's log names the channel",
     ),
     (Status::OUT_OF_RANGE, "a spot is off its PSD, or the pose is out of range: move the mirror back"),
 ];

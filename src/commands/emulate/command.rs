@@ -11,6 +11,8 @@ S is a duration in seconds; without S, a fault is permanent:
   beam-blocked [S]          no light at all
   psd-dark 0..2 [S]         a PSD sees no light
   clipped 0..8 [S]          a channel reads the limit of its range
+  frozen 0..8 [S]           a channel repeats its last code
+  clock-rate FACTOR [S]     the clock of the board runs at this multiple of its rate
   dropped 0..1 [S]          this fraction of the scans is not sent
   corrupted 0..1 [S]        this fraction of the scans is damaged in transit
   stalled [S]               the board stops sending
@@ -22,7 +24,8 @@ S is a duration in seconds; without S, a fault is permanent:
   status                    prints the state of the board, one line of JSON";
 
 /// The same list for error messages.
-const ALLOWED: &str = "allowed are: beam-blocked [S], psd-dark 0..2 [S], clipped 0..8 [S], dropped 0..1 [S], \
+const ALLOWED: &str = "allowed are: beam-blocked [S], psd-dark 0..2 [S], clipped 0..8 [S], frozen 0..8 [S], \
+    clock-rate FACTOR [S], dropped 0..1 [S], \
     corrupted 0..1 [S], stalled [S], steering-stuck [S], laser-power FACTOR [S], noise-burst FACTOR [S], \
     laser-bump X Y [S], unplug S, status (S: duration in seconds)";
 
@@ -66,6 +69,8 @@ fn parse<'a>(words: &mut impl Iterator<Item = &'a str>) -> Option<EmulatorComman
         "beam-blocked" => FaultKind::BeamBlocked,
         "psd-dark" => FaultKind::PsdDark { psd: number(words.next()?)? },
         "clipped" => FaultKind::Clipped { channel: number(words.next()?)? },
+        "frozen" => FaultKind::Frozen { channel: number(words.next()?)? },
+        "clock-rate" => FaultKind::ClockRate { factor: number(words.next()?)? },
         "dropped" => FaultKind::Dropped { fraction: number(words.next()?)? },
         "corrupted" => FaultKind::Corrupted { fraction: number(words.next()?)? },
         "stalled" => FaultKind::Stalled,
@@ -93,11 +98,13 @@ fn seconds(word: &str) -> Option<f64> {
 fn possible(kind: FaultKind) -> bool {
     match kind {
         FaultKind::PsdDark { psd } => psd <= 2,
-        FaultKind::Clipped { channel } => channel <= 8,
+        FaultKind::Clipped { channel } | FaultKind::Frozen { channel } => channel <= 8,
         FaultKind::Dropped { fraction } | FaultKind::Corrupted { fraction } => {
             (0.0..=1.0).contains(&fraction)
         }
-        FaultKind::LaserPower { factor } | FaultKind::NoiseBurst { factor } => (0.0..=1e3).contains(&factor),
+        FaultKind::LaserPower { factor }
+        | FaultKind::NoiseBurst { factor }
+        | FaultKind::ClockRate { factor } => (0.0..=1e3).contains(&factor),
         FaultKind::LaserBump { shift_um } => shift_um.iter().all(|um| (-1e4..=1e4).contains(um)),
         FaultKind::BeamBlocked | FaultKind::Stalled | FaultKind::SteeringStuck => true,
     }
@@ -132,6 +139,8 @@ mod tests {
             "psd-dark",
             "psd-dark 3",
             "clipped 9",
+            "frozen 9",
+            "clock-rate -1",
             "dropped 1.5",
             "corrupted nan",
             "stalled 1 2",

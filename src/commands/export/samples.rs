@@ -42,5 +42,6 @@ fn name(psd: PsdState) -> &'static str {
         PsdState::Good => "good",
         PsdState::Low => "low",
         PsdState::Clipped => "clipped",
+        PsdState::Frozen => "frozen",
     }
 }

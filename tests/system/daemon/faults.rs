@@ -92,7 +92,7 @@ fn all_losses_are_counted(stream: &mut Stream) -> u64 {
 }
 
 fn fatal(frame: &Frame, bits: Status) -> bool {
-    const ALL: u32 = 0x0200_607E; // the light, and the solver
+    const ALL: u32 = 0x0600_607E; // the light, and the solver
     frame.status.0 & ALL == bits.0
 }
 
@@ -108,6 +108,8 @@ fn missing_light_is_reported_for_each_psd_and_recovers() {
         ("clipped 0 0.25", Status::PSD_A_CLIPPED),
         ("clipped 4 0.25", Status::PSD_B_CLIPPED),
         ("clipped 8 0.25", Status::PSD_C_CLIPPED),
+        ("frozen 1 0.25", Status::CHANNEL_FROZEN),
+        ("frozen 5 0.25", Status::CHANNEL_FROZEN),
     ];
     for (order, bits) in cases {
         let first = bench.fault(order, |f| fatal(f, bits));
@@ -116,7 +118,8 @@ fn missing_light_is_reported_for_each_psd_and_recovers() {
         let (light, dark) = through.split_last().unwrap();
         assert!(dark.iter().filter(|f| f.of_samples()).all(|f| fatal(f, bits)), "{order}");
         let lasted = light.sample_index - first.sample_index;
-        assert!((245..=251).contains(&lasted), "{order}: {lasted} ms");
+        // A frozen channel is found as soon as its noise would have changed the code.
+        assert!((235..=251).contains(&lasted), "{order}: {lasted} ms");
         let blind = |f: &&Frame| matches!(f.lock, LockState::Held | LockState::Lost);
         assert!(dark.iter().filter(blind).count() > 10, "{order}");
         bench.recovers();
@@ -171,6 +174,27 @@ fn silence_of(bench: &mut Bench, first: Frame, about_s: f64) {
     let away_s = f64::from(back.lost) * 1e-3;
     let silent_s = (back.time_ns - silence[0].time_ns) as f64 * 1e-9;
     assert!(away_s > about_s && (away_s - silent_s).abs() < 0.2, "{away_s} {silent_s}");
+}
+
+/// The frames stay valid, with the time from the sequence numbers, but a control must not use them.
+#[test]
+fn a_wrong_clock_of_the_board_is_flagged_and_named_and_the_time_stays_right() {
+    let mut bench = Bench::new();
+    for order in ["clock-rate 10 1.5", "clock-rate 0 1.5", "clock-rate 0.5 1.5"] {
+        let first = bench.fault(order, |f| f.has(Status::CLOCK_UNSYNCED));
+        assert!(first.valid());
+        let during = bench.stream.take(1000);
+        assert!(during.iter().skip(20).all(|f| f.has(Status::CLOCK_UNSYNCED)), "{order}");
+        for frame in &during {
+            let age_ns = frame.sent_ns() - frame.time_ns;
+            assert!((-20_000_000..600_000_000).contains(&age_ns), "{order}: {age_ns} ns old");
+        }
+        bench.stream.until("a time that is confirmed", |f| f.valid() && !f.has(Status::CLOCK_UNSYNCED));
+        bench.stream.skip_to_now();
+    }
+    assert!(bench.counter("clock_faults") > 3);
+    let named = bench.daemon.message("the clock of the board is wrong");
+    assert!(named.to_string().contains("the tick"), "{named}");
 }
 
 #[test]

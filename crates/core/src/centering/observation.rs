@@ -33,6 +33,9 @@ impl BeamObservation {
     /// Evaluates a sample, with the beam at `beam`. `pose` is the best known pose of the mirror, `apex` the
     /// last known position of its apex.
     pub fn of(sample: &Sample, beam: BeamPoint, pose: &Pose, apex: BeamPoint, optics: &Optics) -> Self {
+        if sample.psds.contains(&PsdState::Frozen) {
+            return BeamObservation::Unclear(LockCause::Frozen);
+        }
         let count = |state| sample.psds.iter().filter(|psd| **psd == state).count();
         match (count(PsdState::Low), count(PsdState::Clipped)) {
             (0, 0) => match optics.offset_of_powers(&sample.powers, pose) {

@@ -7,8 +7,10 @@ use crate::signals::{Identity, PsdState, Sample, Scan};
 
 pub mod correction;
 pub mod dark;
+mod frozen;
 
 pub use correction::{Correction, CorrectionError};
+use frozen::FrozenChannels;
 
 /// The channels of a head, before the source has reported its channel assignment.
 #[derive(Clone, Debug)]
@@ -63,6 +65,7 @@ pub struct ChannelMap {
     /// Skew of each channel as a fraction of the sampling period.
     skew: [f64; MAX_CHANNELS],
     last: Option<Last>,
+    frozen: FrozenChannels,
 }
 
 /// Error: the source does not measure all nine signals.
@@ -127,6 +130,7 @@ impl Channels {
             steering: find(Role::Steering(0)).zip(find(Role::Steering(1))).map(|(x, y)| [x, y]),
             skew,
             last: None,
+            frozen: FrozenChannels::new(),
         })
     }
 }
@@ -156,6 +160,7 @@ impl ChannelMap {
         let last = self.last.filter(|last| last.scan.index + 1 == scan.index);
         self.follow(scan);
         let Some(Last { volts, psds, .. }) = self.last else { unreachable!("it follows the scan") };
+        let psds = self.without_frozen(scan, psds);
         let mut sample = Sample {
             index: scan.index,
             time: scan.time,
@@ -183,6 +188,33 @@ impl ChannelMap {
             place.map(|k| self.at_scan(k, &volts, last.as_ref()) * self.channels.readback_per_volt)
         });
         sample
+    }
+
+    /// The states of the PSDs, with those that have a frozen channel.
+    fn without_frozen(&mut self, scan: &Scan, mut psds: [PsdState; 3]) -> [PsdState; 3] {
+        if scan.lost > 0 {
+            self.frozen.gap();
+        }
+        for (i, state) in psds.iter_mut().enumerate() {
+            for (k, place) in self.places[i].into_iter().enumerate() {
+                self.frozen.push(3 * i + k, scan.codes[place], *state == PsdState::Good);
+            }
+            if self.frozen_of(i).any(|frozen| frozen) {
+                *state = PsdState::Frozen;
+            }
+        }
+        psds
+    }
+
+    /// Whether u, v and sum of this PSD are frozen.
+    fn frozen_of(&self, psd: usize) -> impl Iterator<Item = bool> {
+        (0..3).map(move |k| self.frozen.frozen(3 * psd + k))
+    }
+
+    /// The signals whose channels repeat the same code although they have noise.
+    pub fn frozen(&self) -> impl Iterator<Item = Role> {
+        let roles = (0..3).flat_map(|psd| [Role::U(psd), Role::V(psd), Role::Sum(psd)]);
+        roles.enumerate().filter(|(i, _)| self.frozen.frozen(*i)).map(|(_, role)| role)
     }
 
     fn state(&self, psd: usize, scan: &Scan, volts: &[f64; MAX_CHANNELS]) -> PsdState {

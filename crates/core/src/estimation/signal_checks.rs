@@ -18,8 +18,11 @@ const EDGE: [Status; 3] = [Status::PSD_A_EDGE, Status::PSD_B_EDGE, Status::PSD_C
 /// Sets the status bits of the signals; returns true if no pose can be computed.
 pub(super) fn judge(settings: &Settings, mean: &Mean, noise: &Noise, status: &mut Status) -> bool {
     let sample = &mean.sample;
-    let mut fatal = mean.power == Power::Step;
-    status.set(Status::POWER_STEP, fatal);
+    let frozen = sample.psds.contains(&PsdState::Frozen);
+    status.set(Status::CHANNEL_FROZEN, frozen);
+    let step = mean.power == Power::Step;
+    status.set(Status::POWER_STEP, step);
+    let mut fatal = frozen || step;
     for i in 0..3 {
         let clipped = sample.psds[i] == PsdState::Clipped;
         let faint = sample.powers[i] < LIGHT * noise.powers[i];

@@ -55,6 +55,8 @@ causes! {
     Clipped = "clipped", "a channel is clipped";
     /// All PSDs have a clipped channel.
     AllClipped = "all_clipped", "every PSD is clipped";
+    /// A channel repeats the same code.
+    Frozen = "frozen", "a channel repeats the same code";
     /// The powers cannot come from a beam near the apex.
     NoOffset = "no_offset", "the powers give no offset";
     /// The spots show the apex at another position, and the stage moves there.
