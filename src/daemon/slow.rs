@@ -21,7 +21,7 @@ use crate::exit::{self, Failure};
 use crate::monitor;
 use crate::monitor::host_filter::Hosts;
 use crate::monitor::view::View;
-use crate::publishing::{subscription, subscription_server, tcp};
+use crate::publishing::{subscription, subscription_server, tcp, udp};
 use crate::service::{Notify, Service};
 use crate::steering::gcs;
 
@@ -31,6 +31,7 @@ pub(super) struct Slow<'a> {
     pub(super) server: Option<Server>,
     pub(super) monitor: Option<Monitor>,
     pub(super) subscription_server: Option<subscription_server::SubscriptionServer>,
+    pub(super) supervisor: udp::Supervisor,
     pub(super) stage: Option<gcs::task::Task>,
     pub(super) session: u32,
 }
@@ -105,7 +106,7 @@ pub(super) fn serve(
     let publishing = &config.publishing;
     let subscriptions =
         subscription::Subscriptions::new(slow.session, publishing.subscribers, publishing.allow.clone());
-    let Slow { service, server, monitor, subscription_server, stage, .. } = slow;
+    let Slow { service, server, monitor, subscription_server, supervisor, stage, .. } = slow;
     let Fast { thread, mut ended } = fast;
     // A stalled fast thread is not joined: it ends with the process.
     let left_behind = Cell::new(false);
@@ -131,7 +132,7 @@ pub(super) fn serve(
             }
         };
         let serving = async {
-            tokio::join!(serving, monitoring);
+            tokio::join!(serving, monitoring, supervisor.run(stop.clone()));
         };
         let subscribing = async {
             match subscription_server {
