@@ -51,15 +51,9 @@ pub(super) struct Monitor {
 }
 
 /// Opens the configured ports for TCP clients and for the monitor.
-pub(super) async fn listeners(config: &Config) -> anyhow::Result<[Option<tokio::net::TcpListener>; 2]> {
-    let server = match config.publishing.tcp {
-        Some(address) => Some(tcp::bind(address).await?),
-        None => None,
-    };
-    let monitor = match config.monitor.listen {
-        Some(address) => Some(monitor::http::bind(address).await?),
-        None => None,
-    };
+pub(super) fn listeners(config: &Config) -> anyhow::Result<[Option<tokio::net::TcpListener>; 2]> {
+    let server = config.publishing.tcp.map(tcp::bind).transpose()?;
+    let monitor = config.monitor.listen.map(monitor::http::bind).transpose()?;
     Ok([server, monitor])
 }
 

@@ -20,6 +20,7 @@ use super::subscription::{Outcome, Subscriptions};
 use super::udp::socket::open_subscriber;
 use super::udp::{Kind, Receiver, Way};
 use crate::exit::Failure;
+use crate::listening::open_udp;
 
 /// Longest request in bytes. The rest of a longer datagram is cut off.
 const LONGEST: usize = 512;
@@ -45,8 +46,7 @@ pub struct SubscriptionServer {
 /// The socket cannot be opened; with [`crate::exit::IN_USE`] if another process uses the port.
 pub fn open(address: SocketAddr) -> Result<SubscriptionServer, Failure> {
     let open = || {
-        let socket = net::UdpSocket::bind(address)?;
-        socket.set_nonblocking(true)?;
+        let socket = open_udp(address)?;
         let own = socket.local_addr()?;
         io::Result::Ok((socket, own))
     };

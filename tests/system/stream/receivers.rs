@@ -256,3 +256,31 @@ fn check_tells_what_names_resolve_to() {
         assert!(done.out.contains(told), "{told}: {}", done.out);
     }
 }
+
+#[test]
+fn listeners_are_reached_whenever_an_interface_has_their_address() {
+    let Some(network) = Network::open() else { return };
+    network.far("ip addr add 10.9.0.2/24 dev v1");
+    let mut daemon = network.daemon(
+        "acquisition.rate_hz = 200\n[publishing]\ntcp = '10.9.0.1:7361'\nudp = []\nsubscribe = '10.9.0.1:7363'\n\
+         allow = ['10.0.0.0/8']\n[monitor]\nlisten = '[fd00:9::1]:7360'",
+    );
+    daemon.subscriptions();
+    for listener in ["10.9.0.1:7361", "10.9.0.1:7363", "[fd00:9::1]:7360"] {
+        let told =
+            |line: &&Value| line["address"] == listener && line.to_string().contains("no interface has");
+        assert!(daemon.log.iter().any(|line| told(&line)), "{listener}: {:#?}", daemon.log);
+    }
+    let endpoints = ["tcp://10.9.0.1:7361", "subscribe://10.9.0.1:7363"];
+    network.near("ip addr add 10.9.0.1/24 dev v0");
+    let mut receivers = endpoints.map(|endpoint| network.watch(endpoint));
+    for receiver in &mut receivers {
+        receiver.goes_on(RATE);
+    }
+    network.near("ip addr del 10.9.0.1/24 dev v0");
+    fails(&daemon, "10.9.0.2");
+    network.near("ip addr add 10.9.0.1/24 dev v0");
+    for receiver in &mut receivers {
+        receiver.goes_on(5 * RATE);
+    }
+}
