@@ -17,6 +17,7 @@
 //!   [`trifacet_core`], the sensor model in [`trifacet_optics`], the byte formats in [`trifacet_wire`].
 //! - [`daemon`]: the wiring. [`control`]: commands to the running daemon. [`config`]: the configuration.
 //! - [`monitor`], [`logging`], [`service`]: state of the daemon for operators and supervisors.
+//! - [`listening`]: opening of listeners, and their errors.
 //! - [`recording`], [`replay`]: records of inputs and results, and their recomputation.
 //! - [`identification`]: measurement of the loop. [`experiment`]: the experiment of the paper.
 //!
@@ -35,6 +36,7 @@ pub mod estimation;
 pub mod exit;
 pub mod experiment;
 pub mod identification;
+pub mod listening;
 pub mod logging;
 pub mod monitor;
 pub mod publishing;

@@ -3,6 +3,7 @@
 mod frames;
 mod link;
 mod port;
+mod receivers;
 
 use std::fmt::Write as _;
 use std::io::{self, Write as _};
@@ -82,7 +83,11 @@ pub(crate) fn doctor(args: &DoctorArgs) -> Result<()> {
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let mut report = Report::default();
-    runtime.block_on(look(&endpoint, args.interface.clone(), &config, &mut report));
+    runtime.block_on(async {
+        look(&endpoint, args.interface.clone(), &config, &mut report).await;
+        receivers::look(&config, &mut report).await;
+    });
+    runtime.shutdown_background(); // do not wait for a control socket that does not answer
     written(io::stdout().write_all(report.text.as_bytes()))?;
     match report.wrong {
         None => Ok(()),

@@ -8,6 +8,7 @@ use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::check::Checker;
+use super::destination::{Destination, Host, is_interface};
 use super::network::Network;
 use super::text::or_off;
 
@@ -36,8 +37,8 @@ pub struct PublishingConfig {
 /// A target of datagrams: an address, or a table with options.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct UdpTarget {
-    /// Address and port of the target.
-    pub address: SocketAddr,
+    /// Host and port of the target.
+    pub address: Destination,
     /// Only frames whose sequence number is a multiple of this are sent.
     pub divider: u32,
     /// Whether the frames are in network byte order.
@@ -52,21 +53,24 @@ pub struct UdpTarget {
 
 impl UdpTarget {
     /// A target that receives every frame.
-    pub fn to(address: SocketAddr) -> Self {
+    pub fn to(address: impl Into<Destination>) -> Self {
+        let address = address.into();
         Self { address, divider: 1, big_endian: false, held: false, interface: None, ttl: None }
     }
 
     fn check(&self, mut at: Checker<'_>) {
         let Self { address, divider, interface, ttl, .. } = self;
-        at.demand(address.port() != 0, "", address, "a port from 1 to 65535");
+        at.demand(address.port != 0, "", address, "a port from 1 to 65535");
         at.number("divider", *divider, 1.0..=1_000_000.0);
         at.optional("ttl", *ttl, 1.0..=255.0);
-        let multicast = address.ip().is_multicast();
+        let multicast = address.is_multicast();
         let only = "absent, unless the address is multicast (224.0.0.0/4, ff00::/8)";
         at.demand(multicast || ttl.is_none(), "ttl", ttl.unwrap_or_default(), only);
         if let Some(interface) = interface {
             at.demand(multicast, "interface", interface, only);
-            let named = !interface.is_empty() && interface.len() < 16 && interface.parse::<IpAddr>().is_err();
+            let zone = matches!(address.host, Host::Zoned(..));
+            at.demand(!zone, "interface", interface, "absent: the zone of the address names the interface");
+            let named = is_interface(interface) && interface.parse::<IpAddr>().is_err();
             let own = address.is_ipv4() && interface.parse::<Ipv4Addr>().is_ok();
             let allowed = "the name of an interface such as \"eth0\", or, for IPv4, its address";
             at.demand(named || own, "interface", interface, allowed);
@@ -81,7 +85,7 @@ impl Default for PublishingConfig {
             tcp_clients: 64,
             tcp_queue: 1024,
             allow: Network::loopback(),
-            udp: vec![UdpTarget::to(([127, 0, 0, 1], 7362).into())],
+            udp: vec![UdpTarget::to(SocketAddr::from(([127, 0, 0, 1], 7362)))],
             subscribe: None,
             subscribers: 32,
         }
@@ -98,11 +102,11 @@ impl PublishingConfig {
             let key = format!("udp[{i}]");
             let same =
                 |other: &UdpTarget| other.address == target.address && other.interface == target.interface;
-            at.demand(!self.udp[..i].iter().any(same), &key, target.address, "each address once");
+            at.demand(!self.udp[..i].iter().any(same), &key, &target.address, "each address once");
             target.check(at.section(&key));
         }
         if let Some(own) = self.subscribe {
-            let taken = self.udp.iter().any(|target| target.address == own);
+            let taken = self.udp.iter().any(|target| target.address == own.into());
             at.demand(!taken, "subscribe", own, "an address that is not a target in publishing.udp");
         }
         at.number("subscribers", self.subscribers as f64, 1.0..=1024.0);
@@ -123,8 +127,8 @@ pub(super) fn address_or_off<'de, D: Deserializer<'de>>(from: D) -> Result<Optio
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Table {
-    #[serde(deserialize_with = "address")]
-    address: SocketAddr,
+    #[serde(deserialize_with = "destination")]
+    address: Destination,
     #[serde(default = "one")]
     divider: u32,
     #[serde(default)]
@@ -146,11 +150,11 @@ impl<'de> Deserialize<'de> for UdpTarget {
             type Value = UdpTarget;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                write!(f, "{ADDRESS}, or a table with such an address")
+                write!(f, "{}, or a table with such an address", Destination::ALLOWED)
             }
 
             fn visit_str<E: Error>(self, text: &str) -> Result<UdpTarget, E> {
-                parsed(text).map(UdpTarget::to)
+                text.parse::<Destination>().map(UdpTarget::to).map_err(E::custom)
             }
 
             fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<UdpTarget, A::Error> {
@@ -163,10 +167,6 @@ impl<'de> Deserialize<'de> for UdpTarget {
     }
 }
 
-fn address<'de, D: Deserializer<'de>>(from: D) -> Result<SocketAddr, D::Error> {
-    parsed(&String::deserialize(from)?)
-}
-
-fn parsed<E: Error>(text: &str) -> Result<SocketAddr, E> {
-    text.parse().map_err(|_| E::custom(format_args!("allowed is {ADDRESS}")))
+fn destination<'de, D: Deserializer<'de>>(from: D) -> Result<Destination, D::Error> {
+    String::deserialize(from)?.parse().map_err(D::Error::custom)
 }

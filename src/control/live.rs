@@ -31,6 +31,7 @@ use crate::estimation::EstimationRequest;
 use crate::exit::{self, Failure};
 use crate::logging::Logging;
 use crate::publishing::descriptor::StreamFacts;
+use crate::publishing::udp::ReceiverState;
 use crate::recording::{Handle, RecorderCommand};
 
 /// Time limit for an answer of the fast side.
@@ -67,6 +68,8 @@ pub struct RunningConfig {
     pub heartbeats: Arc<Heartbeats>,
     /// The recorder.
     pub recording: Handle,
+    /// The receivers of datagrams.
+    pub receivers: watch::Receiver<Arc<[ReceiverState]>>,
     /// Time of the daemon's start.
     pub started: Mono,
 }
@@ -338,6 +341,7 @@ impl RunningConfig {
             "pose": pose,
             "frames": self.running.frames,
             "recording": self.recording.state.tell(),
+            "receivers": &**self.receivers.borrow(),
             "counters": counters,
         }))
     }

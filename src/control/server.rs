@@ -15,12 +15,13 @@ use tokio::net::unix::OwnedReadHalf;
 use tokio::net::{UnixListener, UnixStream};
 use tokio::sync::Mutex;
 use tokio::task::JoinSet;
-use tokio::time::{sleep, timeout};
+use tokio::time::timeout;
 
 use super::live::error;
 use super::{Command, RunningConfig};
 use crate::config::ControlConfig;
 use crate::exit::{self, Failure};
+use crate::listening::Accepting;
 
 /// Longest line in bytes, including its end.
 const LINE: u64 = 256;
@@ -65,20 +66,14 @@ impl Socket {
     /// Serves clients without end. Clients are served concurrently, their commands one after the other.
     pub async fn serve(self, live: Arc<Mutex<RunningConfig>>) {
         let mut clients = JoinSet::new();
+        let mut accepting = Accepting::new("a client of the control socket");
         loop {
-            match self.listener.accept().await {
-                Ok((stream, _)) => {
-                    while clients.try_join_next().is_some() {}
-                    if clients.len() < CLIENTS {
-                        clients.spawn(client(stream, Arc::clone(&live)));
-                    } else {
-                        tracing::warn!("control: refused a client: {CLIENTS} are already connected");
-                    }
-                }
-                Err(e) => {
-                    tracing::warn!("control: cannot accept a client: {e}");
-                    sleep(Duration::from_millis(100)).await;
-                }
+            let Some((stream, _)) = accepting.taken(self.listener.accept().await).await else { continue };
+            while clients.try_join_next().is_some() {}
+            if clients.len() < CLIENTS {
+                clients.spawn(client(stream, Arc::clone(&live)));
+            } else {
+                tracing::warn!("control: refused a client: {CLIENTS} are already connected");
             }
         }
     }

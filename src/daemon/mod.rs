@@ -34,13 +34,15 @@ use trifacet_wire::stream::Descriptor;
 
 use crate::clock::SystemClock;
 use crate::clock::utc::Utc;
-use crate::config::{CalibrationContext, Config};
+use crate::config::{CalibrationContext, Config, PublishingConfig};
 use crate::control::server::Socket;
 use crate::control::{self, PageControls, RunningConfig};
+use crate::exit::Failure;
 use crate::logging::Logging;
 use crate::monitor::view::{self, View};
 use crate::publishing::descriptor::StreamFacts;
-use crate::publishing::{Outlets, Publisher, PublisherSettings, StreamId, subscription_server};
+use crate::publishing::subscription_server::SubscriptionServer;
+use crate::publishing::{Outlets, Publisher, StreamId, subscription_server, udp};
 use crate::recording;
 use crate::replay::RecordingHeader;
 use crate::service::Service;
@@ -81,26 +83,25 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let (gcs, gcs_task) = gcs::pair(config, steering_now).unzip();
     let (to_tcp, frames) = mpsc::channel(TO_MAIN);
     let (to_monitor, monitored) = mpsc::channel(TO_MAIN);
-    let [server, monitor] = main.block_on(listeners(config))?;
+    let [server, monitor] = main.block_on(async { listeners(config) })?;
     let (config_in_force, config_now) = watch::channel(config.clone());
     let (records, recording, recorder) =
         recording::recorder::start(&config.recording, &counters).context("cannot start the recorder")?;
-    let udp = config.publishing.udp.clone();
-    let (subscription_server, subscribers) =
-        config.publishing.subscribe.map(subscription_server::open).transpose()?.unzip();
+    let (subscription_server, supervisor, datagrams) = main.block_on(datagrams(&config.publishing))?;
+    let receivers = supervisor.states();
     let publisher = Publisher::new(
-        PublisherSettings { id, udp },
+        id,
         SystemClock,
         Utc::system(),
         Arc::clone(&counters),
         Outlets {
-            subscribers,
+            datagrams,
             tcp: server.is_some().then_some(to_tcp),
             monitor: monitor.is_some().then_some(to_monitor),
             recording_fault: Arc::clone(&recording.state.fault),
             descriptor: descriptor.clone(),
         },
-    )?;
+    );
     let parts = Parts {
         pipeline,
         gcs,
@@ -132,13 +133,14 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         counters: Arc::clone(&counters),
         heartbeats: Arc::clone(&heartbeats),
         recording: recording.clone(),
+        receivers: receivers.clone(),
         started,
     }));
     let view = View::new(view::Sources {
         counters: Arc::clone(&counters),
         descriptor: descriptor_now.clone(),
         config: config_now,
-        subscribers: subscription_server.as_ref().map(subscription_server::SubscriptionServer::subscribers),
+        receivers,
         heartbeats,
         control: PageControls::of(&config.monitor, &live),
         recording: recording.state,
@@ -148,6 +150,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         server: server.map(|listener| Server { listener, frames, descriptor: descriptor_now }),
         monitor: monitor.map(|listener| Monitor { listener, frames: monitored, view }),
         subscription_server,
+        supervisor,
         stage: gcs_task,
         session: id.session,
     };
@@ -158,6 +161,18 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
     main.shutdown_background(); // do not wait for pending opens of ports or name look-ups
     result
+}
+
+/// Opens the port for subscriptions and the sockets of the targets.
+async fn datagrams(
+    config: &PublishingConfig,
+) -> Result<(Option<SubscriptionServer>, udp::Supervisor, udp::Sender), Failure> {
+    let server = config.subscribe.map(subscription_server::open).transpose()?;
+    let subscribers = server.as_ref().map(SubscriptionServer::subscribers);
+    let mut supervisor = udp::Supervisor::new(&config.udp, subscribers.clone());
+    supervisor.resolve_names().await;
+    let sender = udp::Sender::new([supervisor.targets()].into_iter().chain(subscribers));
+    Ok((server, supervisor, sender))
 }
 
 /// The configuration in force with its context; for a replay, those at the beginning of the recording.

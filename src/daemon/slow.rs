@@ -21,7 +21,7 @@ use crate::exit::{self, Failure};
 use crate::monitor;
 use crate::monitor::host_filter::Hosts;
 use crate::monitor::view::View;
-use crate::publishing::{subscription, subscription_server, tcp};
+use crate::publishing::{subscription, subscription_server, tcp, udp};
 use crate::service::{Notify, Service};
 use crate::steering::gcs;
 
@@ -31,6 +31,7 @@ pub(super) struct Slow<'a> {
     pub(super) server: Option<Server>,
     pub(super) monitor: Option<Monitor>,
     pub(super) subscription_server: Option<subscription_server::SubscriptionServer>,
+    pub(super) supervisor: udp::Supervisor,
     pub(super) stage: Option<gcs::task::Task>,
     pub(super) session: u32,
 }
@@ -50,15 +51,9 @@ pub(super) struct Monitor {
 }
 
 /// Opens the configured ports for TCP clients and for the monitor.
-pub(super) async fn listeners(config: &Config) -> anyhow::Result<[Option<tokio::net::TcpListener>; 2]> {
-    let server = match config.publishing.tcp {
-        Some(address) => Some(tcp::bind(address).await?),
-        None => None,
-    };
-    let monitor = match config.monitor.listen {
-        Some(address) => Some(monitor::http::bind(address).await?),
-        None => None,
-    };
+pub(super) fn listeners(config: &Config) -> anyhow::Result<[Option<tokio::net::TcpListener>; 2]> {
+    let server = config.publishing.tcp.map(tcp::bind).transpose()?;
+    let monitor = config.monitor.listen.map(monitor::http::bind).transpose()?;
     Ok([server, monitor])
 }
 
@@ -105,7 +100,7 @@ pub(super) fn serve(
     let publishing = &config.publishing;
     let subscriptions =
         subscription::Subscriptions::new(slow.session, publishing.subscribers, publishing.allow.clone());
-    let Slow { service, server, monitor, subscription_server, stage, .. } = slow;
+    let Slow { service, server, monitor, subscription_server, supervisor, stage, .. } = slow;
     let Fast { thread, mut ended } = fast;
     // A stalled fast thread is not joined: it ends with the process.
     let left_behind = Cell::new(false);
@@ -131,7 +126,7 @@ pub(super) fn serve(
             }
         };
         let serving = async {
-            tokio::join!(serving, monitoring);
+            tokio::join!(serving, monitoring, supervisor.run(stop.clone()));
         };
         let subscribing = async {
             match subscription_server {

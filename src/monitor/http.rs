@@ -21,13 +21,14 @@ use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
-use tokio::time::{sleep, timeout};
+use tokio::time::timeout;
 use trifacet_wire::PoseFrame;
 
 use super::host_filter::Hosts;
 use super::page;
 use super::view::View;
 use crate::exit::Failure;
+use crate::listening::{Accepting, open_tcp};
 
 /// Most connections at a time; further ones are closed.
 const CONNECTIONS: usize = 128;
@@ -41,13 +42,12 @@ const DRAIN: Duration = Duration::from_millis(500);
 /// Answers describe the present and must not be cached.
 const FRESH: [(HeaderName, &str); 1] = [(header::CACHE_CONTROL, "no-store")];
 
-/// Opens the port and logs the address of the page.
+/// Opens the port and logs the address of the page. Must be called within a runtime.
 ///
 /// # Errors
 /// The port cannot be opened; with [`crate::exit::IN_USE`] if another process uses it.
-pub async fn bind(address: SocketAddr) -> Result<TcpListener, Failure> {
-    let listener = TcpListener::bind(address)
-        .await
+pub fn bind(address: SocketAddr) -> Result<TcpListener, Failure> {
+    let listener = open_tcp(address)
         .map_err(|e| Failure::port(format_args!("open {address} for the monitor (monitor.listen)"), &e))?;
     let address = listener.local_addr().unwrap_or(address);
     tracing::info!(url = format!("http://{address}/"), "monitor is open");
@@ -109,14 +109,10 @@ struct Server {
 
 impl Server {
     async fn accept_all(&mut self, listener: &TcpListener) {
+        let mut accepting = Accepting::new("a connection to the monitor");
         loop {
-            match listener.accept().await {
-                Ok((stream, peer)) => self.admit(stream, peer),
-                Err(e) => {
-                    // Usually out of file descriptors: wait until some are free.
-                    tracing::warn!("monitor: cannot accept a connection: {e}");
-                    sleep(Duration::from_millis(100)).await;
-                }
+            if let Some((stream, peer)) = accepting.taken(listener.accept().await).await {
+                self.admit(stream, peer);
             }
         }
     }

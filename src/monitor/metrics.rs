@@ -19,6 +19,7 @@ use trifacet_wire::{LockState, Status};
 
 use super::tally::{Second, Tally};
 use super::view::View;
+use crate::publishing::udp::Kind;
 
 /// Content type: OpenMetrics, which Prometheus also accepts.
 pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -110,10 +111,20 @@ impl Page<'_> {
     fn clients(&mut self, view: &View) -> fmt::Result {
         let counters = &view.sources.counters;
         let tcp = counters.tcp_connected.get().saturating_sub(counters.tcp_disconnected.get());
-        let udp = view.sources.subscribers.as_ref().map_or(0, |list| list.borrow().len());
+        let receivers = view.sources.receivers.borrow().clone();
+        let udp = receivers.iter().filter(|receiver| receiver.kind == Kind::Subscriber).count();
         let clients = [("tcp", tcp), ("udp", udp as u64), ("page", view.viewers() as u64)];
         let gauges = clients.map(|(kind, n)| (kind, ConstGauge::new(n)));
-        self.each("clients", "TCP clients, subscribers to datagrams, viewers of the page", "kind", gauges)
+        self.each("clients", "TCP clients, subscribers to datagrams, viewers of the page", "kind", gauges)?;
+        let failing = receivers.iter().filter(|receiver| receiver.failing.is_some()).count();
+        let states = [("working", receivers.len() - failing), ("failing", failing)];
+        let gauges = states.map(|(state, n)| (state, ConstGauge::new(n as u64)));
+        self.each(
+            "udp_receivers",
+            "Receivers of datagrams, targets and subscribers, by state",
+            "state",
+            gauges,
+        )
     }
 
     /// The present state.

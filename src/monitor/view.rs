@@ -21,7 +21,7 @@ use super::tally::Tally;
 use crate::clock::SystemClock;
 use crate::config::Config;
 use crate::control::PageControls;
-use crate::publishing::target::Subscriber;
+use crate::publishing::udp::ReceiverState;
 use crate::recording::handle::State;
 
 /// Interval of polling for new frames. Frames do not wake the task, so their rate costs little here.
@@ -48,8 +48,8 @@ pub struct Sources {
     pub descriptor: watch::Receiver<Descriptor>,
     /// The configuration in force.
     pub config: watch::Receiver<Config>,
-    /// Current subscribers to datagrams, if subscriptions are enabled.
-    pub subscribers: Option<watch::Receiver<Arc<[Subscriber]>>>,
+    /// The receivers of datagrams.
+    pub receivers: watch::Receiver<Arc<[ReceiverState]>>,
     /// Heartbeats of the tasks of the fast side.
     pub heartbeats: Arc<Heartbeats>,
     /// State of the recorder.

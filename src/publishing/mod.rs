@@ -1,6 +1,6 @@
 //! Publishes pose reports over UDP and TCP.
 //!
-//! - [`publisher`]: the fast side. It makes every frame; [`target`] sends the datagrams.
+//! - [`publisher`]: the fast side. It makes every frame; [`udp`] sends the datagrams.
 //! - [`subscription`]: leases of datagrams; [`subscription_server`] is the task that accepts the requests.
 //! - [`tcp`]: the TCP server, on the slow side. [`encoding`] brings frames into the format that a client
 //!   requested, [`query`] answers queries with one line.
@@ -17,7 +17,7 @@ pub mod publisher;
 pub mod query;
 pub mod subscription;
 pub mod subscription_server;
-pub mod target;
 pub mod tcp;
+pub mod udp;
 
-pub use publisher::{Outlets, Publisher, PublisherSettings, StreamId};
+pub use publisher::{Outlets, Publisher, StreamId};

@@ -14,10 +14,8 @@ use trifacet_core::time::Clock;
 use trifacet_wire::stream::Descriptor;
 use trifacet_wire::{PoseFrame, Status};
 
-use super::target::{Subscribers, Targets};
+use super::udp;
 use crate::clock::utc::Utc;
-use crate::config::UdpTarget;
-use crate::exit::Failure;
 
 /// Distinguishes the frames of one run of a daemon with one configuration from all others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,20 +34,11 @@ impl StreamId {
     }
 }
 
-/// Settings of a [`Publisher`].
-#[derive(Clone, Debug)]
-pub struct PublisherSettings {
-    /// Part of every frame.
-    pub id: StreamId,
-    /// The fixed targets of datagrams.
-    pub udp: Vec<UdpTarget>,
-}
-
-/// Outlets for frames besides the fixed targets. `None` disables an outlet.
+/// Outlets for frames. `None` disables an outlet.
 #[derive(Debug)]
 pub struct Outlets {
-    /// The subscribers of [`super::subscription_server`].
-    pub subscribers: Option<Subscribers>,
+    /// The receivers of datagrams.
+    pub datagrams: udp::Sender,
     /// Frames for [`super::tcp::serve`].
     pub tcp: Option<mpsc::Sender<PoseFrame>>,
     /// Frames for [`crate::monitor::http::serve`].
@@ -64,7 +53,7 @@ pub struct Outlets {
 #[derive(Debug)]
 pub struct Publisher<C> {
     id: StreamId,
-    targets: Targets,
+    datagrams: udp::Sender,
     clock: C,
     utc: Utc,
     counters: Arc<Counters>,
@@ -76,21 +65,10 @@ pub struct Publisher<C> {
 }
 
 impl<C: Clock> Publisher<C> {
-    /// Opens the sockets of all targets.
-    ///
-    /// # Errors
-    /// A socket cannot be opened.
-    pub fn new(
-        settings: PublisherSettings,
-        clock: C,
-        utc: Utc,
-        counters: Arc<Counters>,
-        outlets: Outlets,
-    ) -> Result<Self, Failure> {
-        let PublisherSettings { id, udp } = settings;
-        let Outlets { subscribers, tcp, monitor, recording_fault, descriptor } = outlets;
-        let targets = Targets::open(&udp, subscribers)?;
-        Ok(Self { id, targets, clock, utc, counters, tcp, monitor, recording_fault, descriptor, sequence: 0 })
+    /// A publisher that has made no frame yet.
+    pub fn new(id: StreamId, clock: C, utc: Utc, counters: Arc<Counters>, outlets: Outlets) -> Self {
+        let Outlets { datagrams, tcp, monitor, recording_fault, descriptor } = outlets;
+        Self { id, datagrams, clock, utc, counters, tcp, monitor, recording_fault, descriptor, sequence: 0 }
     }
 
     /// Sends the frame of a report to all receivers and returns it. Frames are sent at the full rate, valid
@@ -117,7 +95,7 @@ impl<C: Clock> Publisher<C> {
         if frame.pose[0].is_nan() {
             self.counters.frames_invalid.inc();
         }
-        self.targets.send(&frame, &self.counters);
+        self.datagrams.send(&frame, &self.counters);
         hand_on(frame, self.tcp.as_ref(), &self.counters.tcp_overflows);
         hand_on(frame, self.monitor.as_ref(), &self.counters.monitor_overflows);
         frame
@@ -148,9 +126,10 @@ mod tests {
     use std::time::Duration;
 
     use trifacet_core::time::Mono;
+    use trifacet_core::utc::Reading;
 
     use super::*;
-    use crate::config::Model;
+    use crate::config::{Model, UdpTarget};
     use crate::publishing::descriptor::StreamFacts;
 
     #[derive(Clone)]
@@ -171,7 +150,7 @@ mod tests {
             calibrated: false,
         };
         Outlets {
-            subscribers: None,
+            datagrams: udp::Sender::new([udp::Supervisor::new(&[], None).targets()]),
             tcp: None,
             monitor: None,
             recording_fault: Arc::default(),
@@ -180,11 +159,19 @@ mod tests {
     }
 
     fn publisher(udp: Vec<SocketAddr>, tcp: Option<mpsc::Sender<PoseFrame>>) -> Publisher<Fixed> {
-        let udp = udp.into_iter().map(UdpTarget::to).collect();
-        let settings = PublisherSettings { id: StreamId { session: 1, config: 2 }, udp };
-        let utc = Utc::reading(|| (Mono(0), 5_000_000_000));
-        Publisher::new(settings, Fixed(Mono(1_200_000)), utc, Arc::default(), Outlets { tcp, ..outlets() })
-            .unwrap()
+        let udp: Vec<_> = udp.into_iter().map(UdpTarget::to).collect();
+        publisher_to(&udp, tcp, || (Mono(0), 5_000_000_000))
+    }
+
+    fn publisher_to(
+        udp: &[UdpTarget],
+        tcp: Option<mpsc::Sender<PoseFrame>>,
+        utc: fn() -> Reading,
+    ) -> Publisher<Fixed> {
+        let datagrams = udp::Sender::new([udp::Supervisor::new(udp, None).targets()]);
+        let outlets = Outlets { datagrams, tcp, ..outlets() };
+        let id = StreamId { session: 1, config: 2 };
+        Publisher::new(id, Fixed(Mono(1_200_000)), Utc::reading(utc), Arc::default(), outlets)
     }
 
     #[test]
@@ -221,11 +208,7 @@ mod tests {
             UdpTarget { big_endian: true, ..big },
             UdpTarget { held: true, divider: 3, ..held },
         ];
-        let settings = PublisherSettings { id: StreamId { session: 1, config: 2 }, udp: targets.to_vec() };
-        let utc = Utc::reading(|| (Mono(0), 0));
-        let counters = Arc::default();
-        let mut publisher =
-            Publisher::new(settings, Fixed(Mono(1_200_000)), utc, counters, outlets()).unwrap();
+        let mut publisher = publisher_to(&targets, None, || (Mono(0), 0));
         for n in 0..6 {
             let status = if n < 2 { PoseReport::example().status } else { Status::PSD_A_LOW };
             publisher.publish(&PoseReport { status, ..PoseReport::example() });
@@ -302,11 +285,11 @@ mod tests {
             (Mono(n * 1_000_000_000), (1_800_000_000 + n + step_s) * 1_000_000_000)
         }
         let clock = Ticking(Arc::default());
-        let settings = PublisherSettings { id: StreamId { session: 1, config: 2 }, udp: Vec::new() };
+        let id = StreamId { session: 1, config: 2 };
         let outlets = outlets();
         let descriptor = outlets.descriptor.subscribe();
         let utc = Utc::reading(read);
-        let mut publisher = Publisher::new(settings, clock.clone(), utc, Arc::default(), outlets).unwrap();
+        let mut publisher = Publisher::new(id, clock.clone(), utc, Arc::default(), outlets);
         let mut frame = |s: i64| {
             clock.0.store(s * 1_000_000_000, Ordering::Relaxed);
             publisher.publish(&PoseReport { time: Mono(s * 1_000_000_000), ..PoseReport::example() })

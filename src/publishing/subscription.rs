@@ -12,11 +12,19 @@ use std::sync::Arc;
 use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_wire::stream::{Delivery, SubscriptionRequest};
 
-use super::target::Subscriber;
 use crate::config::Network;
 
 /// Period of a nonce in seconds. A nonce is valid for between one and two periods.
 const NONCE_S: i64 = 60;
+
+/// A receiver that has subscribed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Subscriber {
+    /// The address to which datagrams are sent.
+    pub address: SocketAddr,
+    /// Divider, byte order and held pose.
+    pub delivery: Delivery,
+}
 
 /// The result of a datagram.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -125,6 +133,12 @@ impl Subscriptions {
         };
         let Delivery { divider, .. } = delivery;
         granted(format!("ok lease_s={lease_s} divider={divider} session={:08x}", self.session), changed)
+    }
+
+    /// Ends a subscription that has just been granted and cannot be served, for this reason.
+    pub fn revoke(&mut self, address: SocketAddr, why: &str) -> Outcome {
+        self.leases.retain(|lease| lease.to.address != address);
+        refusal(why)
     }
 
     /// Whether this nonce was sent to this address recently, or belongs to its subscription.

@@ -7,9 +7,11 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 
 use trifacet::config::{
-    Config, FacetConfig, FramesConfig, LogFormat, SourceKind, SteeringKind, TransformConfig,
+    Config, Destination, FacetConfig, FramesConfig, Host, LogFormat, SourceKind, SteeringKind,
+    TransformConfig,
 };
 use trifacet::publishing::columns::rfc3339;
+use trifacet::publishing::udp::resolve;
 use trifacet::replay::RecordingHeader;
 use trifacet_core::centering::LoopMode;
 use trifacet_optics::covariance::sigmas;
@@ -189,7 +191,7 @@ fn publishing(config: &Config, lines: &mut Lines) {
         Some(address) => format!("TCP at {address} for {} clients", publishing.tcp_clients),
         None => "no TCP".into(),
     };
-    let udp: Vec<_> = publishing.udp.iter().map(|target| target.address.to_string()).collect();
+    let udp: Vec<_> = publishing.udp.iter().map(|target| resolved(&target.address)).collect();
     let udp = if udp.is_empty() { "no UDP".into() } else { format!("UDP to {}", udp.join(", ")) };
     lines.say("publishing", format!("{rate} frames per second: {tcp}; {udp}"));
     if let Some(address) = publishing.subscribe {
@@ -200,6 +202,14 @@ fn publishing(config: &Config, lines: &mut Lines) {
         "publishing",
         format!("clients from {}", if allow.is_empty() { "no host".into() } else { allow.join(", ") }),
     );
+}
+
+/// A target; for a name or a zone, with the present address.
+fn resolved(destination: &Destination) -> String {
+    match (&destination.host, resolve::address(destination)) {
+        (Host::Address(_), _) | (_, Err(_)) => destination.to_string(), // an error becomes a note
+        (_, Ok(address)) => format!("{destination} ({})", address.ip()),
+    }
 }
 
 fn machine(config: &Config, lines: &mut Lines) {
@@ -237,6 +247,15 @@ fn notes(config: &Config, lines: &mut Lines) {
         lines.say("note", format!("no correction table for PSD {psds}: the frames carry UNCALIBRATED"));
     }
     let publishing = &config.publishing;
+    for target in &publishing.udp {
+        if let Err(cause) = resolve::resolve(target) {
+            let address = &target.address;
+            lines.say(
+                "note",
+                format!("no datagrams to {address} at present: {cause}; the daemon keeps trying"),
+            );
+        }
+    }
     let open = [publishing.tcp, publishing.subscribe].into_iter().flatten().any(|a| !a.ip().is_loopback());
     if open && publishing.allow.iter().all(|network| network.is_loopback()) {
         lines.say(

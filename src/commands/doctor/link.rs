@@ -9,6 +9,7 @@ use tokio::net::TcpStream;
 use tokio::time::timeout;
 use trifacet::client::{ClientError, Endpoint, Losses, MessageError};
 use trifacet::config::Config;
+use trifacet::publishing::udp::resolve;
 
 use super::frames::ReceivedFrames;
 use super::{Report, port};
@@ -122,8 +123,8 @@ async fn nothing_sent(place: &str, config: &Config, report: &mut Report) {
     let here: Option<SocketAddr> = place.parse().ok();
     let meant = targets.iter().find(|target| {
         here.is_none_or(|here| {
-            let any = here.ip().is_unspecified() || here.ip() == target.address.ip();
-            any && here.port() == target.address.port()
+            let there = resolve::address(&target.address).map(|address| address.ip());
+            here.port() == target.address.port && (here.ip().is_unspecified() || there == Ok(here.ip()))
         })
     });
     let Some(target) = meant else {
@@ -139,7 +140,7 @@ async fn nothing_sent(place: &str, config: &Config, report: &mut Report) {
         Some(tcp) => match timeout(Duration::from_secs(1), ask_status(tcp)).await {
             Ok(Ok(line)) => {
                 report.good(&format!("a daemon answers at tcp://{tcp}: {line}"));
-                let multicast = target.address.ip().is_multicast();
+                let multicast = target.address.is_multicast();
                 report.wrong(
                     "the daemon sends, but nothing arrives",
                     if multicast {

@@ -18,6 +18,7 @@ pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
     let Some(frame) = &known.frame else {
         lines.push(row("pose", "no frame since the last update"));
         lines.push(row("losses", &losses(known)));
+        lines.extend(receivers(known));
         lines.extend(known.unanswered.as_ref().map(|why| row("control", why)));
         return lines;
     };
@@ -34,6 +35,7 @@ pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
     let how = if frame.status.has(Status::STEERING_MEASURED) { "read back" } else { "as commanded" };
     lines.push(row("steering", &format!("x    {x} um          y     {y} um    {how}")));
     lines.push(row("losses", &losses(known)));
+    lines.extend(receivers(known));
     lines.extend(known.unanswered.as_ref().map(|why| row("control", why)));
     lines.push(row("status", &names(Status(frame.status.0 & !SHOWN_ELSEWHERE.0))));
     lines
@@ -127,6 +129,17 @@ fn losses(known: &Known) -> String {
     if losses.is_empty() { "none".into() } else { losses.join("  ") }
 }
 
+/// The receivers of datagrams that fail. Only the control socket tells them.
+fn receivers(known: &Known) -> Vec<String> {
+    let all = known.control.as_ref().and_then(|control| control["receivers"].as_array());
+    let failing = |receiver: &Value| {
+        let (name, failing) = (receiver["receiver"].as_str()?, &receiver["failing"]);
+        let (since, cause) = (failing["since"].as_str()?, failing["cause"].as_str()?);
+        Some(row("receiver", &format!("{name} fails since {since}: {cause}")))
+    };
+    all.into_iter().flatten().filter_map(failing).collect()
+}
+
 fn names(status: Status) -> String {
     status.names().collect::<Vec<_>>().join(" ")
 }
@@ -174,7 +187,7 @@ pub(super) fn mood(line: &str) -> Option<&'static str> {
         "pose" => "31",
         "lock" if is(LockState::Locked) => "32",
         "lock" if is(LockState::Lost) || is(LockState::Railed) => "31",
-        "lock" | "control" | "replay" => "33",
+        "lock" | "control" | "replay" | "receiver" => "33",
         "losses" if text != "none" => "33",
         _ => return None,
     })

@@ -15,7 +15,7 @@ use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{broadcast, mpsc, watch};
 use tokio::task::JoinSet;
-use tokio::time::{sleep, timeout};
+use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 use trifacet_core::telemetry::Counters;
 use trifacet_wire::PoseFrame;
@@ -27,19 +27,19 @@ pub use self::context::Limits;
 use self::context::{ServerContext, part};
 use super::encoding::{EncodedFrame, farewell};
 use crate::exit::Failure;
+use crate::listening::{Accepting, open_tcp};
 
 /// Longest time at shutdown to receive the last frames, and again to send them.
 const DRAIN: Duration = Duration::from_millis(500);
 /// Most refused connections kept open at a time; further ones are closed without a reason.
 const PARTINGS: usize = 64;
 
-/// Opens the port and logs its address.
+/// Opens the port and logs its address. Must be called within a runtime.
 ///
 /// # Errors
 /// The port cannot be opened; with [`crate::exit::IN_USE`] if another process uses it.
-pub async fn bind(address: SocketAddr) -> Result<TcpListener, Failure> {
-    let listener = TcpListener::bind(address)
-        .await
+pub fn bind(address: SocketAddr) -> Result<TcpListener, Failure> {
+    let listener = open_tcp(address)
         .map_err(|e| Failure::port(format_args!("listen on {address} for TCP clients"), &e))?;
     let address = listener.local_addr().unwrap_or(address);
     tracing::info!(%address, "listening");
@@ -102,14 +102,10 @@ struct Server {
 
 impl Server {
     async fn accept_all(&mut self, listener: &TcpListener, ring: &broadcast::Receiver<Arc<EncodedFrame>>) {
+        let mut accepting = Accepting::new("a TCP client");
         loop {
-            match listener.accept().await {
-                Ok((stream, address)) => self.admit(stream, address, ring),
-                Err(e) => {
-                    // Usually out of file descriptors: wait until some are free.
-                    tracing::warn!("cannot accept a TCP client: {e}");
-                    sleep(Duration::from_millis(100)).await;
-                }
+            if let Some((stream, address)) = accepting.taken(listener.accept().await).await {
+                self.admit(stream, address, ring);
             }
         }
     }

@@ -7,10 +7,10 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpSocket, TcpStream};
 use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
-use trifacet::client::{Client, Endpoint, Heartbeat, Losses, Message};
+use trifacet::client::{Client, ClientError, Endpoint, Heartbeat, Losses, Message};
 
 use super::fixture::publishing;
-use crate::testkit::PATIENCE;
+use crate::testkit::{Daemon, Folder, PATIENCE};
 
 async fn connect(address: SocketAddr) -> Client {
     let mut client = Client::connect(&Endpoint::Tcp(address.to_string())).await.unwrap();
@@ -110,4 +110,31 @@ async fn two_hundred_clients_that_come_and_go_cost_the_others_no_frame() {
     for _ in 0..250 {
         all.push(connect(address).await);
     }
+}
+
+/// More clients than the daemon may open files: it accepts others as soon as some have left.
+#[tokio::test]
+async fn a_daemon_without_free_file_descriptors_accepts_clients_later() {
+    let config = "[publishing]\ntcp = '127.0.0.1:0'\nudp = []\nsubscribe = '127.0.0.1:0'\n";
+    let through = ["sh", "-c", "ulimit -n 40; exec \"$@\"", "sh"];
+    let mut daemon = Daemon::start_through(&Folder::new(), config, &through);
+    let (tcp, subscribe) = (daemon.address(), daemon.subscriptions());
+    let mut clients = Vec::new();
+    for _ in 0..60 {
+        clients.push(TcpStream::connect(tcp).await.unwrap());
+    }
+    let line = daemon.message("cannot accept a TCP client");
+    assert!(line["message"].as_str().unwrap().contains("Too many open files"), "{line}");
+    let endpoint = Endpoint::Subscribe(subscribe.to_string());
+    match Client::connect(&endpoint).await {
+        Err(ClientError::Refused(why)) => assert!(why.contains("Too many open files"), "{why}"),
+        other => panic!("{other:?}"),
+    }
+    drop(clients);
+    let mut client = timeout(PATIENCE, connect(tcp)).await.unwrap();
+    assert!(timeout(PATIENCE, client.next()).await.unwrap().is_ok());
+    daemon.message("accepted a TCP client again");
+    let began = daemon.log.iter().filter(|line| line.to_string().contains("cannot accept a TCP client"));
+    assert_eq!(began.count(), 1, "{:#?}", daemon.log);
+    timeout(PATIENCE, Client::connect(&endpoint)).await.unwrap().unwrap();
 }

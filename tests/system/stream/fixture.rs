@@ -29,7 +29,7 @@ pub(crate) struct Server {
 }
 
 pub(crate) async fn start(limits: Limits) -> Server {
-    let listener = tcp::bind(([127, 0, 0, 1], 0).into()).await.unwrap();
+    let listener = tcp::bind(([127, 0, 0, 1], 0).into()).unwrap();
     let address = listener.local_addr().unwrap();
     let (frames, rx) = mpsc::channel(4096);
     let counters = Arc::<Counters>::default();

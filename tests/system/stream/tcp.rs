@@ -222,9 +222,9 @@ async fn a_client_resynchronises_in_a_damaged_stream() {
 
 #[tokio::test]
 async fn a_port_in_use_is_named() {
-    let first = tcp::bind(([127, 0, 0, 1], 0).into()).await.unwrap();
+    let first = tcp::bind(([127, 0, 0, 1], 0).into()).unwrap();
     let address = first.local_addr().unwrap();
-    let failure = tcp::bind(address).await.unwrap_err();
+    let failure = tcp::bind(address).unwrap_err();
     assert_eq!(failure.code, exit::IN_USE);
     assert!(failure.message.contains(&address.to_string()), "{failure}");
 }

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use tokio::time::timeout;
 use trifacet::client::{Backoff, Client, ClientError, Endpoint, Losses, Message, Options, Pace, PoseFrame};
+use trifacet::exit;
 use trifacet_wire::Status;
 
 use super::fixture::publishing;
@@ -183,5 +184,36 @@ async fn session(client: &mut Client) -> u32 {
         if let Message::Pose(frame) = timeout(PATIENCE, client.next()).await.unwrap().unwrap() {
             return frame.session;
         }
+    }
+}
+
+/// The sockets of subscribers share the port of the daemon; no other program may.
+#[tokio::test]
+async fn a_port_with_subscribers_is_not_shared_with_a_second_daemon() {
+    let mut daemon = publishing("tcp = 'off'\nudp = []\nsubscribe = '127.0.0.1:0'");
+    let address = daemon.subscriptions();
+    let endpoint = Endpoint::Subscribe(address.to_string());
+    let mut client = Client::connect(&endpoint).await.unwrap();
+    let first = next_frame(&mut client).await.sequence;
+    let mut second = publishing(&format!("tcp = 'off'\nudp = []\nsubscribe = '{address}'"));
+    assert_eq!(second.end().code(), Some(i32::from(exit::IN_USE)), "{:#?}", second.log);
+    assert!(second.said("another process has the port"), "{:#?}", second.log);
+    while next_frame(&mut client).await.sequence < first + 1000 {}
+    assert_eq!(client.losses(), Losses::default());
+}
+
+/// A server on all addresses sends IPv4 and IPv6 datagrams from its own port.
+#[tokio::test]
+async fn a_server_for_both_versions_of_ip_serves_both() {
+    let mut daemon = publishing("tcp = 'off'\nudp = []\nsubscribe = '[::]:0'");
+    let port = daemon.subscriptions().port();
+    for own in ["127.0.0.1", "[::1]"] {
+        let endpoint = Endpoint::Subscribe(format!("{own}:{port}"));
+        let options = Options { lease_s: 1, ..Options::default() };
+        let mut client = timeout(PATIENCE, Client::connect_with(&endpoint, options)).await.unwrap().unwrap();
+        let first = next_frame(&mut client).await.sequence;
+        // Three leases: the renewals arrive at the socket of this subscriber.
+        while next_frame(&mut client).await.sequence < first + 3000 {}
+        assert_eq!(client.losses(), Losses::default(), "{own}");
     }
 }

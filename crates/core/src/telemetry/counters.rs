@@ -106,7 +106,7 @@ counters! {
     Event frames,
     /// Pose frames without a valid pose.
     Event frames_invalid,
-    /// Datagrams that the network stack did not accept.
+    /// Datagrams that the system refused, or accepted while the receiver could not be reached.
     Loss udp_dropped,
     /// Frames that did not reach the TCP server because it lagged behind.
     Loss tcp_overflows,
