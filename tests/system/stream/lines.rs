@@ -80,6 +80,17 @@ async fn old(talk: &mut Talk) -> String {
 }
 
 #[tokio::test]
+async fn a_byte_order_mark_before_the_first_request_is_accepted() {
+    let server = start(Limits::default()).await;
+    let mut talk = Talk::to(server.address).await;
+    let answer = talk.ask("\u{feff}help").await;
+    assert!(answer.starts_with("stream "), "{answer}");
+    let mut talk = Talk::to(server.address).await;
+    talk.say("\u{feff}stream format=json\n").await;
+    assert!(talk.json().await["descriptor"].is_object());
+}
+
+#[tokio::test]
 async fn queries_return_the_newest_pose_and_never_an_old_one_as_valid() {
     let server = start(Limits::default()).await;
     let mut talk = Talk::to(server.address).await;
