@@ -11,6 +11,7 @@ pub(crate) mod http;
 mod load;
 mod program;
 mod stream;
+mod terminal;
 mod truth;
 mod udp;
 pub(crate) mod venv;
@@ -25,6 +26,7 @@ pub(crate) use folder::Folder;
 pub(crate) use load::waited_ns;
 pub(crate) use program::{Done, Killed, on, run, trifacet};
 pub(crate) use stream::{Frame, Stream};
+pub(crate) use terminal::Terminal;
 pub(crate) use truth::{errors, truth};
 pub(crate) use udp::Udp;
 
