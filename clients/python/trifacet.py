@@ -9,6 +9,7 @@
 Unknown numbers are NaN. docs/stream.md describes every field, docs/clients.md their use.
 """
 
+import collections
 import json
 import math
 import socket
@@ -39,6 +40,7 @@ UNUSABLE = sum(1 << STATUS_BITS.index(name) for name in (
 _HEADER = struct.Struct("<4sBBH")  # magic, major, minor, size: the beginning of every message
 _BODY = struct.Struct("<IIQQqIIIHBB 3d3d 3f3f 2ff HH 2f2f2f 3f2f")
 _CRC = struct.Struct("<I")
+_LONGEST_PERIOD = 65.0  # seconds; a block of 60 000 samples at 1 kHz takes 60 s
 _RECEIVE_BUFFER = 1 << 20  # the Linux default holds 256 frames, which arrive in 26 ms at 10 kHz
 
 
@@ -196,10 +198,13 @@ class _Stream:
 class udp(_Stream):
     """Frames that a daemon sends to this port. Raises Silence if no frame arrives for `silence` seconds.
 
+    By default, this is three times the longest of the last intervals between frames, but at least 1 s. Before the
+    second frame it is 65 s, because frames can be rare (`estimation.average`).
+
     `divider` must be that of this target in the daemon's configuration, so that losses are counted correctly.
     """
 
-    def __init__(self, port, host="0.0.0.0", divider=1, silence=1.0):
+    def __init__(self, port, host="0.0.0.0", divider=1, silence=None):
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         sock = socket.socket(family, socket.SOCK_DGRAM)
         # The system limits this to net.core.rmem_max without an error.
@@ -208,13 +213,27 @@ class udp(_Stream):
         super().__init__(sock, divider)
         self.silence = silence
         self.port = sock.getsockname()[1]
+        self._arrival = None
+        self._intervals = collections.deque(maxlen=8)  # frames that waited for the program arrive without an interval
+
+    def _limit(self):
+        if self.silence is not None:
+            return self.silence
+        return max(1.0, 3 * max(self._intervals)) if self._intervals else _LONGEST_PERIOD
+
+    def _arrived(self):
+        now = time.monotonic()
+        if self._arrival is not None:
+            self._intervals.append(now - self._arrival)
+        self._arrival = now
 
     def _next_frame(self):
-        deadline = time.monotonic() + self.silence
+        limit = self._limit()
+        deadline = time.monotonic() + limit
         while True:
             left = deadline - time.monotonic()
             if left <= 0:
-                raise Silence(f"no frame on UDP port {self.port} for {self.silence} s: is the daemon running, and is "
+                raise Silence(f"no frame on UDP port {self.port} for {limit:g} s: is the daemon running, and is "
                               "this address among its [publishing] udp targets?")
             self.socket.settimeout(left)
             try:
@@ -222,11 +241,14 @@ class udp(_Stream):
             except socket.timeout:
                 continue
             try:
-                return Frame.decode(data)
+                frame = Frame.decode(data)
             except VersionError:
                 raise
             except FrameError:
                 self.losses.damaged += len(data)
+            else:
+                self._arrived()
+                return frame
 
 
 class tcp(_Stream):

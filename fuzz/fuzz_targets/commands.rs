@@ -10,7 +10,7 @@ use trifacet::core::time::Mono;
 use trifacet::config::Network;
 use trifacet::publishing::subscription::Subscriptions;
 use trifacet_wire::stream::{ClientCommand, SubscriptionRequest};
-use trifacet_wire::stream::request::Lines;
+use trifacet_wire::stream::lines::Lines;
 
 fuzz_target!(|bytes: &[u8]| {
     let mut lines = Lines::default();

@@ -14,17 +14,16 @@ use anyhow::Result;
 use clap::Args;
 use frames::ReceivedFrames;
 use tokio::time::{Instant, timeout, timeout_at};
-use trifacet::client::{Client, ClientError, Endpoint, Message, Options};
+use trifacet::client::{Client, ClientError, Endpoint, Options};
 use trifacet::clock::SystemClock;
 use trifacet::clock::utc::Utc;
 use trifacet::config::Config;
 use trifacet::exit::{self, Failure};
 use trifacet_core::time::{Clock, Mono};
 
+use super::silence::{Heard, SHORTEST, Wait};
 use super::{ConfigArg, written};
 
-/// Longest time to wait for an answer.
-const ANSWER_TIMEOUT: Duration = Duration::from_secs(3);
 /// Time for which frames are collected.
 const LOOK: Duration = Duration::from_secs(2);
 
@@ -119,7 +118,7 @@ fn configured(config: &Config) -> Result<Endpoint> {
 
 async fn look(endpoint: &Endpoint, interface: Option<String>, config: &Config, report: &mut Report) {
     let options = Options { interface, ..Options::default() };
-    let mut client = match timeout(ANSWER_TIMEOUT, Client::connect_with(endpoint, options)).await {
+    let mut client = match timeout(SHORTEST, Client::connect_with(endpoint, options)).await {
         Ok(Ok(client)) => client,
         Ok(Err(error)) => return link::not_open(endpoint, &error, config, report),
         Err(_) => {
@@ -134,7 +133,11 @@ async fn look(endpoint: &Endpoint, interface: Option<String>, config: &Config, r
         Endpoint::Subscribe(_) => "subscribed",
     });
     let mut seen = ReceivedFrames::default();
-    match collect(&mut client, &mut seen).await {
+    let expected = match endpoint {
+        Endpoint::Udp(place) => link::frame_period(place, config).await,
+        _ => None,
+    };
+    match collect(&mut client, endpoint, Wait::new(expected), &mut seen).await {
         Ok(()) if seen.frames() > 0 => seen.tell(client.losses(), report),
         Ok(()) => link::silent(endpoint, &seen, client.losses(), config, report).await,
         Err(error) => link::broken(&error, report),
@@ -142,22 +145,27 @@ async fn look(endpoint: &Endpoint, interface: Option<String>, config: &Config, r
 }
 
 /// Collects messages until enough frames for the checks have arrived.
-async fn collect(client: &mut Client, seen: &mut ReceivedFrames) -> Result<(), ClientError> {
+async fn collect(
+    client: &mut Client,
+    endpoint: &Endpoint,
+    mut wait: Wait,
+    seen: &mut ReceivedFrames,
+) -> Result<(), ClientError> {
     let mut utc = Utc::system();
-    let mut end = Instant::now() + ANSWER_TIMEOUT;
-    while let Ok(message) = timeout_at(end, client.next()).await {
-        match message? {
-            Message::Pose(frame) => {
-                let now: Mono = SystemClock.now();
-                if seen.frames() == 0 {
-                    end = Instant::now() + LOOK;
-                }
-                seen.frame(&frame, utc.at(now, now).0);
-            }
-            Message::Descriptor(descriptor) => seen.descriptor = Some(descriptor),
-            Message::Heartbeat(heartbeat) => seen.heartbeat = Some(heartbeat),
-            Message::Answer(_) | Message::Refusal(_) => {}
+    let mut now_ns = || {
+        let now: Mono = SystemClock.now();
+        utc.at(now, now).0
+    };
+    while seen.frames() == 0 {
+        match wait.next(client, endpoint).await? {
+            Heard::Message(message) => seen.message(message, now_ns()),
+            Heard::Silence { due: true, .. } => return Ok(()),
+            Heard::Silence { .. } => {}
         }
+    }
+    let end = Instant::now() + LOOK;
+    while let Ok(message) = timeout_at(end, client.next()).await {
+        seen.message(message?, now_ns());
     }
     Ok(())
 }

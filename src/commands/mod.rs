@@ -20,6 +20,7 @@ mod park;
 mod recover;
 mod replay;
 mod run;
+mod silence;
 mod simulate;
 mod status;
 mod table;

@@ -58,9 +58,9 @@ fn child(file: &Path, out: &Path) -> anyhow::Result<()> {
     let saved = copy(&mut reader, new.writer()?, out)?;
     let tally = reader.tally();
     if tally.time_ns.is_none() {
-        return Err(
-            Failure::new(exit::DATA, format!("{}: no trifacet data can be read", file.display())).into()
-        );
+        let why = tally.unfinished().unwrap_or_else(|| "it is closed, and contains none".into());
+        let message = format!("{}: no trifacet data can be read: {why}", file.display());
+        return Err(Failure::new(exit::DATA, message).into());
     }
     new.keep()?;
     print_summary(tally, &saved);

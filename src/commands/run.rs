@@ -14,7 +14,7 @@ pub(crate) struct RunArgs {
     config: ConfigArg,
 }
 
-/// Runs the daemon until SIGTERM, SIGINT or a failure.
+/// Runs the daemon until SIGTERM, SIGINT, the loss of its terminal, or a failure.
 pub(crate) fn run(args: &RunArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
     let log = Arc::new(logging::start(&config.log)?);

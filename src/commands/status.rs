@@ -10,14 +10,13 @@ use anyhow::Result;
 use clap::Args;
 use rustix::termios::tcgetwinsize;
 use serde_json::Value;
-use tokio::time::{Instant, MissedTickBehavior, interval_at, timeout, timeout_at};
-use trifacet::client::{
-    Backoff, Client, ClientError, Descriptor, Endpoint, Heartbeat, Message, Options, PoseFrame,
-};
+use tokio::time::{Instant, MissedTickBehavior, interval_at, timeout};
+use trifacet::client::{Backoff, Client, Descriptor, Endpoint, Heartbeat, Message, Options, PoseFrame};
 use trifacet::control::{self, Command};
 use trifacet_wire::Status;
 
-use super::watch::{SILENCE, opening_failed, unavailable};
+use super::silence::{Heard, SHORTEST, Wait, note};
+use super::watch::{opening_failed, silence, unavailable};
 use super::written;
 
 /// Longest time to wait for the control socket.
@@ -47,17 +46,6 @@ struct IntervalError;
 
 fn seconds(text: &str) -> Result<f64, IntervalError> {
     text.parse().ok().filter(|s| (0.1..=3600.0).contains(s)).ok_or(IntervalError)
-}
-
-/// Why there is no first frame.
-#[derive(Debug, thiserror::Error)]
-enum StreamError {
-    /// The stream ended or broke.
-    #[error(transparent)]
-    Client(#[from] ClientError),
-    /// The daemon sends no frame.
-    #[error("no frame for {} s", SILENCE.as_secs())]
-    NoFrame,
 }
 
 /// Data received from the daemon.
@@ -90,14 +78,12 @@ pub(crate) fn status(args: &StatusArgs) -> Result<()> {
 async fn look(args: &StatusArgs) -> Result<()> {
     let options = Options { reconnect: args.follow.then(Backoff::default), ..Options::default() };
     let endpoint = &args.endpoint;
-    let mut client = match timeout(SILENCE, Client::connect_with(endpoint, options)).await {
+    let mut client = match timeout(SHORTEST, Client::connect_with(endpoint, options)).await {
         Ok(client) => client.map_err(|e| opening_failed(endpoint, &e))?,
         Err(_) => return Err(unavailable(format!("{endpoint} does not answer"))),
     };
     let mut known = Known::default();
-    if let Err(why) = known.first(&mut client).await {
-        return Err(unavailable(format!("{endpoint}: {why}")));
-    }
+    known.first(&mut client, endpoint).await?;
     known.ask(&args.socket).await;
     let mut screen = Screen::new(args);
     screen.show(&known)?;
@@ -124,16 +110,22 @@ async fn look(args: &StatusArgs) -> Result<()> {
 
 impl Known {
     /// Waits for a frame and, if the stream has them, for the counters.
-    async fn first(&mut self, client: &mut Client) -> Result<(), StreamError> {
-        let end = Instant::now() + SILENCE;
+    async fn first(&mut self, client: &mut Client, endpoint: &Endpoint) -> Result<()> {
+        let mut wait = Wait::new(None);
         let whole =
             |known: &Self| known.frame.is_some() && (known.heartbeat.is_some() || known.descriptor.is_none());
         while !whole(self) {
-            match timeout_at(end, client.next()).await {
-                Ok(Ok(message)) => self.hear(message),
-                Ok(Err(error)) => return Err(error.into()),
-                Err(_) if self.frame.is_some() => return Ok(()),
-                Err(_) => return Err(StreamError::NoFrame),
+            match wait.next(client, endpoint).await {
+                Ok(Heard::Message(message)) => self.hear(message),
+                Ok(Heard::Silence { .. }) if self.frame.is_some() => return Ok(()),
+                Ok(Heard::Silence { waited, due }) => {
+                    let why = silence(endpoint, client.losses(), waited);
+                    if due {
+                        return Err(unavailable(why));
+                    }
+                    note(&format!("{why}; still waiting"));
+                }
+                Err(error) => return Err(unavailable(format!("{endpoint}: {error}"))),
             }
         }
         Ok(())

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use trifacet::config;
 use trifacet_optics::{Estimator, Model, Optics, Pose, Signals, Vec2};
-use trifacet_wire::layout::{POSE, SPOTS};
+use trifacet_wire::layout::{self, POSE, SPOTS};
 
 use super::ConfigArg;
 use super::table::{Column, Row, convert, digits};
@@ -26,7 +26,12 @@ const OFFSET: [&str; 2] = ["beam_dx_m", "beam_dy_m"];
 pub(super) const POWERS: [&str; 3] = ["power_a", "power_b", "power_c"];
 
 fn needed(names: &[&'static str]) -> impl Iterator<Item = Column> {
-    names.iter().map(|name| Column { name, default: None })
+    names.iter().map(|name| Column { name, alias: None, default: None })
+}
+
+/// The powers, in any unit. `watch` and `export` write them in watts.
+fn powers() -> impl Iterator<Item = Column> {
+    needed(&POWERS).zip(layout::POWERS).map(|(column, watts)| Column { alias: Some(watts), ..column })
 }
 
 /// The optics and the model for these options.
@@ -40,7 +45,7 @@ fn optics(args: &TableArgs) -> anyhow::Result<(Optics, Model)> {
 pub(crate) fn trace(args: &TableArgs) -> anyhow::Result<()> {
     let (optics, model) = optics(args)?;
     let columns: Vec<_> =
-        needed(&POSE).chain(OFFSET.map(|name| Column { name, default: Some(0.0) })).collect();
+        needed(&POSE).chain(OFFSET.map(|name| Column { name, alias: None, default: Some(0.0) })).collect();
     let with_powers: &[&str] = if model == Model::Gaussian { &POWERS } else { &[] };
     let header = [&SPOTS, with_powers].concat();
     convert(args.input.as_deref(), &columns, &header, |numbers| {
@@ -61,8 +66,8 @@ pub(crate) fn solve(args: &TableArgs) -> anyhow::Result<()> {
     let (optics, model) = optics(args)?;
     let estimator = Estimator::new(optics, model);
     let gaussian = model == Model::Gaussian;
-    let (powers, offset): (&[&'static str], &[&str]) = if gaussian { (&POWERS, &OFFSET) } else { (&[], &[]) };
-    let columns: Vec<_> = needed(&SPOTS).chain(needed(powers)).collect();
+    let offset: &[&str] = if gaussian { &OFFSET } else { &[] };
+    let columns: Vec<_> = needed(&SPOTS).chain(powers().filter(|_| gaussian)).collect();
     let header = [&POSE, offset, &["iterations", "status"]].concat();
     let count = POSE.len() + offset.len();
     convert(args.input.as_deref(), &columns, &header, |numbers| {

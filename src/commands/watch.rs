@@ -15,11 +15,9 @@ use trifacet::publishing::columns::Columns;
 use trifacet_wire::Status;
 use trifacet_wire::stream::request::MAX_DIVIDER;
 
+use super::silence::{Heard, SHORTEST, Wait, note};
 use super::written;
 
-/// Time without a frame over UDP after which a message is printed: a missing daemon is not detected
-/// otherwise.
-pub(super) const SILENCE: Duration = Duration::from_secs(3);
 /// Interval of the text output.
 const READABLE: Duration = Duration::from_millis(200);
 
@@ -80,29 +78,29 @@ pub(crate) fn watch(args: &WatchArgs) -> Result<()> {
 }
 
 async fn follow(args: &WatchArgs) -> Result<()> {
-    let mut client = match timeout(SILENCE, Client::connect_with(&args.endpoint, args.options())).await {
+    let mut client = match timeout(SHORTEST, Client::connect_with(&args.endpoint, args.options())).await {
         Ok(client) => client.map_err(|e| opening_failed(&args.endpoint, &e))?,
         Err(_) => return Err(unavailable(format!("{} does not answer", args.endpoint))),
     };
     let mut printer = Printer::new(args);
     let mut losses = LossNotes::default();
+    let mut wait = Wait::new(None);
     let mut silent = false;
     loop {
-        match timeout(SILENCE, client.next()).await {
-            Ok(Ok(Message::Pose(frame))) => {
+        match wait.next(&mut client, &args.endpoint).await {
+            Ok(Heard::Message(Message::Pose(frame))) => {
                 silent = false;
                 losses.note_own(client.losses());
                 if printer.frame(&frame)?.is_break() {
                     return Ok(());
                 }
             }
-            Ok(Ok(Message::Heartbeat(heartbeat))) => losses.note_daemon(&heartbeat),
-            Ok(Ok(_)) => {}
-            Ok(Err(e)) => return Err(unavailable(format!("{}: {e}", args.endpoint))),
-            Err(_) => {
-                let why = silence(&args.endpoint, client.losses());
+            Ok(Heard::Message(Message::Heartbeat(heartbeat))) => losses.note_daemon(&heartbeat),
+            Ok(Heard::Message(_)) => {}
+            Ok(Heard::Silence { waited, due }) => {
+                let why = silence(&args.endpoint, client.losses(), waited);
                 let waits = args.reconnect || matches!(args.endpoint, Endpoint::Udp(_));
-                if args.count.is_some() || !waits {
+                if due && (args.count.is_some() || !waits) {
                     return Err(unavailable(why));
                 }
                 if !silent {
@@ -110,6 +108,7 @@ async fn follow(args: &WatchArgs) -> Result<()> {
                 }
                 silent = true;
             }
+            Err(e) => return Err(unavailable(format!("{}: {e}", args.endpoint))),
         }
     }
 }
@@ -137,21 +136,16 @@ pub(super) fn opening_failed(endpoint: &Endpoint, error: &ClientError) -> anyhow
     }
 }
 
-/// Prints a line to standard error, which may be closed.
-fn note(line: &str) {
-    let _ = writeln!(io::stderr(), "trifacet: {line}");
-}
-
 /// Possible reasons why no frame arrives.
-fn silence(endpoint: &Endpoint, losses: Losses) -> String {
-    let waited = SILENCE.as_secs();
+pub(super) fn silence(endpoint: &Endpoint, losses: Losses, waited: Duration) -> String {
+    let waited = waited.as_secs();
     match (endpoint, losses.skipped_bytes) {
         (_, n @ 1..) => {
             format!("{endpoint}: no frame for {waited} s, but {n} bytes that do not belong to this stream")
         }
         (Endpoint::Tcp(_), _) => {
             format!(
-                "{endpoint}: connected, but nothing received for {waited} s; check that it is a trifacet daemon"
+                "{endpoint}: connected, but no frame for {waited} s; `trifacet doctor {endpoint}` finds the cause"
             )
         }
         (Endpoint::Subscribe(_), _) => {

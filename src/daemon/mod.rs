@@ -10,19 +10,21 @@
 //! ```
 //!
 //! - `fast`: the three tasks, in a thread of their own.
-//! - `slow`: everything else, on the main thread.
+//! - `slow`: everything else, on the main thread. `terminal`: whether SIGHUP reports a closed terminal.
 //!
 //! The fast thread never waits for the main thread: frames that do not fit into a channel are counted.
 
 mod fast;
 mod slow;
+mod terminal;
 
 use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::Context;
 use fast::{Parts, start};
-use slow::{Monitor, Server, Slow, control, listeners, serve};
+use slow::{Hangups, Monitor, Server, Slow, control, listeners, serve};
+use terminal::Terminal;
 use tokio::runtime::Builder;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{Mutex, mpsc, watch};
@@ -52,7 +54,7 @@ use crate::steering::gcs;
 /// for that long. Memory is used only for frames that are waiting.
 const TO_MAIN: usize = 16 * 1024;
 
-/// Runs the daemon until SIGTERM or SIGINT; then ends in order, the steering first.
+/// Runs the daemon until SIGTERM, SIGINT or the loss of its terminal; then ends in order, the steering first.
 ///
 /// `file` is the source of the configuration. SIGHUP makes the daemon read it again.
 ///
@@ -74,6 +76,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         calibrated: context.calibrated(),
     };
     let main = Builder::new_current_thread().enable_all().build().context("cannot start a runtime")?;
+    let terminal = Terminal::of_process(started);
     // First of all: without a handler SIGHUP would end the process.
     let hangup = main.block_on(async { signal(SignalKind::hangup()) }).context("cannot listen for SIGHUP")?;
     let socket = main.block_on(async { Socket::open(&config.control) })?;
@@ -154,7 +157,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         stage: gcs_task,
         session: id.session,
     };
-    let control = control(live, socket, hangup, &service.notify);
+    let control = control(live, socket, Hangups { signal: hangup, terminal }, &service.notify);
     let result = serve(&main, config, slow, control, fast, &counters, &stop);
     recorder.join();
     let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);

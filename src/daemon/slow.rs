@@ -2,17 +2,21 @@
 
 use std::cell::Cell;
 use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::Context;
 use tokio::runtime::Runtime;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{Mutex, mpsc, watch};
+use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 use trifacet_core::telemetry::Counters;
+use trifacet_core::time::Clock;
 use trifacet_wire::PoseFrame;
 use trifacet_wire::stream::Descriptor;
 
 use super::fast::{Fast, fast_end};
+use super::terminal::Terminal;
 use crate::clock::SystemClock;
 use crate::config::Config;
 use crate::control::server::Socket;
@@ -24,6 +28,9 @@ use crate::monitor::view::View;
 use crate::publishing::{subscription, subscription_server, tcp, udp};
 use crate::service::{Notify, Service};
 use crate::steering::gcs;
+
+/// Interval of the checks whether the terminal is still there.
+const TERMINAL_LOOK: Duration = Duration::from_millis(250);
 
 /// Everything that the main thread serves.
 pub(super) struct Slow<'a> {
@@ -57,11 +64,17 @@ pub(super) fn listeners(config: &Config) -> anyhow::Result<[Option<tokio::net::T
     Ok([server, monitor])
 }
 
-/// Serves commands and SIGHUP without end.
+/// SIGHUP, and the terminal whose loss it can report.
+pub(super) struct Hangups {
+    pub(super) signal: Signal,
+    pub(super) terminal: Terminal,
+}
+
+/// Serves commands and reloads until the terminal of the daemon is closed.
 pub(super) async fn control(
     live: Arc<Mutex<RunningConfig>>,
     socket: Option<Socket>,
-    mut hangup: Signal,
+    hangups: Hangups,
     notify: &Notify,
 ) {
     let commands = async {
@@ -70,15 +83,35 @@ pub(super) async fn control(
             None => std::future::pending().await,
         }
     };
-    let reloads = async {
-        while hangup.recv().await.is_some() {
-            notify.reloading();
-            let answer = live.lock().await.obey(Command::Reload).await;
-            notify.reloaded();
-            control::server::note(&Command::Reload, None, &answer);
+    tokio::select! {
+        () = commands => {}
+        () = reloads(&live, hangups, notify) => {}
+    }
+}
+
+/// Reloads on every SIGHUP that does not report the loss of the terminal. Returns after such a loss.
+async fn reloads(live: &Mutex<RunningConfig>, hangups: Hangups, notify: &Notify) {
+    let Hangups { mut signal, mut terminal } = hangups;
+    let mut looks = interval(TERMINAL_LOOK);
+    looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        tokio::select! {
+            Some(()) = signal.recv() => {
+                if terminal.hangup(SystemClock.now()) {
+                    return;
+                }
+                notify.reloading();
+                let answer = live.lock().await.obey(Command::Reload).await;
+                notify.reloaded();
+                control::server::note(&Command::Reload, None, &answer);
+            }
+            _ = looks.tick() => {
+                if terminal.attended() && terminal.is_closed(SystemClock.now()) {
+                    return;
+                }
+            }
         }
-    };
-    tokio::join!(commands, reloads);
+    }
 }
 
 /// Runs the main thread until the daemon ends.
@@ -154,7 +187,7 @@ pub(super) fn serve(
             }
             () = &mut steering => return fast_end(ended.await), // as above
             end = subscribing => end.context("cannot serve UDP subscriptions").map(|()| "subscriptions ended"),
-            () = control => Err(Failure::new(exit::SOFTWARE, "the control task ended by itself").into()),
+            () = control => Ok("SIGHUP, the terminal is closed"),
             stalled = &mut watching => {
                 left_behind.set(true);
                 return Err(stalled.into());

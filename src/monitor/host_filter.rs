@@ -2,12 +2,16 @@
 //!
 //! A page of another site, open in a browser on this machine, can send requests here. If its name resolves to
 //! this address (DNS rebinding), it can also read the answers. The browser sends the name that the page used
-//! in `Host`, and the site of the page in `Origin`: both must name this machine.
+//! in `Host`, and the site of the page in `Origin`: both must name this machine. Only a health check by
+//! HTTP/1.0, which no browser sends, needs no `Host`.
 
 use std::net::IpAddr;
 
 use axum::http::uri::Authority;
-use axum::http::{HeaderMap, HeaderName, StatusCode, Uri, header};
+use axum::http::{HeaderMap, HeaderName, Request, StatusCode, Uri, Version, header};
+
+/// The pages that load balancers request by HTTP/1.0 without `Host`.
+const HEALTH_PAGES: [&str; 2] = ["/healthz", "/readyz"];
 
 /// The configured names of this machine.
 #[derive(Clone, Debug)]
@@ -21,24 +25,26 @@ impl Hosts {
 
     /// The status and reason if a request to this address is refused. Repeated headers are refused, since
     /// different programs could use different ones.
-    pub fn refusal(&self, to: &Uri, headers: &HeaderMap, own: IpAddr) -> Option<(StatusCode, String)> {
-        let twice = |name: &HeaderName| headers.get_all(name).iter().nth(1).is_some();
+    pub fn refusal<B>(&self, request: &Request<B>, own: IpAddr) -> Option<(StatusCode, String)> {
+        let twice = |name: &HeaderName| request.headers().get_all(name).iter().nth(1).is_some();
         for (name, word) in [(header::HOST, "Host"), (header::ORIGIN, "Origin")] {
             if twice(&name) {
                 return Some((StatusCode::BAD_REQUEST, format!("the request has more than one {word}\n")));
             }
         }
-        self.foreign(to, headers, own).map(|why| (StatusCode::FORBIDDEN, why))
+        self.foreign(request, own).map(|why| (StatusCode::FORBIDDEN, why))
     }
 
-    fn foreign(&self, to: &Uri, headers: &HeaderMap, own: IpAddr) -> Option<String> {
-        let host = text(headers, header::HOST).and_then(|host| host.parse::<Authority>().ok());
-        let Some(host) = host else { return Some("the request has no valid Host\n".into()) };
-        if !self.are(host.host(), own) {
-            return Some(self.words("Host", host.host()));
+    fn foreign<B>(&self, request: &Request<B>, own: IpAddr) -> Option<String> {
+        let headers = request.headers();
+        match text(headers, header::HOST).and_then(|host| host.parse::<Authority>().ok()) {
+            Some(host) if self.are(host.host(), own) => {}
+            Some(host) => return Some(self.words("Host", host.host())),
+            None if is_plain_health_check(request) => {}
+            None => return Some("the request has no valid Host\n".into()),
         }
         // In "GET http://host/" the host in the request line takes precedence over `Host`.
-        if let Some(host) = to.host().filter(|host| !self.are(host, own)) {
+        if let Some(host) = request.uri().host().filter(|host| !self.are(host, own)) {
             return Some(self.words("request line host", host));
         }
         if !headers.contains_key(header::ORIGIN) {
@@ -72,6 +78,15 @@ impl Hosts {
     }
 }
 
+/// Whether this is a health check by HTTP/1.0 without `Host`. A browser always sends `Host`.
+fn is_plain_health_check<B>(request: &Request<B>) -> bool {
+    let headers = request.headers();
+    request.version() <= Version::HTTP_10
+        && !headers.contains_key(header::HOST)
+        && !headers.contains_key(header::ORIGIN)
+        && HEALTH_PAGES.contains(&request.uri().path())
+}
+
 fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
     headers.get(name)?.to_str().ok()
 }
@@ -98,8 +113,14 @@ mod tests {
         refusal(&Uri::from_static("/"), &headers).is_some()
     }
 
+    fn request(to: &Uri, headers: &HeaderMap) -> Request<()> {
+        let mut request = Request::new(());
+        (*request.uri_mut(), *request.headers_mut()) = (to.clone(), headers.clone());
+        request
+    }
+
     fn refusal(to: &Uri, headers: &HeaderMap) -> Option<(StatusCode, String)> {
-        Hosts::new(&["lab-pc".into()]).refusal(to, headers, [192, 168, 1, 5].into())
+        Hosts::new(&["lab-pc".into()]).refusal(&request(to, headers), [192, 168, 1, 5].into())
     }
 
     #[test]
@@ -131,7 +152,8 @@ mod tests {
         }
         let v6 = |host: &str| {
             let headers = HeaderMap::from_iter([(header::HOST, host.parse().unwrap())]);
-            Hosts::new(&[]).refusal(&Uri::from_static("/"), &headers, std::net::Ipv6Addr::LOCALHOST.into())
+            let request = request(&Uri::from_static("/"), &headers);
+            Hosts::new(&[]).refusal(&request, std::net::Ipv6Addr::LOCALHOST.into())
         };
         assert!(v6("[::1]:7360").is_none() && v6("[::2]:7360").is_some());
         assert!(refusal(&Uri::from_static("/"), &HeaderMap::new()).is_some());

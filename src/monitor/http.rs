@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::{ConnectInfo, State};
-use axum::http::{HeaderName, Request, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, Request, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use axum::{Json, Router};
@@ -24,6 +24,7 @@ use tokio::task::JoinSet;
 use tokio::time::timeout;
 use trifacet_wire::PoseFrame;
 
+use super::exposition::Exposition;
 use super::host_filter::Hosts;
 use super::page;
 use super::view::View;
@@ -93,9 +94,11 @@ async fn readyz(State(view): State<Arc<View>>) -> Response {
     (code, FRESH, Json(readiness)).into_response()
 }
 
-async fn metrics(State(view): State<Arc<View>>) -> Response {
-    match super::metrics::render(view) {
-        Ok(text) => ([(header::CONTENT_TYPE, super::metrics::CONTENT_TYPE)], FRESH, text).into_response(),
+async fn metrics(State(view): State<Arc<View>>, headers: HeaderMap) -> Response {
+    let format = Exposition::preferred(&headers);
+    let kind = [(header::CONTENT_TYPE, format.content_type()), (header::VARY, "Accept")];
+    match super::metrics::render(view, format) {
+        Ok(text) => (kind, FRESH, text).into_response(),
         Err(e) => (StatusCode::INTERNAL_SERVER_ERROR, format!("{e}\n")).into_response(),
     }
 }
@@ -137,7 +140,7 @@ async fn talk(stream: TcpStream, peer: SocketAddr, view: Arc<View>, hosts: Hosts
     }
     let router = TowerToHyperService::new(router);
     let service = service_fn(|mut request: Request<Incoming>| {
-        let refusal = hosts.refusal(request.uri(), request.headers(), own.ip()).map(|(code, why)| {
+        let refusal = hosts.refusal(&request, own.ip()).map(|(code, why)| {
             view.sources.counters.monitor_forbidden.inc();
             match request.uri().path() {
                 "/control" => page::control::refusal(code, why.trim_end()),

@@ -17,25 +17,23 @@ use trifacet_core::centering::lock::LockCause;
 use trifacet_core::telemetry::Counters;
 use trifacet_wire::{LockState, Status};
 
+use super::exposition::Exposition;
 use super::tally::{Second, Tally};
 use super::view::View;
 use crate::publishing::udp::Kind;
 
-/// Content type: OpenMetrics, which Prometheus also accepts.
-pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
-
 const PSDS: [&str; 3] = ["A", "B", "C"];
 
-/// Renders the page.
+/// Renders the page in a format.
 ///
 /// # Errors
 /// A metric cannot be formatted.
-pub fn render(view: Arc<View>) -> Result<String, fmt::Error> {
+pub fn render(view: Arc<View>, format: Exposition) -> Result<String, fmt::Error> {
     let mut registry = Registry::with_prefix("trifacet");
     registry.register_collector(Box::new(view));
     let mut text = String::new();
     encode(&mut text, &registry)?;
-    Ok(text)
+    Ok(format.of(text))
 }
 
 impl Collector for View {

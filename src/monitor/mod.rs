@@ -2,10 +2,11 @@
 //!
 //! - [`view`]: frames, configuration and counters for the pages.
 //! - [`health`], [`tally`], [`trend`]: evaluation of every frame. Pure.
-//! - [`metrics`]: the metrics page for Prometheus.
+//! - [`metrics`]: the metrics page for Prometheus. [`exposition`]: its two formats.
 //! - [`page`]: the live page.
 //! - [`http`]: the server. [`host_filter`]: refuses requests that are meant for other hosts.
 
+pub mod exposition;
 pub mod health;
 pub mod host_filter;
 pub mod http;

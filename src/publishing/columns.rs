@@ -93,10 +93,17 @@ impl Value {
     }
 }
 
-/// A JSON object. Unknown and infinite values are `null`, since JSON cannot represent them.
+/// The column that many readers of JSON cannot represent: they read numbers as 64-bit floating point, which
+/// holds integers up to 2^53 exactly.
+const LARGE: &str = "time_ns";
+/// The same value as a text.
+const LARGE_AS_TEXT: &str = "time_ns_text";
+
+/// A JSON object. Unknown and infinite values are `null`, since JSON cannot represent them. `time_ns` is
+/// followed by the same value as a text, `time_ns_text`.
 impl Serialize for Columns {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut map = serializer.serialize_map(Some(self.0.len()))?;
+        let mut map = serializer.serialize_map(None)?;
         for (name, value) in &self.0 {
             match value {
                 Value::Number(x) => map.serialize_entry(name, x)?,
@@ -104,6 +111,9 @@ impl Serialize for Columns {
                 Value::Count(x) => map.serialize_entry(name, x)?,
                 Value::Text(word) => map.serialize_entry(name, word)?,
                 Value::Names(words) => map.serialize_entry(name, words)?,
+            }
+            if *name == LARGE {
+                map.serialize_entry(LARGE_AS_TEXT, &value.csv())?;
             }
         }
         map.end()
@@ -151,6 +161,7 @@ mod tests {
         let json: serde_json::Value = serde_json::to_value(Columns::of(&frame())).unwrap();
         assert_eq!(json["time"], "2026-11-21T12:00:00.000000001Z");
         assert_eq!(json["time_ns"], 1_795_262_400_000_000_001_i64);
+        assert_eq!(json["time_ns_text"], "1795262400000000001");
         assert_eq!(json["tx_m"], 1e-6);
         assert!(json["beam_dx_m"].is_null());
         assert_eq!(json["status"], serde_json::json!(["POSE_VALID", "SIMULATED"]));

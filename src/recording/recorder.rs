@@ -16,6 +16,7 @@ mod commands;
 mod fault_reason;
 mod faults;
 mod files;
+mod leftovers;
 #[cfg(test)]
 mod tests;
 mod thread;

@@ -1,10 +1,11 @@
 //! `trace` and `solve` through the binary: the reference cases in both directions, and invalid tables.
 
 use std::collections::HashMap;
-use std::io::Write;
-use std::process::{Output, Stdio};
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Child, Output, Stdio};
+use std::sync::mpsc;
 
-use crate::testkit;
+use crate::testkit::{self, Daemon, Folder, Killed, PATIENCE, on, run};
 
 /// Runs the binary with this standard input.
 fn trifacet(arguments: &[&str], input: &[u8]) -> Output {
@@ -245,4 +246,84 @@ fn a_reader_may_close_the_pipe_early_without_an_error() {
     let output = child.wait_with_output().unwrap();
     assert!(output.status.success(), "{:?}", output.status);
     assert_eq!(stderr(&output), "");
+}
+
+/// A command in a pipe whose other ends stay open.
+fn live(command: &str) -> Child {
+    testkit::trifacet(&[command])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap()
+}
+
+#[test]
+fn every_row_is_answered_before_the_next_is_awaited() {
+    let pose = "tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad\n";
+    let signals = "u_a_m,v_a_m,u_b_m,v_b_m,u_c_m,v_c_m,power_a,power_b,power_c\n";
+    for (command, header, row) in [
+        ("trace", pose, "1e-4,0,0,0,0,0\n"),
+        ("trace", pose, "bad,0,0,0,0,0\n"),
+        ("solve", signals, "0,0,0,0,0,0,0.3,0.3,0.3\n"),
+    ] {
+        let mut child = Killed(live(command));
+        let mut stdin = child.0.stdin.take().unwrap();
+        let stdout = BufReader::new(child.0.stdout.take().unwrap());
+        let (sender, lines) = mpsc::channel();
+        std::thread::spawn(move || stdout.lines().map_while(Result::ok).try_for_each(|l| sender.send(l)));
+        let next = || lines.recv_timeout(PATIENCE).expect("an answer while the input is open");
+        stdin.write_all(header.as_bytes()).unwrap();
+        assert!(next().starts_with(if command == "trace" { "u_a_m" } else { "tx_m" }));
+        for _ in 0..3 {
+            stdin.write_all(row.as_bytes()).unwrap();
+            assert_eq!(next().contains("NaN"), row.contains("bad"), "{command} {row}");
+        }
+        drop(stdin);
+        assert_eq!(child.0.wait().unwrap().code(), Some(if row.contains("bad") { 65 } else { 0 }));
+    }
+}
+
+#[test]
+fn a_reader_that_leaves_a_live_pipe_ends_the_command() {
+    let mut child = Killed(live("trace"));
+    drop(child.0.stdout.take());
+    let mut stdin = child.0.stdin.take().unwrap();
+    let _ = stdin.write_all(b"tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad\n0,0,0,0,0,0\n");
+    assert!(child.0.wait().unwrap().success(), "although the input is open");
+}
+
+/// Solves the frames of a table, and compares the poses with those of the table.
+fn solved_as_published(frames: &str) {
+    let output = trifacet(&["solve"], frames.as_bytes());
+    assert!(output.status.success(), "{}", stderr(&output));
+    // The signals of a frame have 24 bits.
+    assert_near(&output.stdout, frames.as_bytes(), &POSE, 1e-8, "published");
+}
+
+#[test]
+fn solve_reads_the_tables_of_watch_and_export() {
+    let mut daemon = Daemon::start("");
+    daemon.client().locked();
+    let endpoint = format!("tcp://{}", daemon.address());
+    let watched = run(&mut testkit::trifacet(&["watch", &endpoint, "--format", "csv", "--count", "20"]));
+    solved_as_published(&watched.out);
+
+    let home = Folder::new();
+    let recording = home.path("twin.mcap");
+    let config = home.write("twin.toml", "[[twin.fault]]\nat_s = 0.5\nkind = 'beam-blocked'");
+    let simulate = ["simulate", "--closed-loop", "--samples", "1000", "--record"];
+    let done = run(testkit::trifacet(&simulate).arg(&recording).arg("--config").arg(&config));
+    assert_eq!(done.code, 0, "{}", done.err);
+    for (what, unknown) in [("frames", "u_a_m is empty: the value is unknown"), ("samples", "empty")] {
+        let table = on(&["export", "--format", "csv", "--output", "-", "--what", what], &recording).out;
+        let output = trifacet(&["solve"], table.as_bytes());
+        assert_eq!(output.status.code(), Some(65), "the blocked beam has no pose");
+        assert!(stderr(&output).contains(unknown), "{what}: {}", stderr(&output));
+        let good = columns(&output.stdout)["status"].iter().filter(|status| *status == "ok").count();
+        assert!((400..600).contains(&good), "{what}: {good}");
+    }
+    let twice = "u_a_m,v_a_m,u_b_m,v_b_m,u_c_m,v_c_m,power_a,power_b,power_c,power_a_w\n";
+    let output = trifacet(&["solve"], twice.as_bytes());
+    assert!(stderr(&output).contains("the column power_a or power_a_w occurs twice"), "{}", stderr(&output));
 }

@@ -23,6 +23,7 @@
 mod endpoint;
 mod link;
 mod losses;
+mod period;
 
 use std::io;
 use std::net::SocketAddr;
@@ -38,9 +39,11 @@ pub use self::endpoint::{ClientError, Endpoint};
 use self::link::Link;
 use self::losses::LossCounter;
 pub use self::losses::Losses;
+use self::period::FramePeriod;
 
-/// A daemon sends a heartbeat every second. After this time without a message the link is considered dead,
-/// and a client with [`Options::reconnect`] connects again.
+/// A daemon sends a heartbeat every second, however rare frames are. After this time without a message the
+/// link is considered dead, and a client with [`Options::reconnect`] connects again. On a subscription the
+/// daemon confirms each renewal, thrice in a lease; there, the time is at least the lease.
 const SILENCE: Duration = Duration::from_secs(5);
 
 /// Options of a client.
@@ -88,6 +91,7 @@ pub struct Client {
     options: Options,
     state: State,
     losses: LossCounter,
+    period: FramePeriod,
     /// Bytes skipped in earlier links.
     skipped: u64,
     reconnects: u64,
@@ -128,6 +132,7 @@ impl Client {
             options,
             state: State::Up { link, last_arrival: Instant::now() },
             losses: LossCounter::new(step),
+            period: FramePeriod::default(),
             skipped: 0,
             reconnects: 0,
         })
@@ -161,12 +166,19 @@ impl Client {
                     timeout(SILENCE, Link::open(&self.endpoint, &self.options)).await.map_err(silent)??;
                 self.state = State::Up { link, last_arrival: Instant::now() };
                 self.reconnects += 1;
+                self.period.restart();
                 Ok(None)
             }
             State::Up { link, last_arrival } => {
                 let message = if self.options.reconnect.is_some() && !matches!(link, Link::Udp { .. }) {
                     let silent = |_| io::Error::new(io::ErrorKind::TimedOut, "no message from the daemon");
-                    timeout_at(*last_arrival + SILENCE, link.next()).await.map_err(silent)??
+                    let limit = match self.endpoint {
+                        Endpoint::Subscribe(_) => {
+                            SILENCE.max(Duration::from_secs(self.options.lease_s.into()))
+                        }
+                        _ => SILENCE,
+                    };
+                    timeout_at(*last_arrival + limit, link.next()).await.map_err(silent)??
                 } else {
                     link.next().await?
                 };
@@ -180,9 +192,11 @@ impl Client {
         match &message {
             Message::Pose(frame) => {
                 self.losses.note(frame);
+                self.period.frame();
                 self.wait = self.options.reconnect.unwrap_or_default().first;
             }
             Message::Descriptor(descriptor) => {
+                self.period.describe(descriptor);
                 self.losses.step = descriptor.stream.as_ref().map(|stream| stream.divider.into());
             }
             Message::Refusal(Refusal { error }) => return Err(ClientError::Refused(error.clone())),
@@ -212,6 +226,12 @@ impl Client {
             State::Down { .. } => 0,
         };
         Losses { skipped_bytes: self.skipped + now, ..self.losses.losses }
+    }
+
+    /// The time between two frames, for limits on silence: over TCP from the descriptor, otherwise the longest
+    /// of the last eight intervals. `None` before there are any.
+    pub fn frame_period(&self) -> Option<Duration> {
+        self.period.get()
     }
 
     /// Number of successful reconnections.

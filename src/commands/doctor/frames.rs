@@ -1,6 +1,6 @@
 //! Checks the contents of the frames.
 
-use trifacet::client::{Descriptor, Heartbeat, Losses, PoseFrame};
+use trifacet::client::{Descriptor, Heartbeat, Losses, Message, PoseFrame};
 use trifacet::publishing::columns::rfc3339;
 use trifacet_wire::{LockState, Status};
 
@@ -29,8 +29,17 @@ impl ReceivedFrames {
         self.frames
     }
 
-    /// Registers a frame that arrived at `now_ns` on the clock of this machine.
-    pub(super) fn frame(&mut self, frame: &PoseFrame, now_ns: i64) {
+    /// Registers a message that arrived at `now_ns` on the clock of this machine.
+    pub(super) fn message(&mut self, message: Message, now_ns: i64) {
+        match message {
+            Message::Pose(frame) => self.frame(&frame, now_ns),
+            Message::Descriptor(descriptor) => self.descriptor = Some(descriptor),
+            Message::Heartbeat(heartbeat) => self.heartbeat = Some(heartbeat),
+            Message::Answer(_) | Message::Refusal(_) => {}
+        }
+    }
+
+    fn frame(&mut self, frame: &PoseFrame, now_ns: i64) {
         self.frames += 1;
         if frame.status.has(Status::POSE_VALID) {
             self.valid += 1;

@@ -8,11 +8,14 @@ use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
 use tokio::net::TcpStream;
 use tokio::time::timeout;
 use trifacet::client::{ClientError, Endpoint, Losses, MessageError};
-use trifacet::config::Config;
+use trifacet::config::{Config, UdpTarget};
 use trifacet::publishing::udp::resolve;
 
 use super::frames::ReceivedFrames;
 use super::{Report, port};
+
+/// Longest time to wait for the answer to a query.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Reports why the endpoint cannot be opened.
 pub(super) fn not_open(endpoint: &Endpoint, error: &ClientError, config: &Config, report: &mut Report) {
@@ -117,17 +120,36 @@ pub(super) async fn silent(
     }
 }
 
-/// Reports why no datagrams arrive: wrong target, or no daemon.
-async fn nothing_sent(place: &str, config: &Config, report: &mut Report) {
-    let targets = &config.publishing.udp;
+/// The configured target of datagrams to this address.
+fn target<'c>(place: &str, config: &'c Config) -> Option<&'c UdpTarget> {
     let here: Option<SocketAddr> = place.parse().ok();
-    let meant = targets.iter().find(|target| {
+    config.publishing.udp.iter().find(|target| {
         here.is_none_or(|here| {
             let there = resolve::address(&target.address).map(|address| address.ip());
             here.port() == target.address.port && (here.ip().is_unspecified() || there == Ok(here.ip()))
         })
-    });
-    let Some(target) = meant else {
+    })
+}
+
+/// The time between datagrams to this address: according to the daemon if it answers, otherwise according to
+/// the configuration.
+pub(super) async fn frame_period(place: &str, config: &Config) -> Option<Duration> {
+    let status = match config.publishing.tcp {
+        Some(tcp) => timeout(ANSWER_TIMEOUT, ask_status(tcp)).await.ok().and_then(Result::ok),
+        None => None,
+    };
+    let told =
+        status.as_deref().and_then(|line| line.split(' ').find_map(|pair| pair.strip_prefix("rate_hz=")));
+    let configured = config.acquisition.rate_hz / f64::from(config.estimation.average);
+    let rate_hz = told.and_then(|rate| rate.parse().ok()).unwrap_or(configured);
+    let divider = target(place, config).map_or(1, |target| target.divider);
+    Duration::try_from_secs_f64(f64::from(divider) / rate_hz).ok()
+}
+
+/// Reports why no datagrams arrive: wrong target, or no daemon.
+async fn nothing_sent(place: &str, config: &Config, report: &mut Report) {
+    let targets = &config.publishing.udp;
+    let Some(target) = target(place, config) else {
         let all: Vec<_> = targets.iter().map(|target| target.address.to_string()).collect();
         let all = if all.is_empty() { "no address".into() } else { all.join(", ") };
         return report.wrong(
@@ -137,7 +159,7 @@ async fn nothing_sent(place: &str, config: &Config, report: &mut Report) {
     };
     report.good(&format!("the configuration sends to {}", target.address));
     match config.publishing.tcp {
-        Some(tcp) => match timeout(Duration::from_secs(1), ask_status(tcp)).await {
+        Some(tcp) => match timeout(ANSWER_TIMEOUT, ask_status(tcp)).await {
             Ok(Ok(line)) => {
                 report.good(&format!("a daemon answers at tcp://{tcp}: {line}"));
                 let multicast = target.address.is_multicast();

@@ -10,7 +10,8 @@ use tokio::net::TcpStream;
 use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 use tokio::sync::broadcast::{self};
 use tokio::time::{Instant, Interval, MissedTickBehavior, interval, sleep_until, timeout};
-use trifacet_wire::stream::request::{Lines, MAX_LINE};
+use trifacet_wire::stream::lines::Lines;
+use trifacet_wire::stream::request::MAX_LINE;
 use trifacet_wire::stream::{ClientCommand, StreamRequest};
 
 use super::context::{ServerContext, part};

@@ -44,6 +44,9 @@ pub enum ReadError {
     /// A file of another format.
     #[error("{} is not an MCAP file", .0.display())]
     NotMcap(PathBuf),
+    /// A file without a single byte.
+    #[error("{} is not an MCAP file: it is empty, and contains nothing to restore", .0.display())]
+    Empty(PathBuf),
 }
 
 impl ReadError {
@@ -51,7 +54,7 @@ impl ReadError {
     pub fn code(&self) -> u8 {
         match self {
             Self::Io { .. } => exit::IO,
-            Self::NoFile { .. } | Self::NotMcap(_) => exit::DATA,
+            Self::NoFile { .. } | Self::NotMcap(_) | Self::Empty(_) => exit::DATA,
         }
     }
 }

@@ -83,7 +83,9 @@ impl Parts {
             indexed: false,
             torn: 0,
         };
-        if parts.magic(0).map_err(io)? {
+        if parts.size == 0 {
+            return Err(ReadError::Empty(path.to_owned()));
+        } else if parts.magic(0).map_err(io)? {
             parts.at = MAGIC.len() as u64;
         } else if parts.chunk_after(0).map_err(io)?.is_none() {
             return Err(ReadError::NotMcap(path.to_owned()));

@@ -98,6 +98,11 @@ impl Tally {
             (false, true, torn) => {
                 Some(format!("the index after the data is damaged, {torn} bytes; no data are missing"))
             }
+            (false, false, 0) if self.time_ns.is_none() => Some(
+                "not closed: the recorder was killed before it wrote data, or has just begun; there is nothing \
+                 to restore"
+                    .into(),
+            ),
             (false, false, 0) => Some("not closed: the recorder was killed, or is still writing".into()),
             (false, false, torn) => Some(format!(
                 "not closed: the recorder was killed, or is still writing; the last {torn} bytes are an \

@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 use trifacet_core::time::{Clock, Mono};
 
 use super::fault_reason::FaultReason;
-use super::{ROOM, Recorder};
+use super::{ROOM, Recorder, leftovers};
 use crate::clock::SystemClock;
 use crate::config::RecordingMode;
 use crate::recording::codec::Encoded;
@@ -23,10 +23,7 @@ impl Recorder {
         }
         let all = self.folder.list().unwrap_or_default();
         for left in all.iter().filter(|recording| recording.unfinished() && !recording.in_use()) {
-            tracing::warn!(
-                file = %left.path.display(),
-                "found an unfinished recording; restore it with trifacet recover FILE"
-            );
+            leftovers::report(left);
         }
     }
 

@@ -2,7 +2,13 @@
 
 use std::io::{Read, Write};
 use std::os::unix::fs::PermissionsExt;
+use std::process::Stdio;
 
+use rustix::net::{
+    AddressFamily, SocketAddrUnix, SocketFlags, SocketType, bind, connect, listen, socket_with,
+};
+use rustix::process::Signal;
+use serde_json::Value;
 use trifacet::exit;
 
 use super::fixture::{AT_REST, Lab, say};
@@ -129,4 +135,45 @@ fn ctl_distinguishes_wrong_arguments_from_a_missing_daemon() {
     ] {
         assert_eq!(run(&mut trifacet(args)).code, i32::from(exit::USAGE), "{args:?}");
     }
+}
+
+#[test]
+fn a_stopped_daemon_is_reported_and_a_busy_one_is_awaited() {
+    let daemon = Lab::start(AT_REST);
+    daemon.signal(Signal::STOP);
+    for args in [&["status"][..], &["loop", "off"], &["tare", "--poses", "5000"]] {
+        let (code, answer, errors) = daemon.ctl(args);
+        assert_eq!((code, answer), (i32::from(exit::UNAVAILABLE), Value::Null), "{args:?}: {errors}");
+        for part in ["does not answer", "is stopped", &format!("kill -CONT {}", daemon.pid())] {
+            assert!(errors.contains(part), "{errors}");
+        }
+    }
+    daemon.signal(Signal::CONT);
+    // Commands wait for their turn behind one that takes longer than a daemon may be silent.
+    let tare = trifacet(&["ctl", "--socket", daemon.socket().to_str().unwrap(), "tare", "--poses", "9000"])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    wait_for("answers", || if daemon.ctl(&["status"]).0 == 0 { Ok(()) } else { Err("none".into()) });
+    let told = tare.wait_with_output().unwrap();
+    assert!(told.status.success(), "{told:?}");
+}
+
+#[test]
+fn a_daemon_that_accepts_nobody_is_reported() {
+    let folder = Folder::new();
+    let socket = folder.path("socket");
+    let address = SocketAddrUnix::new(&socket).unwrap();
+    let open = |flags| socket_with(AddressFamily::UNIX, SocketType::STREAM, flags, None).unwrap();
+    let listener = open(SocketFlags::empty());
+    bind(&listener, &address).unwrap();
+    listen(&listener, 0).unwrap();
+    // The queue is full.
+    let waiting: Vec<_> = std::iter::repeat_with(|| open(SocketFlags::NONBLOCK))
+        .take_while(|client| connect(client, &address).is_ok())
+        .collect();
+    assert!(waiting.len() < 10);
+    let done = run(trifacet(&["ctl", "--socket"]).arg(&socket).arg("status"));
+    assert_eq!(done.code, i32::from(exit::UNAVAILABLE), "{}", done.err);
+    assert!(done.err.contains("does not answer: it is stopped, stuck or far too busy"), "{}", done.err);
 }

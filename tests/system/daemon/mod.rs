@@ -11,3 +11,4 @@ mod gcs;
 mod loop_closed;
 mod running;
 mod service;
+mod terminal;

@@ -289,3 +289,22 @@ fn silence_is_reported_and_reading_can_continue() {
         .args(good.iter().map(u8::to_string));
     succeeded(&mut command, "silence");
 }
+
+#[test]
+fn a_udp_reader_waits_for_rare_frames_and_then_notices_that_they_end() {
+    let script = "import json, socket, sys, threading, time, trifacet\n\
+                  stream = trifacet.udp(0)\n\
+                  out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)\n\
+                  def send():\n    for frame in sys.argv[1:]:\n        time.sleep(1.5)\n        \
+                  out.sendto(bytes(json.loads(frame)), ('127.0.0.1', stream.port))\n\
+                  threading.Thread(target=send).start()\n\
+                  for _ in sys.argv[1:]:\n    next(stream)\n\
+                  try:\n    next(stream)\n    sys.exit('a frame without a sender')\n\
+                  except trifacet.Silence as e:\n    assert 'no frame' in str(e), e\n";
+    let mut command = Command::new("python3");
+    command
+        .env("PYTHONPATH", super::tools::root("clients/python"))
+        .args(["-c", script])
+        .args(datagrams().iter().take(3).map(|datagram| format!("{datagram:?}")));
+    succeeded(&mut command, "rare frames");
+}

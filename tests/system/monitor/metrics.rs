@@ -1,12 +1,16 @@
 //! The metrics compared with the documents, the stream and the dashboard.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use serde_json::Value;
 
-use super::page::{Metrics, until};
-use crate::testkit::{Daemon, Stream, wait_for};
+use super::page::{Metrics, OPEN_METRICS, TEXT, until};
+use crate::testkit::http::get;
+use crate::testkit::venv::succeeded;
+use crate::testkit::{Daemon, Folder, Stream, wait_for};
 
 fn read(path: &str) -> String {
     std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).unwrap()
@@ -63,6 +67,49 @@ fn table_dashboard_and_alerts_agree_with_the_live_metrics() {
         let unknown: Vec<_> = used.difference(&samples).collect();
         assert!(unknown.is_empty(), "{file} refers to unknown metrics {unknown:?}");
     }
+}
+
+/// The names and labels of all samples.
+fn samples(metrics: &Metrics) -> BTreeSet<(String, String)> {
+    let all = metrics.0.values().flat_map(|family| &family.samples);
+    all.map(|(name, labels, _)| (name.clone(), format!("{labels:?}"))).collect()
+}
+
+/// `promtool`, fetched if it is missing.
+fn promtool() -> PathBuf {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/system/monitor/promtool.sh");
+    let place = Path::new(env!("CARGO_TARGET_TMPDIR")).join("promtool");
+    let output = succeeded(Command::new("bash").arg(script).arg(place), "promtool cannot be fetched");
+    PathBuf::from(String::from_utf8(output.stdout).unwrap().trim())
+}
+
+#[test]
+fn a_scraper_gets_the_format_it_asks_for() {
+    let mut daemon = Daemon::start("monitor.listen = \"127.0.0.1:0\"");
+    let at = daemon.monitor();
+    until(at, "ready", |ready| ready["ready"] == true);
+    let (open, page) = Metrics::read(at, &OPEN_METRICS);
+    assert!(page.ends_with("# EOF\n"), "{page}");
+    let (text, page) = Metrics::read(at, &TEXT);
+    assert!(!page.contains("# EOF") && !page.contains(" info\n"), "{page}");
+    assert_eq!(samples(&text), samples(&open));
+    let kind = |metrics: &Metrics, name: &str| metrics.0[name].kind.clone();
+    for name in ["trifacet_scans_total", "trifacet_ready", "trifacet_solve_delay_seconds"] {
+        assert_eq!(kind(&text, name), kind(&open, name), "{name}");
+        assert_eq!(text.0[name].meaning, open.0[name].meaning);
+    }
+    assert_eq!(kind(&text, "trifacet_build_info"), "gauge");
+
+    // Without a preference, as from curl, the page is of the format that every tool reads.
+    let plain = get(at, "/metrics");
+    assert!(plain.headers.contains(&format!("content-type: {}", TEXT.content_type)), "{plain:?}");
+    assert!(plain.headers.contains("vary: accept"), "{plain:?}");
+    let folder = Folder::new();
+    let file = folder.write("metrics", &plain.body);
+    let mut check = Command::new(promtool());
+    let checked = succeeded(check.args(["check", "metrics"]).stdin(File::open(file).unwrap()), &plain.body);
+    let complaints = [checked.stdout, checked.stderr].map(|text| String::from_utf8(text).unwrap()).concat();
+    assert_eq!(complaints, "");
 }
 
 #[test]

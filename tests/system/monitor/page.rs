@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 use serde::Deserialize;
 use serde_json::Value;
 
-use crate::testkit::http::get;
+use crate::testkit::http::{ask, get};
 use crate::testkit::{venv, wait_for};
 
 /// `/readyz`, with a check that the code agrees with the content.
@@ -52,19 +52,39 @@ pub(crate) struct Family {
     pub(crate) samples: Vec<(String, BTreeMap<String, String>, f64)>,
 }
 
+/// What a scraper accepts, and what it then gets.
+pub(crate) struct Scrape {
+    pub(crate) accept: &'static str,
+    pub(crate) content_type: &'static str,
+    /// The parser of the Prometheus library.
+    pub(crate) parser: &'static str,
+}
+
+pub(crate) const OPEN_METRICS: Scrape = Scrape {
+    accept: "application/openmetrics-text;version=1.0.0;q=0.5,text/plain;version=0.0.4;q=0.3,*/*;q=0.2",
+    content_type: "application/openmetrics-text; version=1.0.0; charset=utf-8",
+    parser: "openmetrics",
+};
+pub(crate) const TEXT: Scrape =
+    Scrape { accept: "text/plain", content_type: "text/plain; version=0.0.4; charset=utf-8", parser: "text" };
+
 /// The metrics by name.
 pub(crate) struct Metrics(pub(crate) BTreeMap<String, Family>);
 
 impl Metrics {
+    /// As Prometheus reads them.
     pub(crate) fn of(at: SocketAddr) -> Self {
-        let page = get(at, "/metrics");
+        Self::read(at, &OPEN_METRICS).0
+    }
+
+    /// As this scraper reads them, and the text of the page.
+    pub(crate) fn read(at: SocketAddr, scrape: &Scrape) -> (Self, String) {
+        let page = ask(at, "/metrics", &format!("Host: {at}\r\nAccept: {}\r\n", scrape.accept));
         assert_eq!(page.code, 200);
-        assert!(
-            page.headers.contains("content-type: application/openmetrics-text; version=1.0.0"),
-            "{page:?}"
-        );
+        assert!(page.headers.contains(&format!("content-type: {}", scrape.content_type)), "{page:?}");
         let mut parser = Command::new(python())
             .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/system/monitor/parse.py"))
+            .arg(scrape.parser)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
@@ -73,7 +93,8 @@ impl Metrics {
         let output = parser.wait_with_output().unwrap();
         assert!(output.status.success(), "{}", page.body);
         let families: Vec<Family> = serde_json::from_slice(&output.stdout).unwrap();
-        Self(families.into_iter().map(|family| (family.name.clone(), family)).collect())
+        let families = families.into_iter().map(|family| (family.name.clone(), family)).collect();
+        (Self(families), page.body)
     }
 
     /// The value of this sample with this value of its label, or without a label.

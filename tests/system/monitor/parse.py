@@ -1,9 +1,15 @@
-"""Parses /metrics from standard input with the Prometheus library and prints it as JSON."""
+"""Parses /metrics from standard input with the Prometheus library and prints it as JSON.
+
+The argument is the format, "openmetrics" or "text". The names of families are those of the text format.
+"""
 
 import json
 import sys
 
-from prometheus_client.openmetrics.parser import text_string_to_metric_families
+if sys.argv[1] == "openmetrics":
+    from prometheus_client.openmetrics.parser import text_string_to_metric_families
+else:
+    from prometheus_client.parser import text_string_to_metric_families
 
 SUFFIX = {"counter": "_total", "info": "_info"}
 

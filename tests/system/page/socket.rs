@@ -57,6 +57,8 @@ fn history_and_updates_contain_every_sample_once_at_ten_kilohertz() {
     let mut bins: Vec<Value> = history["bins"].as_array().unwrap().clone();
     for _ in 0..20 {
         let update = next(&mut socket, "update");
+        let [number, text] = ["time_ns", "time_ns_text"].map(|name| &update["frame"][name]);
+        assert_eq!(text.as_str().unwrap().parse().ok(), number.as_i64(), "{update}");
         let news = update["bins"].as_array().unwrap();
         bins.extend(news.iter().filter(|bin| bin[0].as_i64().unwrap() > through).cloned());
     }

@@ -1,6 +1,7 @@
 //! The recording of a daemon that is killed.
 
 use super::fixture::{Content, Recorder, recordings, same};
+use crate::testkit::on;
 
 /// In the time of the stream: a flush each half second, and the same again for a busy machine.
 const MOST_LOST_S: f64 = 1.0;
@@ -42,4 +43,51 @@ fn the_next_daemon_reports_unfinished_files() {
     let files = recordings(&next.folder());
     let finished = files.iter().filter(|file| file.extension().unwrap() == "mcap").count();
     assert_eq!((files.len(), finished), (2, 1), "the unfinished file is not changed: {files:?}");
+}
+
+/// The beginning of a recording, up to its first data.
+fn without_data(bytes: &[u8]) -> &[u8] {
+    const MAGIC: usize = 8;
+    const CHUNK: u8 = 6;
+    let mut at = MAGIC;
+    while bytes[at] != CHUNK {
+        at += 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
+    }
+    &bytes[..at]
+}
+
+#[test]
+fn unfinished_files_without_data_are_deleted_and_unreadable_ones_are_named() {
+    let config = "acquisition.rate_hz = 200\nrecording.mode = \"always\"";
+    let mut daemon = Recorder::start(config);
+    daemon.runs_for(1.0);
+    daemon.kill();
+    let [good] = &recordings(&daemon.folder())[..] else { panic!("one file") };
+    let bytes = std::fs::read(good).unwrap();
+    let begun = without_data(&bytes).to_vec();
+    let torn = [&begun[..], &[6, 255, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3]].concat();
+    let left =
+        [("1", Vec::new(), "empty"), ("2", begun, "nothing to restore"), ("3", torn, "incomplete chunk")];
+    let file = |n: &str| daemon.folder().join(format!("trifacet-2026010{n}T000000.000Z.mcap.part"));
+    for (n, bytes, why) in &left {
+        std::fs::write(file(n), bytes).unwrap();
+        for command in ["info", "recover"] {
+            let done = on(&[command], &file(n));
+            assert_eq!(done.code, 65, "{}", done.err);
+            assert!((done.out + &done.err).contains(why), "{command} {n}");
+        }
+    }
+    let mut next = Recorder::start_in(&daemon.home, config, &[]);
+    for (n, message) in [
+        ("1", "deleted an unfinished recording without data"),
+        ("2", "deleted an unfinished recording without data"),
+        ("3", "of which nothing can be read; delete it"),
+    ] {
+        let line = next.message(message);
+        assert_eq!(line["file"], file(n).to_str().unwrap());
+        assert_eq!(file(n).exists(), n == "3");
+    }
+    assert_eq!(next.message("trifacet recover")["file"], good.to_str().unwrap());
+    next.runs_for(0.7);
+    next.stop();
 }

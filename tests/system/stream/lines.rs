@@ -80,6 +80,46 @@ async fn old(talk: &mut Talk) -> String {
 }
 
 #[tokio::test]
+async fn readers_of_json_get_the_time_to_the_nanosecond() {
+    const TIME_NS: i64 = 1_795_262_400_123_456_789;
+    let server = start(Limits::default()).await;
+    let mut frames = Vec::new();
+    for fields in ["", " fields=time_ns", " fields=sequence"] {
+        let mut talk = Talk::to(server.address).await;
+        talk.say(&format!("stream format=json{fields}\n")).await;
+        assert!(talk.json().await["descriptor"].is_object());
+        assert!(talk.json().await["heartbeat"].is_object());
+        server.frames.send(PoseFrame { time_ns: TIME_NS, ..posed(1) }).await.unwrap();
+        let json = loop {
+            let json = talk.json().await;
+            if json["heartbeat"].is_null() {
+                break json;
+            }
+        };
+        frames.push(json);
+    }
+    for json in &frames[..2] {
+        assert_eq!(json["time_ns"], TIME_NS, "{json}");
+        assert_eq!(json["time_ns_text"], TIME_NS.to_string());
+        // A reader with 64-bit floating point.
+        assert_ne!(json["time_ns"].as_f64().unwrap() as i64, TIME_NS);
+    }
+    assert_eq!(frames[1].as_object().unwrap().len(), 2, "{}", frames[1]);
+    assert_eq!(frames[2].as_object().unwrap().len(), 1, "{}", frames[2]);
+}
+
+#[tokio::test]
+async fn a_byte_order_mark_before_the_first_request_is_accepted() {
+    let server = start(Limits::default()).await;
+    let mut talk = Talk::to(server.address).await;
+    let answer = talk.ask("\u{feff}help").await;
+    assert!(answer.starts_with("stream "), "{answer}");
+    let mut talk = Talk::to(server.address).await;
+    talk.say("\u{feff}stream format=json\n").await;
+    assert!(talk.json().await["descriptor"].is_object());
+}
+
+#[tokio::test]
 async fn queries_return_the_newest_pose_and_never_an_old_one_as_valid() {
     let server = start(Limits::default()).await;
     let mut talk = Talk::to(server.address).await;

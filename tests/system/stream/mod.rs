@@ -5,6 +5,7 @@ mod doctor;
 mod document;
 mod fixture;
 mod lines;
+mod rare;
 mod receivers;
 mod tcp;
 mod udp;

@@ -20,24 +20,25 @@ pub(crate) fn get(at: SocketAddr, path: &str) -> Page {
 
 /// Requests a page with these headers.
 pub(crate) fn ask(at: SocketAddr, path: &str, headers: &str) -> Page {
-    request(at, &format!("GET {path}"), headers, "")
+    request(at, &format!("GET {path} HTTP/1.1"), headers)
 }
 
 /// Sends a body with these headers.
 pub(crate) fn post(at: SocketAddr, path: &str, headers: &str, body: &str) -> Page {
     let length = body.len();
-    request(
-        at,
-        &format!("POST {path}"),
-        &format!("Host: {at}\r\n{headers}Content-Length: {length}\r\n"),
-        body,
-    )
+    let headers = format!("Host: {at}\r\n{headers}Content-Length: {length}\r\n");
+    send(at, &format!("POST {path} HTTP/1.1"), &headers, body)
 }
 
-fn request(at: SocketAddr, what: &str, headers: &str, body: &str) -> Page {
+/// Sends a request line with these headers.
+pub(crate) fn request(at: SocketAddr, line: &str, headers: &str) -> Page {
+    send(at, line, headers, "")
+}
+
+fn send(at: SocketAddr, line: &str, headers: &str, body: &str) -> Page {
     let mut stream = TcpStream::connect(at).unwrap();
     stream.set_read_timeout(Some(PATIENCE)).unwrap();
-    write!(stream, "{what} HTTP/1.1\r\n{headers}Connection: close\r\n\r\n{body}").unwrap();
+    write!(stream, "{line}\r\n{headers}Connection: close\r\n\r\n{body}").unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).unwrap();
     let (head, body) = answer.split_once("\r\n\r\n").unwrap_or_else(|| panic!("{answer:?}"));

@@ -12,6 +12,7 @@ mod load;
 mod network;
 mod program;
 mod stream;
+mod terminal;
 mod truth;
 mod udp;
 pub(crate) mod venv;
@@ -27,6 +28,7 @@ pub(crate) use load::waited_ns;
 pub(crate) use network::{Network, Receiver};
 pub(crate) use program::{Done, Killed, on, run, trifacet};
 pub(crate) use stream::{Frame, Stream};
+pub(crate) use terminal::Terminal;
 pub(crate) use truth::{errors, truth};
 pub(crate) use udp::Udp;
 

@@ -2,9 +2,10 @@
 //!
 //! - [`message`]: messages in a byte stream, with resynchronisation after damage.
 //! - [`descriptor`]: descriptor, heartbeat, answer and refusal.
-//! - [`request`]: lines from a TCP client. [`subscription`]: datagrams under a lease.
+//! - [`lines`], [`request`]: lines from a TCP client. [`subscription`]: datagrams under a lease.
 
 pub mod descriptor;
+pub mod lines;
 pub mod message;
 pub mod request;
 pub mod subscription;

@@ -241,40 +241,6 @@ impl fmt::Display for StreamRequest {
     }
 }
 
-/// Error: a line is longer than [`MAX_LINE`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct TooLong;
-
-/// Splits incoming bytes into lines that end with LF or CR LF.
-#[derive(Debug, Default)]
-pub struct Lines {
-    bytes: Vec<u8>,
-}
-
-impl Lines {
-    /// Takes the next bytes.
-    pub fn push(&mut self, bytes: &[u8]) {
-        self.bytes.extend_from_slice(bytes);
-    }
-
-    /// The next line without its line end; `None` if more bytes are needed.
-    ///
-    /// # Errors
-    /// The line is longer than [`MAX_LINE`].
-    pub fn next_line(&mut self) -> Option<Result<Vec<u8>, TooLong>> {
-        match self.bytes.iter().position(|b| *b == b'\n') {
-            Some(end) => {
-                let mut line: Vec<u8> = self.bytes.drain(..=end).collect();
-                line.pop();
-                line.pop_if(|last| *last == b'\r');
-                Some(if line.len() > MAX_LINE { Err(TooLong) } else { Ok(line) })
-            }
-            None if self.bytes.len() > MAX_LINE + 1 => Some(Err(TooLong)),
-            None => None,
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
@@ -336,24 +302,6 @@ mod tests {
             assert_eq!(Pace::RateHz(rate).divider(1000.0), divider, "{rate}");
         }
         assert_eq!(Pace::RateHz(1e-3).divider(1e5), MAX_DIVIDER);
-    }
-
-    #[test]
-    fn lines_end_with_or_without_cr_and_have_a_limited_length() {
-        let mut lines = Lines::default();
-        lines.push(b"pose?\r\nsta");
-        assert_eq!(lines.next_line(), Some(Ok(b"pose?".to_vec())));
-        assert_eq!(lines.next_line(), None);
-        lines.push(b"tus?\n\n");
-        assert_eq!(lines.next_line(), Some(Ok(b"status?".to_vec())));
-        assert_eq!(lines.next_line(), Some(Ok(Vec::new())));
-        lines.push(&[b'x'; MAX_LINE]);
-        lines.push(b"\r");
-        assert_eq!(lines.next_line(), None, "the end may follow");
-        lines.push(b"\n");
-        assert_eq!(lines.next_line(), Some(Ok(vec![b'x'; MAX_LINE])));
-        lines.push(&[b'x'; MAX_LINE + 2]);
-        assert_eq!(lines.next_line(), Some(Err(TooLong)));
     }
 
     proptest! {
