@@ -112,6 +112,7 @@ pub(super) fn serve(
     let result = main.block_on(async {
         let (mut terminate, mut interrupt) =
             (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
+        let mut cpu_limit = signal(SignalKind::from_raw(rustix::process::Signal::XCPU.as_raw()))?;
         let serving = async {
             let Some(Server { listener, frames, descriptor }) = server else {
                 stop.cancelled().await;
@@ -163,6 +164,10 @@ pub(super) fn serve(
             stalled = &mut watching => {
                 left_behind.set(true);
                 return Err(stalled.into());
+            }
+            _ = cpu_limit.recv() => {
+                let why = "SIGXCPU: the limit of CPU time for this process is reached (RLIMIT_CPU, LimitCPU=)";
+                Err(Failure::new(exit::SOFTWARE, why).into())
             }
             _ = terminate.recv() => Ok("SIGTERM"),
             _ = interrupt.recv() => Ok("SIGINT"),
