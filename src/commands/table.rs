@@ -2,14 +2,13 @@
 //!
 //! Columns are identified by name, in any order. A bad row does not stop the conversion.
 
-use std::fmt::Display;
 use std::fs::File;
 use std::io::{self, Read, Write};
 use std::path::Path;
 
 use anyhow::Context;
-use csv::ByteRecord;
 use trifacet::exit::{self, Failure};
+use trifacet::text::table::{self, Layout, RowError, Table};
 
 use super::written;
 
@@ -25,17 +24,6 @@ pub(crate) struct Row {
     pub(crate) cells: Vec<String>,
     /// The error of the row, if there is one.
     pub(crate) problem: Option<String>,
-}
-
-/// Why a row does not consist of numbers.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum RowError {
-    /// The row has more or fewer fields than the header.
-    #[error("{found} fields where the header has {expected}")]
-    Width { found: usize, expected: usize },
-    /// A field is not a finite number.
-    #[error("{column} is {text:?}, not a finite number")]
-    NotFinite { column: &'static str, text: String },
 }
 
 /// The numbers of a row in the order of the columns, or the error of the row.
@@ -58,23 +46,24 @@ pub(crate) fn convert(
     header: &[&str],
     work: impl Fn(Numbers) -> Row,
 ) -> anyhow::Result<()> {
-    let mut table = Table::open(input, columns)?;
+    let mut table = open(input, columns)?;
+    let name = table.name().to_owned();
     let mut output = csv::Writer::from_writer(io::BufWriter::new(io::stdout().lock()));
     wrote(output.write_record(header))?;
     let (mut rows, mut bad) = (0_u64, 0_u64);
-    while let Some((line, numbers)) = table.next()? {
-        let row = work(numbers);
+    while let Some(read) = table.next_row()? {
+        let row = work(numbers(&read, columns));
         wrote(output.write_record(&row.cells))?;
         rows += 1;
         if let Some(problem) = row.problem {
             bad += 1;
             // Standard error may be closed. The exit code still reports the error.
-            let _ = writeln!(io::stderr(), "trifacet: {}:{line}: {problem}", table.name);
+            let _ = writeln!(io::stderr(), "trifacet: {}", read.wrong(problem));
         }
     }
     written(output.flush())?;
     if bad > 0 {
-        let message = format!("{}: {bad} of {rows} rows could not be processed", table.name);
+        let message = format!("{name}: {bad} of {rows} rows could not be processed");
         return Err(Failure::new(exit::DATA, message).into());
     }
     Ok(())
@@ -88,103 +77,29 @@ fn wrote(result: csv::Result<()>) -> anyhow::Result<()> {
     }))
 }
 
-/// An input after its header was read.
-struct Table<'c> {
-    name: String,
-    reader: csv::Reader<Box<dyn Read>>,
-    columns: &'c [Column],
-    /// Index of each column in a row.
-    places: Vec<Option<usize>>,
-    width: usize,
-    record: ByteRecord,
+/// The table in a file, or from standard input.
+fn open(input: Option<&Path>, columns: &[Column]) -> anyhow::Result<Table<Box<dyn Read>>> {
+    let names = |optional: bool| -> Vec<_> {
+        columns.iter().filter(|c| c.default.is_some() == optional).map(|c| c.name).collect()
+    };
+    let [needed, optional] = [false, true].map(names);
+    let (name, bytes): (_, Box<dyn Read>) = match input.filter(|path| *path != Path::new("-")) {
+        Some(path) => {
+            let name = path.display().to_string();
+            let file = File::open(path).with_context(|| format!("cannot open {name}"))?;
+            (name, Box::new(file))
+        }
+        None => ("standard input".into(), Box::new(io::stdin().lock())),
+    };
+    Ok(Table::open(name, bytes, Layout { needed: &needed, optional: &optional, comments: false })?)
 }
 
-impl<'c> Table<'c> {
-    fn open(input: Option<&Path>, columns: &'c [Column]) -> anyhow::Result<Self> {
-        let (name, bytes): (_, Box<dyn Read>) = match input.filter(|path| *path != Path::new("-")) {
-            Some(path) => {
-                let name = path.display().to_string();
-                let file = File::open(path).with_context(|| format!("cannot open {name}"))?;
-                (name, Box::new(file))
-            }
-            None => ("standard input".into(), Box::new(io::stdin().lock())),
-        };
-        // The reader counts a line at its line feed. One is appended, so that the line numbers are right
-        // for the last record too. Carriage returns are trimmed like blanks.
-        let reader = csv::ReaderBuilder::new()
-            .has_headers(false)
-            .flexible(true)
-            .trim(csv::Trim::All)
-            .terminator(csv::Terminator::Any(b'\n'))
-            .from_reader(Box::new(bytes.chain(&b"\n"[..])) as Box<dyn Read>);
-        let mut table =
-            Self { name, reader, columns, places: Vec::new(), width: 0, record: ByteRecord::new() };
-        table.read_header()?;
-        Ok(table)
-    }
-
-    fn read_header(&mut self) -> anyhow::Result<()> {
-        let needed: Vec<_> = self.columns.iter().filter(|c| c.default.is_none()).map(|c| c.name).collect();
-        let needed = needed.join(", ");
-        let Some(line) = self.next_record()? else {
-            return Err(self.unfit(1, format!("empty: the first line must name the columns {needed}")));
-        };
-        let names: Vec<_> =
-            self.record.iter().map(|n| n.strip_prefix(b"\xef\xbb\xbf").unwrap_or(n)).collect();
-        let mut places = Vec::new();
-        for Column { name, default } in self.columns {
-            let mut found = names.iter().enumerate().filter(|(_, n)| **n == name.as_bytes()).map(|(i, _)| i);
-            let place = found.next();
-            if found.next().is_some() {
-                return Err(self.unfit(line, format!("the column {name} occurs twice")));
-            }
-            if place.is_none() && default.is_none() {
-                return Err(self.unfit(line, format!("the column {name} is missing; required are {needed}")));
-            }
-            places.push(place);
-        }
-        self.width = names.len();
-        self.places = places;
-        Ok(())
-    }
-
-    fn unfit(&self, line: u64, what: impl Display) -> anyhow::Error {
-        Failure::new(exit::DATA, format!("{}:{line}: {what}", self.name)).into()
-    }
-
-    /// The line number of the next row, and its numbers or its error.
-    fn next(&mut self) -> anyhow::Result<Option<(u64, Numbers)>> {
-        let Some(line) = self.next_record()? else { return Ok(None) };
-        Ok(Some((line, self.numbers())))
-    }
-
-    fn numbers(&self) -> Numbers {
-        if self.record.len() != self.width {
-            return Err(RowError::Width { found: self.record.len(), expected: self.width });
-        }
-        let number = |(column, place): (&Column, &Option<usize>)| {
-            let Some(field) = place.and_then(|place| self.record.get(place)) else {
-                return Ok(column.default.unwrap_or(f64::NAN));
-            };
-            let text = String::from_utf8_lossy(field);
-            let number = text.parse().ok().filter(|x: &f64| x.is_finite());
-            number.ok_or_else(|| RowError::NotFinite { column: column.name, text: text.into_owned() })
-        };
-        self.columns.iter().zip(&self.places).map(number).collect()
-    }
-
-    /// Reads the next record that is not blank, and returns its line number.
-    fn next_record(&mut self) -> anyhow::Result<Option<u64>> {
-        while self
-            .reader
-            .read_byte_record(&mut self.record)
-            .map_err(|error| Failure::new(exit::IO, format!("cannot read {}: {error}", self.name)))?
-        {
-            if self.record.len() > 1 || self.record.get(0).is_some_and(|field| !field.is_empty()) {
-                let within = self.record.iter().flatten().filter(|byte| **byte == b'\n').count() as u64;
-                return Ok(Some(self.reader.position().line().saturating_sub(1 + within)));
-            }
-        }
-        Ok(None)
-    }
+/// The numbers of a row, in the order of the columns.
+fn numbers(row: &table::Row<'_>, columns: &[Column]) -> Numbers {
+    row.check_width()?;
+    let number = |Column { name, default }: &Column| match default {
+        Some(default) if !row.has(name) => Ok(*default),
+        _ => row.number(name),
+    };
+    columns.iter().map(number).collect()
 }
