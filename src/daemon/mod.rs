@@ -36,7 +36,7 @@ use crate::clock::SystemClock;
 use crate::clock::utc::Utc;
 use crate::config::{CalibrationContext, Config};
 use crate::control::server::Socket;
-use crate::control::{self, PageControls, RunningConfig};
+use crate::control::{self, ConfigFile, PageControls, RunningConfig};
 use crate::logging::Logging;
 use crate::monitor::view::{self, View};
 use crate::publishing::descriptor::StreamFacts;
@@ -118,7 +118,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let stop = parts.stop.clone();
     let fast = start(parts)?;
     let live = Arc::new(Mutex::new(RunningConfig {
-        file: file.map(Path::to_owned),
+        file: file.map(ConfigFile::new),
         running: config.clone(),
         taken: config.clone(),
         tables: context.tables.clone(),

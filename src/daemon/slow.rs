@@ -15,6 +15,7 @@ use trifacet_wire::stream::Descriptor;
 use super::fast::{Fast, fast_end};
 use crate::clock::SystemClock;
 use crate::config::Config;
+use crate::control::live::obey;
 use crate::control::server::Socket;
 use crate::control::{self, Command, RunningConfig};
 use crate::exit::{self, Failure};
@@ -78,7 +79,7 @@ pub(super) async fn control(
     let reloads = async {
         while hangup.recv().await.is_some() {
             notify.reloading();
-            let answer = live.lock().await.obey(Command::Reload).await;
+            let answer = obey(&live, Command::Reload).await;
             notify.reloaded();
             control::server::note(&Command::Reload, None, &answer);
         }
