@@ -19,6 +19,7 @@
 //! - [`monitor`], [`logging`], [`service`]: state of the daemon for operators and supervisors.
 //! - [`listening`]: opening of listeners, and their errors.
 //! - [`recording`], [`replay`]: records of inputs and results, and their recomputation.
+//! - [`text`]: text files and tables from people and spreadsheet programs.
 //! - [`identification`]: measurement of the loop. [`experiment`]: the experiment of the paper.
 //!
 //! Internally, lengths are metres, angles radians, and times nanoseconds of the monotonic clock. Other units
@@ -46,6 +47,7 @@ pub mod replay;
 pub mod serial_port;
 pub mod service;
 pub mod steering;
+pub mod text;
 pub mod twin;
 pub use trifacet_client as client;
 pub use trifacet_core as core;

@@ -1,6 +1,7 @@
 //! The command line of trifacet: each command calls one function.
 
 mod commands;
+mod limits;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -66,6 +67,9 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    if let Err(error) = limits::make_file_size_an_error() {
+        return report(&error.into());
+    }
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(usage) => {

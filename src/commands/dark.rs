@@ -38,11 +38,15 @@ pub(crate) struct DarkArgs {
 /// Measures the offsets and writes them into the file of `--config`. Without a file, prints them.
 pub(crate) fn dark(args: &DarkArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
+    let file = args.config.path().filter(|_| !args.print);
+    if let Some(file) = file {
+        edit::check(file).with_context(|| format!("cannot write into {}", file.display()))?;
+    }
     let offsets = measure(&config, args.samples)?;
     report(&offsets);
-    match args.config.path() {
-        Some(file) if !args.print => write(file, &offsets),
-        _ => written(write!(io::stdout(), "{}", edit::edited("", &edits(&offsets))?)),
+    match file {
+        Some(file) => write(file, &offsets),
+        None => written(write!(io::stdout(), "{}", edit::edited("", &edits(&offsets))?)),
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! The units of the file are converted to SI units here.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use trifacet_core::centering::controller::Controller;
 use trifacet_core::centering::lock::LockLimits;
@@ -29,13 +29,11 @@ pub enum AssemblyError {
     #[error(transparent)]
     Unreadable(#[from] TableError),
     /// A file is not a valid correction table.
-    #[error("correction table of PSD {psd}, {}: {source}", path.display())]
+    #[error("correction table of PSD {psd}: {source}")]
     Correction {
         /// Name of the PSD: A, B or C.
         psd: char,
-        /// Path of the file.
-        path: PathBuf,
-        /// The error in the file.
+        /// The error, with the name of the file.
         source: CorrectionFileError,
     },
 }
@@ -80,11 +78,10 @@ impl Config {
     fn psd_channels(&self, psd: usize, tables: &Tables) -> Result<PsdChannels, AssemblyError> {
         let half_size = self.head.psd_size_mm * 0.5e-3;
         let channels = self.channels.psds()[psd];
-        let refuse = |source| {
-            let path = channels.correction.as_deref().unwrap_or(Path::new("?")).to_owned();
-            AssemblyError::Correction { psd: FACETS[psd], path, source }
-        };
-        let correction = tables.0[psd].as_ref().map(|text| parse_correction(text, half_size).map_err(refuse));
+        let name = channels.correction.as_deref().unwrap_or(Path::new("?")).display().to_string();
+        let refuse = |source| AssemblyError::Correction { psd: FACETS[psd], source };
+        let correction =
+            tables.0[psd].as_ref().map(|text| parse_correction(&name, text, half_size).map_err(refuse));
         Ok(PsdChannels {
             amplifier: channels.amplifier,
             full_scale_v: channels.full_scale_v,

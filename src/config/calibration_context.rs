@@ -1,11 +1,11 @@
 //! The configuration together with the contents of its correction tables.
 
-use std::fs;
 use std::path::PathBuf;
 
 use trifacet_optics::FACETS;
 
 use super::Config;
+use super::file::read_regular;
 
 /// Contents of the correction tables of PSDs A, B and C.
 ///
@@ -32,10 +32,22 @@ impl Tables {
         for ((table, psd), channels) in tables.0.iter_mut().zip(FACETS).zip(config.channels.psds()) {
             if let Some(path) = &channels.correction {
                 let refuse = |source| TableError { psd, path: path.clone(), source };
-                *table = Some(fs::read(path).map_err(refuse)?);
+                *table = Some(read_regular(path).map_err(refuse)?);
             }
         }
         Ok(tables)
+    }
+}
+
+impl Tables {
+    /// The tables whose contents differ, as a message each.
+    pub fn changes(&self, new: &Self) -> Vec<String> {
+        let crc = |table: &Option<Vec<u8>>| {
+            table.as_ref().map_or("none".to_owned(), |text| format!("CRC-32 {:08x}", crc32fast::hash(text)))
+        };
+        let both = FACETS.into_iter().zip(self.0.iter().zip(&new.0)).filter(|(_, (old, new))| old != new);
+        both.map(|(psd, (old, new))| format!("correction table of PSD {psd}: {}, was {}", crc(new), crc(old)))
+            .collect()
     }
 }
 

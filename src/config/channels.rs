@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use trifacet_core::channels::Amplifier;
 
 use super::check::{Checker, above_zero};
+use super::file::read_regular;
 
 /// Settings of `[channels]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -88,6 +89,18 @@ impl ChannelsConfig {
             psd.check(at.section(name));
         }
     }
+
+    /// Checks that the correction tables can be read. Blocks.
+    pub(super) fn check_tables(&self, mut at: Checker<'_>) {
+        for (name, psd) in ["a", "b", "c"].into_iter().zip(self.psds()) {
+            if let Some(path) = &psd.correction
+                && let Err(error) = read_regular(path)
+            {
+                let allowed = format!("a CSV file, relative to this one: {}: {error}", path.display());
+                at.section(name).demand(false, "correction", path.display(), allowed);
+            }
+        }
+    }
 }
 
 impl PsdChannelsConfig {
@@ -101,11 +114,5 @@ impl PsdChannelsConfig {
             at.demand(useful || !in_range, &format!("gain[{i}]"), format!("{gain:?}"), allowed);
         }
         at.numbers("dark_v", &self.dark_v, -100.0..=100.0);
-        if let Some(path) = &self.correction
-            && let Err(error) = std::fs::read(path)
-        {
-            let allowed = format!("a CSV file, relative to this one: {}: {error}", path.display());
-            at.demand(false, "correction", path.display(), allowed);
-        }
     }
 }

@@ -2,36 +2,48 @@
 
 use trifacet_core::channels::correction::{Correction, CorrectionError, CorrectionPoint};
 
+use crate::exit::Failure;
+use crate::text::table::{Layout, Row, RowError, Table};
+
+/// Columns of the file.
+const COLUMNS: [&str; 4] = ["u_m", "v_m", "du_m", "dv_m"];
+
 /// Why a file is not a valid correction table.
 #[derive(Debug, thiserror::Error)]
 pub enum CorrectionFileError {
-    /// A row does not consist of four numbers.
-    #[error("{0}")]
-    Csv(#[from] csv::Error),
-    /// The points do not form a grid.
+    /// The file is not a table of numbers with the four columns.
     #[error(transparent)]
-    Table(#[from] CorrectionError),
+    Numbers(#[from] Failure),
+    /// The points do not form a grid.
+    #[error("{name}: {source}")]
+    Grid {
+        /// Name of the file.
+        name: String,
+        /// The wrong point.
+        source: CorrectionError,
+    },
 }
 
-/// A row of the file. The field names are the column names.
-#[derive(serde::Deserialize)]
-#[expect(clippy::struct_field_names, reason = "the columns carry their unit")]
-struct Row {
-    u_m: f64,
-    v_m: f64,
-    du_m: f64,
-    dv_m: f64,
-}
-
-/// Parses a correction table for a PSD whose half edge length is `half_size` metres.
+/// Parses a correction table for a PSD whose half edge length is `half_size` metres. `name` is the name of
+/// the file in messages.
 ///
 /// # Errors
-/// Fails if a row does not consist of four numbers, or if the points do not form a valid table.
-pub fn parse_correction(text: &[u8], half_size: f64) -> Result<Correction, CorrectionFileError> {
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(text);
-    let point = |Row { u_m: u, v_m: v, du_m: du, dv_m: dv }| CorrectionPoint { u, v, du, dv };
-    let points: Vec<_> = reader.deserialize().map(|row| row.map(point)).collect::<Result<_, _>>()?;
-    Ok(Correction::new(&points, half_size)?)
+/// Fails if a row does not consist of numbers, or if the points do not form a valid table.
+pub fn parse_correction(name: &str, text: &[u8], half_size: f64) -> Result<Correction, CorrectionFileError> {
+    let mut table =
+        Table::open(name, text, Layout { needed: &COLUMNS, optional: &[], aliases: &[], comments: true })?;
+    let mut points = Vec::new();
+    while let Some(row) = table.next_row()? {
+        points.push(point(&row).map_err(|e| row.wrong(e))?);
+    }
+    Correction::new(&points, half_size)
+        .map_err(|source| CorrectionFileError::Grid { name: name.to_owned(), source })
+}
+
+fn point(row: &Row<'_>) -> Result<CorrectionPoint, RowError> {
+    row.check_width()?;
+    let [u, v, du, dv] = COLUMNS.map(|column| row.number(column));
+    Ok(CorrectionPoint { u: u?, v: v?, du: du?, dv: dv? })
 }
 
 #[cfg(test)]
@@ -41,11 +53,13 @@ mod tests {
     #[test]
     fn a_file_may_have_comments_and_spaces_and_a_row_that_is_not_four_numbers_is_named() {
         let text = "# PSD A\nu_m, v_m, du_m, dv_m\n-7e-3,-7e-3,1e-6,0\n7e-3,-7e-3,1e-6,0\n-7e-3,7e-3,1e-6,0\n7e-3, 7e-3, 1e-6, 0\n";
-        let table = parse_correction(text.as_bytes(), 6.5e-3).unwrap();
+        let table = parse_correction("a.csv", text.as_bytes(), 6.5e-3).unwrap();
         assert!((table.apply([0.0; 2])[0] - 1e-6).abs() < 1e-15);
-        let say = |text: String| parse_correction(text.as_bytes(), 6.5e-3).unwrap_err().to_string();
-        assert!(say(format!("{text}1,2,3\n")).contains("line: 7"), "{}", say(format!("{text}1,2,3\n")));
-        assert!(say(format!("{text}1,2,3,x\n")).contains("invalid float"));
+        let say = |text: String| parse_correction("a.csv", text.as_bytes(), 6.5e-3).unwrap_err().to_string();
+        assert_eq!(say(format!("{text}1,2,3\n")), "a.csv:7: 3 fields where the header has 4");
+        assert!(
+            say(format!("{text}1,2,3,x\n")).starts_with("a.csv:7: dv_m is \"x\": allowed is a finite number")
+        );
         assert!(say(format!("{text}1,2,3,4\n")).contains("row 5"));
     }
 }

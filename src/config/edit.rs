@@ -1,12 +1,14 @@
 //! Writes single keys into a configuration file and preserves the rest, including comments.
 
-use std::fs;
-use std::io::{self, Write as _};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::Context as _;
 pub use toml_edit::Value;
 use toml_edit::{DocumentMut, Item, Table, TableLike};
+
+use super::file::read_regular;
+use super::load::{parse, text};
+use super::rewrite;
 
 /// A new value for a key, such as `dark_v` in the section `["channels", "a"]`.
 #[derive(Clone, Debug)]
@@ -19,12 +21,19 @@ pub struct Edit {
     pub value: Value,
 }
 
-/// Returns the text of a configuration with the new values.
+/// Ends the file while it is edited. New sections follow it, so that a comment at the end of the file stays in
+/// front of them.
+const END: &str = "[end-of-the-edited-file]\n";
+
+/// Returns the text of a configuration with the new values. Its line ends are those of most of its lines.
 ///
 /// # Errors
 /// Fails if the text is not TOML, or if the path of a section leads to something else.
 pub fn edited(text: &str, edits: &[Edit]) -> anyhow::Result<String> {
-    let mut document: DocumentMut = text.parse()?;
+    let crlf = 2 * text.matches("\r\n").count() > text.matches('\n').count();
+    let lf = text.replace("\r\n", "\n");
+    let end = if lf.is_empty() || lf.ends_with('\n') { "" } else { "\n" };
+    let mut document: DocumentMut = format!("{lf}{end}{END}").parse()?;
     for Edit { section, key, value } in edits {
         let table = subsection(document.as_table_mut(), section)?;
         let mut new = value.clone();
@@ -33,7 +42,9 @@ pub fn edited(text: &str, edits: &[Edit]) -> anyhow::Result<String> {
         }
         table.insert(key, Item::Value(new));
     }
-    Ok(document.to_string())
+    let new = document.to_string().replacen(END, "", 1);
+    let new = if text.is_empty() { new.trim_start().to_owned() } else { new };
+    Ok(if crlf { new.replace('\n', "\r\n") } else { new })
 }
 
 /// The table at the end of a path. Missing tables are created.
@@ -53,38 +64,27 @@ fn implicit_table() -> Item {
     Item::Table(table)
 }
 
-/// Writes new values into a file. The file is replaced atomically: a crash leaves the old or the new
-/// content.
+/// Writes new values into a file. Everything else stays: the rest of the text with its line ends, owner, group
+/// and permissions of the file, and links to it. Blocks.
 ///
 /// # Errors
 /// Fails if the file cannot be read or written, or if the result would not be a valid configuration. The
 /// file is then unchanged.
 pub fn write(file: &Path, edits: &[Edit]) -> anyhow::Result<()> {
-    let text = edited(&fs::read_to_string(file)?, edits)?;
-    super::parse(&text, Some(file))?;
-    let (target, new) = places(file)?;
-    let mut out = fs::File::create(&new)?;
-    out.write_all(text.as_bytes())?;
-    out.set_permissions(fs::metadata(&target)?.permissions())?;
-    out.sync_all()?;
-    Ok(fs::rename(&new, &target)?)
+    let bytes = read_regular(file)?;
+    let old = text(&bytes, file)?;
+    let new = edited(old, edits)?;
+    parse(&new, Some(file))?;
+    let mark = &bytes[..bytes.len() - old.len()]; // the byte order mark, if there is one
+    rewrite::replace(file, &[mark, new.as_bytes()].concat())
 }
 
-/// Checks whether [`write()`] could replace this file. Changes nothing.
+/// Checks whether [`write()`] could change this file. Changes nothing. Blocks.
 ///
 /// # Errors
-/// Fails if the file does not exist, or if no new file can be created beside it.
-pub fn check(file: &Path) -> io::Result<()> {
-    let (_, new) = places(file)?;
-    fs::File::create(&new)?;
-    fs::remove_file(new)
-}
-
-/// Path of the file with links resolved, so that a link stays a link, and path of the new file beside it.
-fn places(file: &Path) -> io::Result<(PathBuf, PathBuf)> {
-    let target = fs::canonicalize(file)?;
-    let new = target.with_added_extension("new");
-    Ok((target, new))
+/// Fails if the file is not a regular file, or if it cannot be written such that everything else stays.
+pub fn check(file: &Path) -> anyhow::Result<()> {
+    rewrite::check(file)
 }
 
 #[cfg(test)]
@@ -131,6 +131,26 @@ mod tests {
         let wanted = "centering.lag_ms = 0.25 # slow\n\n[steering]\nmatrix = [[0.5, -1.0], [1.0, 0.5]]\n";
         assert_eq!(new, wanted);
         super::super::parse(&new, None).unwrap();
+    }
+
+    #[test]
+    fn line_ends_and_a_comment_at_the_end_stay() {
+        let edits = [edit(&["frames", "tare"], "rotation_deg", [1.0, 2.0, 3.0])];
+        let section = "[frames.tare]\nrotation_deg = [1.0, 2.0, 3.0]\n";
+        for (old, new) in [
+            ("# mine", format!("# mine\n\n{section}")),
+            (
+                "[log]\nlevel = 'warn'\n\n# later:\n# x",
+                format!("[log]\nlevel = 'warn'\n\n# later:\n# x\n\n{section}"),
+            ),
+            ("[frames.tare]\nrotation_deg = [0, 0, 0]\n# end", format!("{section}# end\n")),
+            ("", section.into()),
+        ] {
+            assert_eq!(edited(old, &edits).unwrap(), new);
+            let crlf = |text: &str| text.replace('\n', "\r\n");
+            let expected = if old.contains('\n') { crlf(&new) } else { new.clone() };
+            assert_eq!(edited(&crlf(old), &edits).unwrap(), expected);
+        }
     }
 
     #[test]

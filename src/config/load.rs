@@ -1,5 +1,6 @@
 //! Loads a file and checks it.
 
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
@@ -7,21 +8,61 @@ use toml::de::{DeTable, DeValue};
 
 use super::check::{Checker, Finding, Report, without_index};
 use super::error::{ConfigError, InvalidValues, Problem};
+use super::file::{read_any, read_regular};
 use super::locate::{Found, find, path_at, place};
 use super::{Config, Fault, FaultKind, Token};
+use crate::text::decode;
 
-/// Reads and checks a configuration file. `None`: returns the defaults.
+/// Reads and checks a configuration file, which may be a pipe. `None`: returns the defaults. Blocks.
 ///
 /// # Errors
 /// Fails if the file cannot be read, or if it is not a valid configuration.
 pub fn load(file: Option<&Path>) -> Result<Config, ConfigError> {
     let Some(file) = file else { return parse("", None) };
-    let text = std::fs::read_to_string(file)
-        .map_err(|reason| ConfigError::Unreadable { file: file.to_owned(), reason })?;
-    parse(&text, Some(file))
+    let bytes = read_any(file).map_err(|reason| unreadable(file, reason))?;
+    parse(text(&bytes, file)?, Some(file))
+}
+
+/// Reads and checks the configuration file of a running daemon again. Blocks.
+///
+/// # Errors
+/// Fails as [`load()`], and if the file is not a regular file or is empty. A pipe has no contents any more. An
+/// empty file is left by a full disk or a power failure; it would set every key to its default.
+pub fn load_again(file: &Path) -> Result<Config, ConfigError> {
+    let bytes = read_regular(file).map_err(|reason| match reason.kind() {
+        ErrorKind::InvalidInput => {
+            let why = format!("{reason}, so it cannot be read again; restart the daemon with the new file");
+            unreadable(file, io::Error::new(ErrorKind::InvalidInput, why))
+        }
+        _ => unreadable(file, reason),
+    })?;
+    let text = text(&bytes, file)?;
+    if text.trim().is_empty() {
+        let message = "the file is empty, which would set every key to its default; allowed is a file with \
+                       at least one line";
+        return Err(wrong(file, Problem { place: None, message: message.into() }));
+    }
+    parse(text, Some(file))
+}
+
+/// The text of a configuration file.
+///
+/// # Errors
+/// Fails with the place of the first byte that is not text in UTF-8.
+pub(super) fn text<'b>(bytes: &'b [u8], file: &Path) -> Result<&'b str, ConfigError> {
+    decode(bytes).map_err(|e| wrong(file, Problem { place: Some(e.place), message: e.to_string() }))
+}
+
+fn unreadable(file: &Path, reason: io::Error) -> ConfigError {
+    ConfigError::Unreadable { file: file.to_owned(), reason }
+}
+
+fn wrong(file: &Path, problem: Problem) -> ConfigError {
+    ConfigError::Wrong { file: Some(file.to_owned()), problems: vec![problem] }
 }
 
 /// Parses and checks the text of a configuration. `file`: its name in messages; paths are relative to it.
+/// Without a file, the correction tables are not read.
 ///
 /// # Errors
 /// Fails with all problems if the text is not a valid configuration.
@@ -44,6 +85,9 @@ fn read(text: &str, file: Option<&Path>) -> Result<Config, Vec<Problem>> {
     resolve_paths(&mut config, file);
     let mut report = Report::default();
     config.check(&mut Checker::root(&mut report));
+    if file.is_some() {
+        config.channels.check_tables(Checker::root(&mut report).section("channels"));
+    }
     if report.findings.is_empty() {
         return Ok(config);
     }
@@ -53,7 +97,7 @@ fn read(text: &str, file: Option<&Path>) -> Result<Config, Vec<Problem>> {
 }
 
 impl Config {
-    /// Checks a configuration that was not parsed from a file.
+    /// Checks a configuration that was not parsed from a file. Reads no correction tables.
     ///
     /// # Errors
     /// Fails with all problems: keys, values, and what is allowed.

@@ -5,14 +5,7 @@ use std::ops::Range;
 use toml::Spanned;
 use toml::de::DeValue;
 
-/// A place in a file, as editors count it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Place {
-    /// Line, from 1.
-    pub line: usize,
-    /// Column in characters, from 1.
-    pub column: usize,
-}
+pub use crate::text::Place;
 
 /// The place of a byte offset in the text.
 pub(super) fn place(text: &str, at: usize) -> Place {

@@ -1,5 +1,7 @@
 //! Reload: changes that a running daemon takes over from its configuration file.
 
+use std::fmt;
+
 use serde_json::Value;
 
 use super::{Config, InvalidValues};
@@ -90,6 +92,27 @@ pub fn reload(running: &Config, taken: &Config, file: &Config) -> Result<Reload,
     Ok(Reload { running, taken: now_taken, changed, refused })
 }
 
+/// A key with two values.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Change {
+    /// The dotted key.
+    pub key: String,
+    /// The value before; null if it was absent.
+    pub old: Value,
+    /// The value now; null if it is absent.
+    pub new: Value,
+}
+
+impl fmt::Display for Change {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [old, new] = [&self.old, &self.new].map(|value| match value {
+            Value::Null => "absent".into(),
+            value => value.to_string(),
+        });
+        write!(f, "{} = {new}, was {old}", self.key)
+    }
+}
+
 fn is_live(key: &str) -> bool {
     LIVE.iter().any(|live| {
         let live = live.join(".");
@@ -97,25 +120,36 @@ fn is_live(key: &str) -> bool {
     })
 }
 
+/// The keys whose values differ, in order, without `monitor.token`.
+///
+/// # Errors
+/// Fails if a configuration cannot be serialised.
+pub fn changes(old: &Config, new: &Config) -> Result<Vec<Change>, serde_json::Error> {
+    let mut changes = Vec::new();
+    compare("", &serde_json::to_value(old)?, &serde_json::to_value(new)?, &mut changes);
+    Ok(changes)
+}
+
 /// The dotted keys whose values differ, in order.
 fn differences(old: &Config, new: &Config) -> Result<Vec<String>, serde_json::Error> {
-    let mut keys = Vec::new();
-    compare("", &serde_json::to_value(old)?, &serde_json::to_value(new)?, &mut keys);
+    let mut keys: Vec<_> = changes(old, new)?.into_iter().map(|change| change.key).collect();
     if old.monitor.token != new.monitor.token && !keys.iter().any(|key| key == "monitor.token") {
         keys.push("monitor.token".into()); // the serialised trees do not show the token
     }
     Ok(keys)
 }
 
-fn compare(path: &str, old: &Value, new: &Value, keys: &mut Vec<String>) {
+fn compare(path: &str, old: &Value, new: &Value, changes: &mut Vec<Change>) {
     match (old, new) {
         (Value::Object(old), Value::Object(new)) => {
             for (name, new) in new {
                 let path = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
-                compare(&path, old.get(name).unwrap_or(&Value::Null), new, keys);
+                compare(&path, old.get(name).unwrap_or(&Value::Null), new, changes);
             }
         }
-        (old, new) if old != new => keys.push(path.to_owned()),
+        (old, new) if old != new => {
+            changes.push(Change { key: path.to_owned(), old: old.clone(), new: new.clone() });
+        }
         _ => {}
     }
 }

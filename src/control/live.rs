@@ -1,11 +1,10 @@
 //! The configuration of a running daemon, and its changes.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::{Value, json};
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::{Mutex, mpsc, oneshot, watch};
 use tokio::time::timeout;
 use trifacet_core::centering::{LoopMode, LoopRefusal};
 use trifacet_core::channels::Channels;
@@ -16,16 +15,15 @@ use trifacet_core::time::{Clock, Mono};
 use trifacet_optics::Pose;
 use trifacet_wire::stream::{Descriptor, Replayed};
 
+use super::config_file::{Access, ConfigFile};
+use super::reload::take_over_file;
 use super::{Command, FastRequests};
 use crate::acquisition::task::SettingsChange;
 use crate::centering::CenteringRequest;
 use crate::clock::SystemClock;
-use crate::config;
-use crate::config::edit::{self, Edit};
-use crate::config::reload::reload;
+use crate::config::reload::changes;
 use crate::config::{
-    CalibrationContext, Config, FramesConfig, SourceKind, SteeringConfig, SteeringKind, Tables,
-    TransformConfig,
+    CalibrationContext, Config, SourceKind, SteeringConfig, SteeringKind, Tables, TransformConfig,
 };
 use crate::estimation::EstimationRequest;
 use crate::exit::{self, Failure};
@@ -35,15 +33,16 @@ use crate::publishing::udp::ReceiverState;
 use crate::recording::{Handle, RecorderCommand};
 
 /// Time limit for an answer of the fast side.
-const FAST_SIDE_TIMEOUT: Duration = Duration::from_secs(5);
-/// Time over which a tare averages, seconds: default and maximum.
-const TARE_S: [f64; 2] = [0.1, 10.0];
+pub(super) const FAST_SIDE_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// A channel map, and the correction tables in it.
+pub(super) type ChannelMap = (Channels, Tables);
 
 /// State of a running daemon, and the channels for changing it.
 #[derive(Debug)]
 pub struct RunningConfig {
-    /// Configuration file at the start.
-    pub file: Option<PathBuf>,
+    /// Configuration file, if the daemon was started with one.
+    pub file: Option<ConfigFile>,
     /// Configuration in force.
     pub running: Config,
     /// The file as last taken over.
@@ -74,33 +73,61 @@ pub struct RunningConfig {
     pub started: Mono,
 }
 
+/// Executes a command. Returns the answer, a JSON object; it contains `error` if the command failed, also in
+/// part.
+pub async fn obey(live: &Mutex<RunningConfig>, command: Command) -> Value {
+    execute(live, command).await.unwrap_or_else(|failure| error(&failure))
+}
+
+async fn execute(live: &Mutex<RunningConfig>, command: Command) -> Result<Value, Failure> {
+    live.lock().await.permit(command)?;
+    match command {
+        Command::Reload => take_over_file(live, access(live, "configuration unchanged").await?).await,
+        Command::Tare { poses, save } => {
+            let file = save_to(live, save).await?;
+            live.lock().await.tare(poses, file).await
+        }
+        Command::ClearTare { save } => {
+            let file = save_to(live, save).await?;
+            live.lock().await.set_tare(TransformConfig::default(), file).await
+        }
+        Command::Status => live.lock().await.status().await,
+        Command::Loop(mode) => live.lock().await.tune(|config| config.centering.mode = mode).await,
+        Command::Setpoint(um) => live.lock().await.tune(|config| config.centering.setpoint_um = um).await,
+        Command::Gains { kp, ki_per_s } => {
+            let gains = (Some(kp), Some(ki_per_s));
+            let change = |config: &mut Config| (config.centering.kp, config.centering.ki_per_s) = gains;
+            live.lock().await.tune(change).await
+        }
+        Command::Move(um) => live.lock().await.move_to(um).await,
+        Command::Park => live.lock().await.park().await,
+        Command::Search => live.lock().await.search().await,
+        Command::Drill(drill, task) => live.lock().await.drill(drill, task),
+        Command::Recording => Ok(live.lock().await.recording.state.tell()),
+        Command::Record(request) => live.lock().await.record(request).await,
+    }
+}
+
+/// The access to the configuration file. It comes before the lock of the daemon's state: other commands are
+/// executed while the file is read.
+async fn access(live: &Mutex<RunningConfig>, without: &str) -> Result<Access, Failure> {
+    let file = live.lock().await.file.clone();
+    let none = || format!("{without}: the daemon was started without a configuration file");
+    file.ok_or_else(|| Failure::new(exit::CONFIG, none()))?.access().await
+}
+
+async fn save_to(live: &Mutex<RunningConfig>, save: bool) -> Result<Option<Access>, Failure> {
+    if save { access(live, "cannot save").await.map(Some) } else { Ok(None) }
+}
+
 impl RunningConfig {
-    /// Executes a command. Returns the answer, a JSON object; it contains `error` if the command failed, also
-    /// in part.
-    pub async fn obey(&mut self, command: Command) -> Value {
+    /// Refuses a command that cannot be executed at all.
+    fn permit(&self, command: Command) -> Result<(), Failure> {
         if self.running.acquisition.source == SourceKind::Replay && command != Command::Status {
             let why = "a recording is replayed: its settings and its steering cannot be changed";
-            return error(&Failure::new(exit::DATA, why));
+            return Err(Failure::new(exit::DATA, why));
         }
-        let answer = match command {
-            Command::Status => self.status().await,
-            Command::Tare { poses, save } => self.tare(poses, save).await,
-            Command::ClearTare { save } => self.set_tare(TransformConfig::default(), save).await,
-            Command::Loop(mode) => self.tune(|config| config.centering.mode = mode).await,
-            Command::Setpoint(um) => self.tune(|config| config.centering.setpoint_um = um).await,
-            Command::Gains { kp, ki_per_s } => {
-                let gains = (Some(kp), Some(ki_per_s));
-                self.tune(|config| (config.centering.kp, config.centering.ki_per_s) = gains).await
-            }
-            Command::Move(um) => self.move_to(um).await,
-            Command::Park => self.park().await,
-            Command::Search => self.search().await,
-            Command::Drill(drill, task) => self.drill(drill, task),
-            Command::Recording => Ok(self.recording.state.tell()),
-            Command::Record(request) => self.record(request).await,
-            Command::Reload => self.reload().await,
-        };
-        answer.unwrap_or_else(|failure| error(&failure))
+        Ok(())
     }
 
     async fn tune(&mut self, change: impl FnOnce(&mut Config)) -> Result<Value, Failure> {
@@ -156,102 +183,16 @@ impl RunningConfig {
         Ok(json!({ "recording": self.recording.state.tell() }))
     }
 
-    /// Reads the file again, and takes over the changes that do not need a restart.
-    async fn reload(&mut self) -> Result<Value, Failure> {
-        let wrong =
-            |message: String| Failure::new(exit::CONFIG, format!("configuration unchanged: {message}"));
-        let Some(file) = &self.file else {
-            return Err(wrong("the daemon was started without a configuration file".into()));
-        };
-        let file = config::load(Some(file)).map_err(|e| wrong(e.to_string()))?;
-        let mut plan = reload(&self.running, &self.taken, &file).map_err(|e| wrong(e.to_string()))?;
-        // The contents of a correction table may have changed.
-        let tables = Tables::read(&plan.running).map_err(|e| wrong(e.to_string()))?;
-        let mut channels = None;
-        if plan.running.channels != self.running.channels || tables != self.tables {
-            let map = plan.running.channels(&tables).map_err(|e| wrong(e.to_string()))?;
-            channels = Some((map, tables));
-            if plan.running.channels == self.running.channels {
-                plan.changed.push("channels (the contents of a correction table)".into());
-            }
-        }
-        self.go_on_with(plan.running, channels).await?;
-        self.taken = plan.taken;
-        let mut answer = json!({
-            "changed": plan.changed, "refused": plan.refused, "config": self.id()
-        });
-        if !plan.refused.is_empty() {
-            answer["error"] = format!("these changes need a restart: {}", plan.refused.join(", ")).into();
-            answer["code"] = exit::DATA.into();
-        }
-        Ok(answer)
-    }
-
-    async fn tare(&mut self, poses: Option<u32>, save: bool) -> Result<Value, Failure> {
-        if save {
-            self.file_to_save()?;
-        }
-        let rate_hz = self.running.acquisition.rate_hz / f64::from(self.running.estimation.average);
-        let [usual, most] = TARE_S.map(|seconds| ((seconds * rate_hz).ceil() as u32).max(1));
-        let poses = poses.unwrap_or(usual);
-        if poses > most {
-            let why = format!("poses={poses}: allowed is 1 to {most}, {} s at {rate_hz} Hz", TARE_S[1]);
-            return Err(Failure::new(exit::USAGE, why));
-        }
-        let no_tare = |why: String| Failure::new(exit::DATA, format!("tare unchanged: {why}"));
-        let patience = FAST_SIDE_TIMEOUT + Duration::from_secs_f64(2.0 * f64::from(poses) / rate_hz);
-        let mean = ask(&self.fast.questions, patience, |reply| EstimationRequest::Mean(poses, reply)).await?;
-        let mean = mean.map_err(|status| {
-            no_tare(format!("no valid pose: {}", status.names().collect::<Vec<_>>().join(", ")))
-        })?;
-        let untared = FramesConfig { tare: TransformConfig::default(), ..self.running.frames };
-        let pose = untared.build().pose(&mean).ok_or_else(|| {
-            no_tare("the pitch is within a degree of 90 degrees: turn [frames.base] or [frames.tool]".into())
-        })?;
-        let mut answer = self.set_tare(TransformConfig::of(&pose), save).await?;
-        answer["poses"] = poses.into();
-        Ok(answer)
-    }
-
-    async fn set_tare(&mut self, tare: TransformConfig, save: bool) -> Result<Value, Failure> {
-        let mut next = self.running.clone();
-        next.frames.tare = tare;
-        next.verify().map_err(|wrong| Failure::new(exit::DATA, wrong.to_string()))?;
-        if save {
-            let file = self.file_to_save()?;
-            let edit = |key, values: [f64; 3]| Edit {
-                section: &["frames", "tare"],
-                key,
-                value: values.into_iter().collect(),
-            };
-            let edits =
-                [edit("translation_mm", tare.translation_mm), edit("rotation_deg", tare.rotation_deg)];
-            edit::write(file, &edits).map_err(|e| {
-                let why = format!("tare unchanged: cannot write it to {}: {e:#}", file.display());
-                Failure::new(exit::IO, why)
-            })?;
-            self.taken.frames.tare = tare;
-        }
-        self.go_on_with(next, None).await?;
-        Ok(json!({ "tare": self.running.frames.tare, "saved": save, "config": self.id() }))
-    }
-
-    fn file_to_save(&self) -> Result<&PathBuf, Failure> {
-        self.file.as_ref().ok_or_else(|| {
-            Failure::new(exit::CONFIG, "cannot save: the daemon was started without a configuration file")
-        })
-    }
-
     /// Puts another configuration in force. It may differ only in what can change at run time. `channels` is
     /// the new channel map with its tables, if either has changed.
-    async fn go_on_with(
+    pub(super) async fn go_on_with(
         &mut self,
         next: Config,
-        channels: Option<(Channels, Tables)>,
+        channels: Option<ChannelMap>,
     ) -> Result<(), Failure> {
-        if next.log.level != self.running.log.level {
-            self.log.set_level(&next.log.level)?;
-        }
+        let changes =
+            changes(&self.running, &next).map_err(|e| Failure::new(exit::SOFTWARE, e.to_string()))?;
+        let tables = channels.as_ref().map_or_else(Vec::new, |(_, tables)| self.tables.changes(tables));
         if next.frames != self.running.frames
             || next.estimation != self.running.estimation
             || next.steering != self.running.steering
@@ -265,17 +206,20 @@ impl RunningConfig {
             let tuning = Box::new(next.loop_params());
             ask(&self.fast.orders, FAST_SIDE_TIMEOUT, |done| CenteringRequest::Retune(tuning, done)).await?;
         }
+        for change in changes.iter().map(ToString::to_string).chain(tables) {
+            tracing::info!("configuration: {change}");
+        }
+        // Last, so that a lower level does not hide the changes.
+        if next.log.level != self.running.log.level {
+            self.log.set_level(&next.log.level)?;
+        }
         self.config_in_force.send_replace(next.clone());
         self.running = next;
         Ok(())
     }
 
     /// Changes, from one sample to the next, what poses depend on.
-    async fn change_meaning(
-        &mut self,
-        next: &Config,
-        channels: Option<(Channels, Tables)>,
-    ) -> Result<(), Failure> {
+    async fn change_meaning(&mut self, next: &Config, channels: Option<ChannelMap>) -> Result<(), Failure> {
         let mut facts = self.facts;
         let (channels, tables) =
             channels.map_or_else(|| (None, self.tables.clone()), |(map, tables)| (Some(map), tables));
@@ -307,7 +251,7 @@ impl RunningConfig {
         Ok(())
     }
 
-    fn id(&self) -> String {
+    pub(super) fn id(&self) -> String {
         format!("{:08x}", self.facts.id.config)
     }
 
@@ -333,7 +277,7 @@ impl RunningConfig {
             "version": env!("CARGO_PKG_VERSION"),
             "pid": std::process::id(),
             "uptime_s": now.seconds_since(self.started),
-            "file": self.file,
+            "file": self.file.as_ref().map(ConfigFile::path),
             "session": format!("{:08x}", self.descriptor.borrow().session),
             "config": self.id(),
             "replay": replay,
@@ -383,7 +327,7 @@ pub fn error(failure: &Failure) -> Value {
 }
 
 /// Sends a request to a task of the fast side and waits for the answer.
-async fn ask<Q, A>(
+pub(super) async fn ask<Q, A>(
     to: &mpsc::Sender<Q>,
     patience: Duration,
     question: impl FnOnce(oneshot::Sender<A>) -> Q,

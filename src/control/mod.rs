@@ -1,7 +1,8 @@
 //! Commands to a running daemon, over a Unix socket and by SIGHUP.
 //!
 //! - [`command`]: the commands and their syntax; pure.
-//! - [`live`]: the configuration in force, and its changes.
+//! - [`live`]: the configuration in force, and its changes, with `reload` and `tare`.
+//! - [`config_file`]: the configuration file, whose file system may stop responding.
 //! - [`page`]: the permission of the live page.
 //! - [`server`]: the socket. [`client`]: its client.
 //!
@@ -10,11 +11,15 @@
 
 pub mod client;
 pub mod command;
+pub mod config_file;
 pub mod live;
 pub mod page;
+mod reload;
 pub mod server;
+mod tare;
 
 pub use command::Command;
+pub use config_file::ConfigFile;
 pub use live::RunningConfig;
 pub use page::PageControls;
 use tokio::sync::mpsc;

@@ -17,7 +17,7 @@ use tokio::sync::Mutex;
 use tokio::task::JoinSet;
 use tokio::time::timeout;
 
-use super::live::error;
+use super::live::{error, obey};
 use super::{Command, RunningConfig};
 use crate::config::ControlConfig;
 use crate::exit::{self, Failure};
@@ -120,7 +120,7 @@ async fn client(stream: UnixStream, live: Arc<Mutex<RunningConfig>>) {
         };
         let answer = match line.parse::<Command>() {
             Ok(command) => {
-                let answer = live.lock().await.obey(command).await;
+                let answer = obey(&live, command).await;
                 note(&command, uid, &answer);
                 answer
             }

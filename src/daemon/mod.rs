@@ -38,7 +38,7 @@ use crate::clock::SystemClock;
 use crate::clock::utc::Utc;
 use crate::config::{CalibrationContext, Config, PublishingConfig};
 use crate::control::server::Socket;
-use crate::control::{self, PageControls, RunningConfig};
+use crate::control::{self, ConfigFile, PageControls, RunningConfig};
 use crate::exit::Failure;
 use crate::logging::Logging;
 use crate::monitor::view::{self, View};
@@ -68,13 +68,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let (config, context, header) = &holding(config)?;
     let pipeline = config.pipeline(&context.tables, context.id())?;
     let id = StreamId::new(context.id());
-    let facts = StreamFacts {
-        id,
-        sample_rate_hz: config.acquisition.rate_hz,
-        average: config.estimation.average,
-        model: config.estimation.model,
-        calibrated: context.calibrated(),
-    };
+    let facts = StreamFacts::new(id, config, context.calibrated());
     let main = Builder::new_current_thread().enable_all().build().context("cannot start a runtime")?;
     let terminal = Terminal::of_process(started);
     // First of all: without a handler SIGHUP would end the process.
@@ -123,7 +117,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let stop = parts.stop.clone();
     let fast = start(parts)?;
     let live = Arc::new(Mutex::new(RunningConfig {
-        file: file.map(Path::to_owned),
+        file: file.map(ConfigFile::new),
         running: config.clone(),
         taken: config.clone(),
         tables: context.tables.clone(),
@@ -150,12 +144,12 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     });
     let slow = Slow {
         service: &service,
-        server: server.map(|listener| Server { listener, frames, descriptor: descriptor_now }),
+        server: server.map(|listener| Server { listener, frames, descriptor: descriptor_now.clone() }),
         monitor: monitor.map(|listener| Monitor { listener, frames: monitored, view }),
         subscription_server,
         supervisor,
         stage: gcs_task,
-        session: id.session,
+        descriptor: descriptor_now,
     };
     let control = control(live, socket, Hangups { signal: hangup, terminal }, &service.notify);
     let result = serve(&main, config, slow, control, fast, &counters, &stop);

@@ -19,6 +19,7 @@ use super::fast::{Fast, fast_end};
 use super::terminal::Terminal;
 use crate::clock::SystemClock;
 use crate::config::Config;
+use crate::control::live::obey;
 use crate::control::server::Socket;
 use crate::control::{self, Command, RunningConfig};
 use crate::exit::{self, Failure};
@@ -40,7 +41,7 @@ pub(super) struct Slow<'a> {
     pub(super) subscription_server: Option<subscription_server::SubscriptionServer>,
     pub(super) supervisor: udp::Supervisor,
     pub(super) stage: Option<gcs::task::Task>,
-    pub(super) session: u32,
+    pub(super) descriptor: watch::Receiver<Descriptor>,
 }
 
 /// The TCP server.
@@ -101,7 +102,7 @@ async fn reloads(live: &Mutex<RunningConfig>, hangups: Hangups, notify: &Notify)
                     return;
                 }
                 notify.reloading();
-                let answer = live.lock().await.obey(Command::Reload).await;
+                let answer = obey(live, Command::Reload).await;
                 notify.reloaded();
                 control::server::note(&Command::Reload, None, &answer);
             }
@@ -132,7 +133,7 @@ pub(super) fn serve(
     };
     let publishing = &config.publishing;
     let subscriptions =
-        subscription::Subscriptions::new(slow.session, publishing.subscribers, publishing.allow.clone());
+        subscription::Subscriptions::new(slow.descriptor, publishing.subscribers, publishing.allow.clone());
     let Slow { service, server, monitor, subscription_server, supervisor, stage, .. } = slow;
     let Fast { thread, mut ended } = fast;
     // A stalled fast thread is not joined: it ends with the process.
@@ -140,6 +141,7 @@ pub(super) fn serve(
     let result = main.block_on(async {
         let (mut terminate, mut interrupt) =
             (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
+        let mut cpu_limit = signal(SignalKind::from_raw(rustix::process::Signal::XCPU.as_raw()))?;
         let serving = async {
             let Some(Server { listener, frames, descriptor }) = server else {
                 stop.cancelled().await;
@@ -191,6 +193,10 @@ pub(super) fn serve(
             stalled = &mut watching => {
                 left_behind.set(true);
                 return Err(stalled.into());
+            }
+            _ = cpu_limit.recv() => {
+                let why = "SIGXCPU: the limit of CPU time for this process is reached (RLIMIT_CPU, LimitCPU=)";
+                Err(Failure::new(exit::SOFTWARE, why).into())
             }
             _ = terminate.recv() => Ok("SIGTERM"),
             _ = interrupt.recv() => Ok("SIGINT"),

@@ -9,7 +9,6 @@
 //! - [`table`], [`report`]: output.
 
 pub mod allan;
-pub mod csv_input;
 pub mod fit;
 pub mod live;
 pub mod observation;

@@ -1,6 +1,7 @@
 //! Parses lengths and angles with units.
 
 use crate::config::Axis;
+use crate::text::table::plain;
 
 const LENGTHS: &[(&str, f64)] = &[("um", 1e-6), ("µm", 1e-6), ("nm", 1e-9), ("mm", 1e-3), ("m", 1.0)];
 const ANGLES: &[(&str, f64)] = &[
@@ -26,11 +27,6 @@ pub fn unit(axis: Axis, name: &str) -> Option<f64> {
 pub fn allowed(axis: Axis) -> String {
     let names: Vec<_> = units(axis).iter().map(|(name, _)| *name).filter(|name| name.is_ascii()).collect();
     names.join(", ")
-}
-
-/// Replaces the minus sign U+2212, which some programs write, by the ASCII hyphen.
-pub fn plain(number: &str) -> String {
-    number.replace('\u{2212}', "-")
 }
 
 /// Why a text is not a length or an angle.

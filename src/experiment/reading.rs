@@ -1,16 +1,18 @@
 //! Readings of the sensor with their references, and their file format.
 
 use std::collections::HashSet;
+use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 
 use trifacet_wire::Status;
 use trifacet_wire::layout::{DEVIATIONS, POSE};
 
-use super::csv_input::{CsvInput, Row};
 use super::observation::Observation;
 use crate::config::Axis;
 use crate::exit::{self, Failure};
+use crate::text::TextReader;
+use crate::text::table::{Layout, Row, RowError, Table};
 
 /// Part of the experiment to which a reading belongs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -102,11 +104,11 @@ pub fn write(record: &Record, to: impl Write) -> std::io::Result<()> {
 /// # Errors
 /// Fails if the file cannot be read or contains an error. The message contains file and line.
 pub fn read(file: &Path) -> Result<Record, Failure> {
-    let mut sheet = CsvInput::open(file, &columns())?;
+    let mut table = open(file, &columns())?;
     let mut readings = Vec::new();
     let mut seen = HashSet::new();
-    while let Some(row) = sheet.next_row()? {
-        let reading = reading(&row)?;
+    while let Some(row) = table.next_row()? {
+        let reading = reading(&row).map_err(|e| row.wrong(e))?;
         let axis = reading.moved.map(|(axis, _)| axis as usize);
         if !seen.insert((reading.part as usize, axis, reading.point, reading.number)) {
             return Err(row.wrong("this reading occurs twice"));
@@ -121,30 +123,39 @@ pub fn read(file: &Path) -> Result<Record, Failure> {
     Ok(Record { source, options, readings })
 }
 
+/// Opens a table that must have these columns. Lines that begin with # are comments.
+pub(super) fn open(file: &Path, needed: &[&str]) -> Result<Table<File>, Failure> {
+    let name = file.display().to_string();
+    let bytes = File::open(file).map_err(|e| Failure::new(exit::IO, format!("cannot read {name}: {e}")))?;
+    Table::open(name, bytes, Layout { needed, optional: &[], aliases: &[], comments: true })
+}
+
 fn head(file: &Path) -> std::io::Result<[String; 2]> {
     let mut head = [String::new(), String::new()];
-    for line in BufReader::new(std::fs::File::open(file)?).lines() {
+    for line in BufReader::new(TextReader::new(File::open(file)?)?).lines() {
         let line = line?;
         if !line.starts_with('#') {
             break;
         }
         for (text, name) in head.iter_mut().zip(HEAD) {
             if let Some(said) = line.strip_prefix(name) {
-                said.trim().clone_into(text);
+                // A spreadsheet program adds a separator for each empty field.
+                said.trim_end_matches([',', ';', '\t', ' ']).trim().clone_into(text);
             }
         }
     }
     Ok(head)
 }
 
-fn reading(row: &Row) -> Result<Reading, Failure> {
+fn reading(row: &Row<'_>) -> Result<Reading, RowError> {
+    row.check_width()?;
     let part =
         row.parse("part", "table2, beyond or rest", |text| Part::ALL.into_iter().find(|p| p.name() == text))?;
     let moved = match part {
         Part::StaticRecord => None,
         _ => Some((axis(row)?, row.number("reference_si")?)),
     };
-    let six = |names: &[&str; 6]| -> Result<[f64; 6], Failure> {
+    let six = |names: &[&str; 6]| -> Result<[f64; 6], RowError> {
         let mut six = [0.0; 6];
         for (x, column) in six.iter_mut().zip(names) {
             *x = row.number(column)?;
@@ -156,11 +167,12 @@ fn reading(row: &Row) -> Result<Reading, Failure> {
         |text: &str| text.split_whitespace().try_fold(Status::default(), |all, name| Some(all | bit(name)?));
     let status = row.parse("status", "names of status bits separated by blanks", bits)?;
     if !status.has(Status::POSE_VALID) {
-        return Err(row.wrong("its status does not contain POSE_VALID: it is not a reading"));
+        let what = "its status does not contain POSE_VALID: it is not a reading";
+        return Err(RowError::Other(what.into()));
     }
     let sigmas = six(&DEVIATIONS)?.map(|x| x as f32);
     if !sigmas.iter().all(|x| *x > 0.0 && x.is_finite()) {
-        return Err(row.wrong("a standard uncertainty (sd_...) is not above 0"));
+        return Err(RowError::Other("a standard uncertainty (sd_...) is not above 0".into()));
     }
     Ok(Reading {
         part,
@@ -179,7 +191,7 @@ fn reading(row: &Row) -> Result<Reading, Failure> {
 }
 
 /// Parses the axis of a row.
-pub(super) fn axis(row: &Row) -> Result<Axis, Failure> {
+pub(super) fn axis(row: &Row<'_>) -> Result<Axis, RowError> {
     row.parse("axis", "tx, ty, tz, roll, pitch or yaw", |text| {
         Axis::ALL.into_iter().find(|a| a.name() == text)
     })

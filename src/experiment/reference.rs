@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::csv_input::CsvInput;
 use super::protocol::Course;
 use super::quantity;
-use super::reading::axis;
+use super::reading::{axis, open};
 use crate::config::Axis;
 use crate::exit::{self, Failure};
+use crate::text::table::{Row, RowError};
 
 /// Columns of the file. `unit` is that of `reference`; `point` counts from 1.
 pub const COLUMNS: [&str; 4] = ["axis", "unit", "point", "reference"];
@@ -29,19 +29,25 @@ enum PointsError {
 /// # Errors
 /// Fails if the file cannot be read or contains an error. The message contains file and line.
 pub fn read(file: &Path) -> Result<Vec<Course>, Failure> {
-    let mut sheet = CsvInput::open(file, &COLUMNS)?;
+    let mut table = open(file, &COLUMNS)?;
     let mut found: BTreeMap<(usize, u32), f64> = BTreeMap::new();
-    while let Some(row) = sheet.next_row()? {
-        let axis = axis(&row)?;
-        let allowed = format!("one of {} for {}", quantity::allowed(axis), axis.name());
-        let si = row.parse("unit", &allowed, |name| quantity::unit(axis, name))?;
-        let point: u32 = row.parse("point", "1, 2, 3, ...", |text| text.parse().ok().filter(|n| *n > 0))?;
-        let reference = row.number("reference")? * si;
+    while let Some(row) = table.next_row()? {
+        let (axis, point, reference) = point(&row).map_err(|e| row.wrong(e))?;
         if found.insert((axis as usize, point), reference).is_some() {
-            return Err(row.wrong(&format!("point {point} of {} occurs twice", axis.name())));
+            return Err(row.wrong(format!("point {point} of {} occurs twice", axis.name())));
         }
     }
     courses(&found).map_err(|what| Failure::new(exit::DATA, format!("{}: {what}", file.display())))
+}
+
+/// Axis, number and reference of a point.
+fn point(row: &Row<'_>) -> Result<(Axis, u32, f64), RowError> {
+    row.check_width()?;
+    let axis = axis(row)?;
+    let allowed = format!("one of {} for {}", quantity::allowed(axis), axis.name());
+    let si = row.parse("unit", &allowed, |name| quantity::unit(axis, name))?;
+    let point = row.parse("point", "1, 2, 3, ...", |text| text.parse().ok().filter(|n| *n > 0))?;
+    Ok((axis, point, row.number("reference")? * si))
 }
 
 /// The courses of all axes that have points.
@@ -93,7 +99,7 @@ mod tests {
             ("1,tx,zero,um\n", "reference is \"zero\": allowed is a finite number"),
             ("1,tx,0,um\n1,tx,1,um\n", ":3: point 1 of tx occurs twice"),
             ("1,tx,0,um\n3,tx,1,um\n", "point 2 of tx is missing, but point 3 exists"),
-            ("1,tx,0\n", "line: 2"),
+            ("1,tx,0\n", ":2: 3 fields where the header has 4"),
         ] {
             let error = of(rows).unwrap_err().message;
             assert!(error.contains(expected), "{error}");

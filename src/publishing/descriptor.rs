@@ -9,7 +9,7 @@ use trifacet_wire::stream::{Descriptor, FieldEntry, Heartbeat};
 use trifacet_wire::{LockState, Status};
 
 use super::publisher::StreamId;
-use crate::config::Model;
+use crate::config::{Config, Model};
 
 /// The facts about the stream that the descriptor needs from outside this module.
 #[derive(Clone, Copy, Debug)]
@@ -27,6 +27,22 @@ pub struct StreamFacts {
 }
 
 impl StreamFacts {
+    /// The facts of this configuration. `calibrated`: every PSD has a correction table.
+    pub fn new(id: StreamId, config: &Config, calibrated: bool) -> Self {
+        Self {
+            id,
+            sample_rate_hz: config.acquisition.rate_hz,
+            average: config.estimation.average,
+            model: config.estimation.model,
+            calibrated,
+        }
+    }
+
+    /// A stream of 1 kHz, for examples and tests.
+    pub fn example(id: StreamId) -> Self {
+        Self { id, sample_rate_hz: 1000.0, average: 1, model: Model::Ray, calibrated: false }
+    }
+
     /// The descriptor of this daemon.
     pub fn descriptor(&self) -> Descriptor {
         let (facts, average) = (self, self.average.max(1));

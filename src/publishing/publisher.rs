@@ -129,7 +129,7 @@ mod tests {
     use trifacet_core::utc::Reading;
 
     use super::*;
-    use crate::config::{Model, UdpTarget};
+    use crate::config::UdpTarget;
     use crate::publishing::descriptor::StreamFacts;
 
     #[derive(Clone)]
@@ -142,13 +142,7 @@ mod tests {
     }
 
     fn outlets() -> Outlets {
-        let facts = StreamFacts {
-            id: StreamId { session: 1, config: 2 },
-            sample_rate_hz: 1000.0,
-            average: 1,
-            model: Model::Ray,
-            calibrated: false,
-        };
+        let facts = StreamFacts::example(StreamId { session: 1, config: 2 });
         Outlets {
             datagrams: udp::Sender::new([udp::Supervisor::new(&[], None).targets()]),
             tcp: None,

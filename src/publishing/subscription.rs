@@ -1,4 +1,5 @@
-//! Leased subscriptions to datagrams. Pure: datagrams and times in, answers and the list of subscribers out.
+//! Leased subscriptions to datagrams, without a socket: datagrams and times in, answers and the list of subscribers
+//! out.
 //!
 //! The source address of a datagram can be forged. Therefore the daemon stores nothing about an address and
 //! sends no frames to it until the address has proved that it receives: the client must repeat a nonce, which
@@ -9,8 +10,9 @@ use std::hash::{BuildHasher, RandomState};
 use std::net::SocketAddr;
 use std::sync::Arc;
 
+use tokio::sync::watch;
 use trifacet_core::time::{Mono, NS_PER_S};
-use trifacet_wire::stream::{Delivery, SubscriptionRequest};
+use trifacet_wire::stream::{Delivery, Descriptor, SubscriptionRequest};
 
 use crate::config::Network;
 
@@ -43,7 +45,8 @@ pub struct Outcome {
 pub struct Subscriptions {
     /// Random, drawn when the daemon starts.
     key: RandomState,
-    session: u32,
+    /// States the present session.
+    descriptor: watch::Receiver<Descriptor>,
     most: usize,
     allow: Vec<Network>,
     leases: Vec<Lease>,
@@ -58,8 +61,8 @@ struct Lease {
 
 impl Subscriptions {
     /// An empty list for at most `most` subscribers from the networks in `allow`.
-    pub fn new(session: u32, most: usize, allow: Vec<Network>) -> Self {
-        Self { key: RandomState::new(), session, most, allow, leases: Vec::new() }
+    pub fn new(descriptor: watch::Receiver<Descriptor>, most: usize, allow: Vec<Network>) -> Self {
+        Self { key: RandomState::new(), descriptor, most, allow, leases: Vec::new() }
     }
 
     /// The current subscribers.
@@ -132,7 +135,8 @@ impl Subscriptions {
             }
         };
         let Delivery { divider, .. } = delivery;
-        granted(format!("ok lease_s={lease_s} divider={divider} session={:08x}", self.session), changed)
+        let session = self.descriptor.borrow().session;
+        granted(format!("ok lease_s={lease_s} divider={divider} session={session:08x}"), changed)
     }
 
     /// Ends a subscription that has just been granted and cannot be served, for this reason.
@@ -167,11 +171,15 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::publishing::StreamId;
+    use crate::publishing::descriptor::StreamFacts;
 
     const S: i64 = NS_PER_S;
 
     fn some() -> Subscriptions {
-        Subscriptions::new(0xab, 2, Network::loopback())
+        let id = StreamId { session: 0xab, config: 0 };
+        let (_, descriptor) = watch::channel(StreamFacts::example(id).descriptor());
+        Subscriptions::new(descriptor, 2, Network::loopback())
     }
 
     fn client(port: u16) -> SocketAddr {

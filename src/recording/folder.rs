@@ -1,4 +1,4 @@
-//! The folder of the recordings: file names, free space, deletion of old files.
+//! The folder of the recordings: file names, free space.
 
 use std::fs::{self, File, OpenOptions};
 use std::io;
@@ -20,7 +20,7 @@ pub struct Folder(pub PathBuf);
 /// A recording in the folder.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Recording {
-    /// Its path. Paths sort by the start time.
+    /// Its path. Paths sort by the start time, according to the clock of that time.
     pub path: PathBuf,
     /// Its size in bytes.
     pub bytes: u64,
@@ -30,6 +30,11 @@ impl Recording {
     /// Whether it is unfinished.
     pub fn unfinished(&self) -> bool {
         self.path.extension().is_some_and(|extension| extension == UNFINISHED)
+    }
+
+    /// Its path when it is finished.
+    pub fn finished(&self) -> PathBuf {
+        if self.unfinished() { self.path.with_extension("") } else { self.path.clone() }
     }
 
     /// Whether a process is writing it, this one or another. If that cannot be determined: true.
@@ -131,7 +136,7 @@ impl Folder {
         Ok(room.f_bavail.saturating_mul(room.f_frsize))
     }
 
-    /// All recordings, oldest first.
+    /// All recordings, sorted by name.
     ///
     /// # Errors
     /// The folder cannot be read.
@@ -148,42 +153,10 @@ impl Folder {
         recordings.sort();
         Ok(recordings)
     }
-
-    /// Deletes the oldest recordings until `wanted` bytes are left within `budget` bytes. Files in use are
-    /// kept. Returns the deleted recordings.
-    ///
-    /// # Errors
-    /// The folder cannot be read.
-    pub fn make_room(&self, budget: u64, wanted: u64) -> io::Result<Vec<Recording>> {
-        let all = self.list()?;
-        let mut taken: u64 = all.iter().map(|r| r.bytes).sum();
-        let mut deleted = Vec::new();
-        for recording in all {
-            if taken + wanted <= budget {
-                break;
-            }
-            if recording.in_use() {
-                continue;
-            }
-            match fs::remove_file(&recording.path) {
-                Ok(()) => {
-                    taken -= recording.bytes;
-                    deleted.push(recording);
-                }
-                // It has been renamed or deleted since it was listed.
-                Err(e) if e.kind() == io::ErrorKind::NotFound => {}
-                Err(e) => tracing::warn!(
-                    file = %recording.path.display(),
-                    "cannot delete an old recording to stay within recording.budget_gb: {e}"
-                ),
-            }
-        }
-        Ok(deleted)
-    }
 }
 
 /// The file name of a recording that begins at this time: `trifacet-20260102T030405.678Z.mcap`.
-fn name(time_ns: i64) -> String {
+pub(super) fn name(time_ns: i64) -> String {
     let time = Timestamp::from_nanosecond(time_ns.into()).unwrap_or(Timestamp::UNIX_EPOCH);
     format!("trifacet-{}.mcap", time.strftime("%Y%m%dT%H%M%S.%3fZ"))
 }
@@ -219,33 +192,5 @@ mod tests {
         for other in ["notes.txt", "trifacet.mcap", "trifacet-20260102T030405.678Z.mcap.bak", ".part"] {
             assert!(!is_ours(other), "{other}");
         }
-    }
-
-    #[test]
-    fn only_the_oldest_own_recordings_are_deleted() {
-        let dir = tempfile::tempdir().unwrap();
-        let folder = Folder(dir.path().to_owned());
-        let foreign = dir.path().join("aaa.mcap");
-        fs::write(&foreign, [0; 1000]).unwrap();
-        let mut open = Vec::new();
-        for second in 0..5 {
-            let (file, path) = folder.create(second * 1_000_000_000).unwrap();
-            file.set_len(100).unwrap();
-            assert!(path.to_str().unwrap().ends_with(".mcap.part"));
-            open.push(file);
-        }
-        let (_open, other) = folder.create(0).unwrap();
-        assert!(other.to_str().unwrap().contains("000000.001Z"), "no file is overwritten");
-        assert!(folder.make_room(350, 100).unwrap().is_empty(), "all but one are being written");
-        open.drain(1..);
-        let deleted = folder.make_room(350, 100).unwrap();
-        assert_eq!(deleted.len(), 3, "{deleted:?}");
-        let left: Vec<String> = folder.list().unwrap().iter().map(|r| r.path.display().to_string()).collect();
-        let names = ["000000.000Z", "000000.001Z", "000004.000Z"];
-        assert!(
-            left.len() == 3 && left.iter().zip(names).all(|(path, name)| path.contains(name)),
-            "{left:?}"
-        );
-        assert!(foreign.exists());
     }
 }

@@ -6,10 +6,11 @@
 //! - [`codec`]: entries to messages and back.
 //! - [`reader`]: a file to entries, skipping damaged parts.
 //! - [`writer`]: messages to a file. [`ring`]: the last seconds in memory.
-//! - [`folder`], `output`, `disk`: the files.
+//! - [`folder`], `output`, `disk`: the files. `budget`: deletes old ones.
 //! - [`recorder`]: the thread that writes. [`trigger`]: detects faults.
 //! - [`handle`]: the interface of the recorder.
 
+mod budget;
 pub mod codec;
 mod disk;
 pub mod entry;

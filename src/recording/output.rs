@@ -52,7 +52,7 @@ impl Write for Tail {
         match (&*self.file).write(bytes) {
             Err(e) if e.kind() != io::ErrorKind::Interrupted => {
                 self.failed.store(true, Ordering::Relaxed);
-                Err(e)
+                Err(explained(e))
             }
             done => {
                 self.written.fetch_add(*done.as_ref().unwrap_or(&0) as u64, Ordering::Relaxed);
@@ -64,6 +64,15 @@ impl Write for Tail {
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
     }
+}
+
+/// Adds the remedy to the error of a file that has reached its largest size.
+fn explained(error: io::Error) -> io::Error {
+    if error.kind() != io::ErrorKind::FileTooLarge {
+        return error;
+    }
+    let remedy = "reduce recording.rotate_mb, or raise the limit of the process (RLIMIT_FSIZE, LimitFSIZE=)";
+    io::Error::new(error.kind(), format!("{error}; {remedy}"))
 }
 
 impl Output {

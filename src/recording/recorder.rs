@@ -35,6 +35,7 @@ use trifacet_core::telemetry::Counters;
 use trifacet_core::time::{Clock, Mono, NS_PER_S};
 
 use super::Entry;
+use super::budget::Budget;
 use super::codec::Encoder;
 use super::disk::Disk;
 use super::entry::RecordReceiver;
@@ -61,6 +62,7 @@ struct Recorder {
     config: RecordingConfig,
     compression: Option<mcap::Compression>,
     folder: Folder,
+    budget: Budget,
     receiver: RecordReceiver,
     asked: mpsc::Receiver<Asked>,
     disk: Disk,
@@ -112,6 +114,7 @@ impl Recorder {
         Self {
             compression,
             folder: Folder(config.folder.clone()),
+            budget: Budget::new((config.budget_gb * 1e9) as u64),
             receiver,
             asked,
             disk,

@@ -19,6 +19,7 @@ const BAD: &[(&str, &[&str])] = &[
     ("[head\n", &["lab.toml:1:", "not TOML"]),
     ("\n\nx = = 1", &["lab.toml:3:", "not TOML"]),
     ("[head]\npsd_size_mm = 13\npsd_size_mm = 12\n", &["lab.toml:3:1: ", "duplicate key"]),
+    ("[head]\rpsd_size_mm = 13\r", &["lab.toml:1:", "not TOML", "carriage return must be followed by newline"]),
     // Unknown keys
     ("[heda]\n", &["lab.toml:1:2: heda is not a key", "did you mean head?", "acquisition, channels"]),
     ("[head]\npsd_distance = 250\n", &["lab.toml:2:1: head.psd_distance is not a key", "did you mean psd_distance_mm?"]),
@@ -170,6 +171,51 @@ fn valid_files_set_the_configured_values() {
     assert_eq!(config.twin.fault[0].for_s, Some(2.5));
     let off = |text: &str| parse(text, None).unwrap();
     assert_eq!(off("twin.steering.readback_noise_um = 1").twin.steering.readback_noise_um, Some(1.0));
+}
+
+#[test]
+fn a_file_with_a_byte_order_mark_is_read_and_another_encoding_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("lab.toml");
+    let load = |bytes: &[u8]| {
+        std::fs::write(&file, bytes).unwrap();
+        trifacet::config::load(Some(&file))
+    };
+    let config = load("\u{feff}acquisition.rate_hz = 50\r\n# \u{b5}m".as_bytes()).unwrap();
+    assert_eq!(config.acquisition.rate_hz, 50.0);
+    // The place does not count the byte order mark.
+    let error = load("\u{feff}acquisition.rate = 50\r\n".as_bytes()).unwrap_err().to_string();
+    assert!(error.contains("lab.toml:1:13: acquisition.rate is not a key"), "{error}");
+    let utf16: Vec<u8> = "\u{feff}[log]".encode_utf16().flat_map(u16::to_le_bytes).collect();
+    for (bytes, told) in [
+        (&utf16[..], "lab.toml:1:1: the text is in UTF-16; allowed is UTF-8"),
+        (&utf16[2..], "lab.toml:1:2: a zero byte: the text is in UTF-16"),
+        (
+            b"# ok\n# 5 \xb5m",
+            "lab.toml:2:5: the byte 0xb5 is not UTF-8; in Latin-1 and Windows-1252 it is \"\u{b5}\"",
+        ),
+    ] {
+        let error = load(bytes).unwrap_err().to_string();
+        assert!(error.contains(told), "{error}");
+    }
+}
+
+#[test]
+fn a_correction_table_of_a_spreadsheet_is_read_and_errors_have_their_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("lab.toml");
+    std::fs::write(&file, "channels.a.correction = 'a.csv'\n").unwrap();
+    let points = "u_m,v_m,du_m,dv_m\n-0.007,-0.007,1.5e-6,0\n0.007,-0.007,1.5e-6,0\n-0.007,0.007,1.5e-6,0\n0.007,0.007,1.5e-6,0\n";
+    let read = |text: &str| {
+        std::fs::write(folder.path().join("a.csv"), text).unwrap();
+        trifacet::config::load(Some(&file)).unwrap().read_channels()
+    };
+    let plain = read(points).unwrap();
+    let german = points.replace(',', ";").replace('.', ",").replace('\n', "\r\n");
+    let read_german = read(&format!("\u{feff}{german}")).unwrap();
+    assert_eq!(format!("{read_german:?}"), format!("{plain:?}"));
+    let error = read(&format!("# by hand\n{points}0,1,2,3,4\n")).unwrap_err().to_string();
+    assert!(error.contains("a.csv:7: 5 fields where the header has 4"), "{error}");
 }
 
 #[test]

@@ -23,6 +23,7 @@ mod monitor;
 mod page;
 mod recording;
 mod replay;
+mod rewriting;
 mod serial_board;
 mod shipped_files;
 mod simulate;

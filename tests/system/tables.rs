@@ -149,6 +149,82 @@ fn columns_are_identified_by_name_in_any_order_and_quoting() {
     assert_eq!(cell.split('e').next().unwrap().len(), "1.0123456789012345".len(), "{cell}");
 }
 
+/// Tables as spreadsheet programs save them.
+#[test]
+fn separators_decimal_commas_and_line_ends_do_not_matter() {
+    let plain = "tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad\n1e-4,-2.5e-4,0,0.001,0,-0.5e-3\n0,0,0,0,0,1e-3\n";
+    let expected = trifacet(&["trace"], plain.as_bytes());
+    assert!(expected.status.success(), "{}", stderr(&expected));
+    let semicolons = plain.replace(',', ";");
+    let german = plain.replace(',', ";").replace('.', ",");
+    let table = [
+        semicolons.clone(),
+        german.clone(),
+        german.replace(';', "\t"),
+        german.replace(';', "\t").replace("0,001", "1,000e-3").replace("-0,5e-3", "-0,500e-3"),
+        format!("\u{feff}{}", german.replace('\n', "\r\n")),
+        german.replace('\n', "\r"),
+        plain.replace('\n', "\r"),
+        german.replace("1e-4", "\"1e-4\"").replace("-2,5", "\u{2212}2,5"),
+        plain.replace("tx_m", "note,tx_m").replace("1e-4", "a;b,1e-4").replace("\n0,", "\nc;d,0,")
+            + ",,,,,,\n",
+    ];
+    for text in table {
+        let output = trifacet(&["trace"], text.as_bytes());
+        assert!(output.status.success(), "{text:?}: {}", stderr(&output));
+        assert_eq!(output.stdout, expected.stdout, "{text:?}");
+    }
+}
+
+#[test]
+fn ambiguous_numbers_and_other_encodings_are_named() {
+    let header = "tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad";
+    let semicolons = header.replace(',', ";");
+    let utf16: Vec<u8> = header.encode_utf16().flat_map(u16::to_be_bytes).collect();
+    for (input, told) in [
+        (
+            format!("{header}\n0,1,0,0,0,0,0\n").into_bytes(),
+            ":2: 7 fields where the header has 6; numbers may have a decimal comma only if",
+        ),
+        (
+            format!("{header}\n\"0,1\",0,0,0,0,0\n").into_bytes(),
+            ":2: tx_m is \"0,1\": allowed is a finite number; a decimal comma only if",
+        ),
+        (
+            format!("{semicolons}\n0,1;0;0;0;0;0.2\n").into_bytes(),
+            ":2: yaw_rad is \"0.2\": allowed is a number with the decimal mark of the rows before, \",\"",
+        ),
+        (
+            format!("{}\n1,234\t0\t0\t0\t0\t0\n", header.replace(',', "\t")).into_bytes(),
+            ":2: tx_m is \"1,234\": allowed is a number with a clear decimal mark",
+        ),
+        (format!("{header},beam_dx_m,beam_dx_m\n").into_bytes(), ":1: the column beam_dx_m occurs twice"),
+        (
+            format!("{semicolons}\n1.000,5;0;0;0;0;0\n").into_bytes(),
+            ":2: tx_m is \"1.000,5\": allowed is a finite number without thousands",
+        ),
+        (
+            format!("{}\n", header.replace(',', " ")).into_bytes(),
+            ":1: the column tx_m is missing; required are tx_m",
+        ),
+        (
+            format!("{}\n", header.replace(',', "|")).into_bytes(),
+            "separated by commas, semicolons or tabs, but the first line is \"tx_m|ty_m",
+        ),
+        ([b"\xfe\xff", &utf16[..]].concat(), ":1:1: the text is in UTF-16"),
+        (utf16.clone(), ":1:1: a zero byte: the text is in UTF-16"),
+        (format!("{header}\r\n0,0,0,0\0,0,0\r\n").into_bytes(), ":2:8: a zero byte"),
+        (
+            [header.as_bytes(), b"\n0,0,0,0,\xb5,0\n"].concat(),
+            ":2: pitch_rad contains the byte 0xb5, which is not UTF-8",
+        ),
+    ] {
+        let output = trifacet(&["trace"], &input);
+        assert_eq!(output.status.code(), Some(65), "{told}: {}", stderr(&output));
+        assert!(stderr(&output).contains(told), "{told}: {}", stderr(&output));
+    }
+}
+
 #[test]
 fn an_invalid_row_is_reported_and_the_others_are_processed() {
     let rows = "tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad\r\n\
@@ -163,9 +239,9 @@ fn an_invalid_row_is_reported_and_the_others_are_processed() {
     assert_eq!(output.status.code(), Some(65));
     let told = stderr(&output);
     for line in [
-        "standard input:4: ty_m is \"zero\", not a finite number",
+        "standard input:4: ty_m is \"zero\": allowed is a finite number",
         "standard input:5: 3 fields where the header has 6",
-        "standard input:6: tz_m is \"nan\", not a finite number",
+        "standard input:6: tz_m is \"nan\": allowed is a finite number",
         "standard input:7: the light from facet A falls off its PSD",
         "standard input: 4 of 6 rows could not be processed",
     ] {

@@ -57,7 +57,7 @@ pub async fn obey(
     };
     match order.command.parse() {
         Ok(command) if allowed(&command) => {
-            let answer = controls.live.lock().await.obey(command).await;
+            let answer = control::live::obey(&controls.live, command).await;
             control::server::note(&command, None, &answer);
             Json(answer).into_response()
         }

@@ -7,7 +7,9 @@ use trifacet_core::time::{Clock, Mono};
 use super::fault_reason::FaultReason;
 use super::{ROOM, Recorder, leftovers};
 use crate::clock::SystemClock;
+use crate::clock::utc::read_clocks;
 use crate::config::RecordingMode;
+use crate::recording::budget::in_future;
 use crate::recording::codec::Encoded;
 use crate::recording::output::Output;
 use crate::recording::ring::Ring;
@@ -24,6 +26,16 @@ impl Recorder {
         let all = self.folder.list().unwrap_or_default();
         for left in all.iter().filter(|recording| recording.unfinished() && !recording.in_use()) {
             leftovers::report(left);
+        }
+        let now_ns = read_clocks().1;
+        let future: Vec<_> = all.iter().filter(|recording| in_future(recording, now_ns)).collect();
+        if let Some(first) = future.first() {
+            tracing::warn!(
+                files = future.len(),
+                first = %first.path.display(),
+                "recordings have names later than the present time; for recording.budget_gb they count as the \
+                 oldest; the clock is wrong, or was wrong when they were recorded"
+            );
         }
     }
 
@@ -88,11 +100,10 @@ impl Recorder {
         let folder = || self.folder.0.clone();
         let unusable = |source| FaultReason::Folder { folder: folder(), source };
         self.folder.make().map_err(unusable)?;
-        let [budget, next] =
-            [self.config.budget_gb * 1e9, self.config.rotate_mb * 1e6].map(|bytes| bytes as u64);
+        let next = (self.config.rotate_mb * 1e6) as u64;
         let deleted = self
-            .folder
-            .make_room(budget, next)
+            .budget
+            .make_room(&self.folder, next, read_clocks().1)
             .map_err(|source| FaultReason::List { folder: folder(), source })?;
         for old in deleted {
             self.counters.recording_deletions.inc();
@@ -108,6 +119,7 @@ impl Recorder {
             .map_err(|source| FaultReason::Create { folder: folder(), source })?;
         tracing::info!(file = %output.path.display(), "recording");
         self.counters.recording_files.inc();
+        self.budget.began(&output.path);
         self.state.file(Some(output.path.clone()));
         self.encoder.restart();
         self.output = Some(output);

@@ -5,3 +5,4 @@ mod reload;
 mod socket;
 mod steer;
 mod tare;
+mod unreadable;

@@ -170,6 +170,9 @@ fn the_log_level_changes() {
     let mut daemon = Lab::start(AT_REST);
     daemon.rewrite("format = \"json\"", "format = \"json\"\nlevel = \"warn\"");
     daemon.told(&["reload"]);
+    // The new level applies after the message about it.
+    let line = daemon.message("configuration: log.level = \"warn\", was ");
+    assert_eq!(line["level"], "INFO", "{line}");
     daemon.told(&["gains", "0.1", "100"]); // an info
     daemon.ctl(&["gains", "99", "100"]); // a warning
     let line = daemon.message("control");

@@ -43,6 +43,24 @@ fn when_the_daemon_is_killed_the_board_holds_or_parks_at_the_end_of_the_lease() 
     }
 }
 
+/// The system sends this signal when a process has used its CPU time (RLIMIT_CPU).
+#[test]
+fn at_the_limit_of_cpu_time_the_daemon_ends_in_order_with_an_error() {
+    let mut board = Board::start(OFF);
+    let mut daemon =
+        Daemon::on_port(&board.link(), "steering.on_exit = \"park\"\nsteering.park_um = [-40.0, 10.0]");
+    daemon.client().locked();
+    daemon.signal(Signal::XCPU);
+    assert_eq!(daemon.end().code(), Some(70), "{:#?}", daemon.log);
+    assert!(
+        daemon.said("the limit of CPU time") && daemon.said("steering acknowledged its last command"),
+        "{:#?}",
+        daemon.log
+    );
+    let [x, y] = output_um(&board.until(|status| status["started"] == false));
+    assert!((x + 40.0).hypot(y - 10.0) < 3.0, "{x} {y}");
+}
+
 #[test]
 fn at_shutdown_the_steering_is_held_or_parked_and_acknowledged() {
     let parking = "steering.on_exit = \"park\"\nsteering.park_um = [-40.0, 10.0]";

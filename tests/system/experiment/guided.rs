@@ -143,8 +143,12 @@ fn references_come_from_a_file_and_invalid_answers_are_prompted_again() {
     let (_daemon, _stream, at) = daemon(REST);
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("lab.csv");
-    std::fs::write(&file, "axis,unit,point,reference\nyaw,urad,1,-10\nyaw,urad,2,0\nyaw,urad,3,10.5\n")
-        .unwrap();
+    // As a spreadsheet program saves it in many countries.
+    std::fs::write(
+        &file,
+        "\u{feff}axis;unit;point;reference\r\nyaw;urad;1;-10\r\nyaw;urad;2;0\r\nyaw;urad;3;10,5\r\n",
+    )
+    .unwrap();
     let out = folder.path().join("out");
     let arguments = [
         "--connect",

@@ -58,7 +58,7 @@ fn a_full_disk_is_reported_and_leaves_no_files() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     // Files may not grow beyond 100 kB in this shell: writing fails as on a full disk.
-    let script = "ulimit -f 100; trap '' XFSZ; exec \"$@\"";
+    let script = "ulimit -f 100; exec \"$@\"";
     let output = std::process::Command::new("bash")
         .args(["-c", script, "-", env!("CARGO_BIN_EXE_trifacet"), "experiment", "--paper-only", "--out"])
         .arg(&out)
@@ -79,7 +79,7 @@ fn file(folder: &Path, text: &str) -> String {
 fn invalid_references_are_reported_with_their_line() {
     let folder = tempfile::tempdir().unwrap();
     for (text, told) in [
-        ("axis,unit,reference\n", "the column point is missing; required are axis,unit,point,reference"),
+        ("axis,unit,reference\n", "the column point is missing; required are axis, unit, point, reference"),
         ("axis,unit,point,reference,reference\n", "the column reference occurs twice"),
         ("axis,unit,point,reference\n", "the file contains no readings"),
         (
@@ -95,6 +95,16 @@ fn invalid_references_are_reported_with_their_line() {
     ] {
         let file = file(folder.path(), text);
         refuses(&["--reference", &file], 65, &[told, "in.csv"]);
+    }
+    let utf16: Vec<u8> = "\u{feff}axis;unit".encode_utf16().flat_map(u16::to_le_bytes).collect();
+    for (bytes, told) in [
+        (&utf16[..], "in.csv:1:1: the text is in UTF-16"),
+        (b"axis;unit;point;reference\r\ntx;um;1;0,5\r\ntx;um;2;1.5\r\n", "in.csv:3: reference is \"1.5\""),
+        (b"axis,unit,point,reference\ntx,\xb5m,1,0\n", "in.csv:2: unit contains the byte 0xb5"),
+    ] {
+        let file = folder.path().join("in.csv");
+        fs::write(&file, bytes).unwrap();
+        refuses(&["--reference", file.to_str().unwrap()], 65, &[told]);
     }
     let good = file(folder.path(), "axis,unit,point,reference\ntx,um,1,0\ntx,um,2,1\ntx,um,3,2\n");
     refuses(&["--reference", &good, "--axes", "yaw"], 65, &["no readings of yaw"]);
@@ -129,7 +139,7 @@ fn invalid_readings_are_reported_with_their_line() {
             text.lines().filter(|line| !line.contains(",tx,2,")).flat_map(|line| [line, "\n"]).collect(),
             "tx point 2 is missing",
         ),
-        (lines(5) + "table2,tx,1\n", "line: 6"),
+        (lines(5) + "table2,tx,1\n", ":6: 3 fields where the header has"),
         (lines(13).replace(",tx,4,1,", ",tx,3,4,"), "tx point 3: its readings have different references"),
     ] {
         let file = file(folder.path(), &text);

@@ -79,6 +79,36 @@ fn files_are_contiguous_and_the_oldest_are_deleted() {
     }
 }
 
+/// Recordings of a time when the clock of the machine was wrong.
+#[test]
+fn names_from_the_future_are_deleted_before_any_other() {
+    let home = Folder::new();
+    let recordings = home.path("recordings");
+    std::fs::create_dir(&recordings).unwrap();
+    let names = ["20010101T000000.000Z", "20990102T000000.000Z", "20990101T000000.000Z"];
+    let [old, later, sooner] = names.map(|time| {
+        let path = recordings.join(format!("trifacet-{time}.mcap"));
+        std::fs::write(&path, vec![0; 900_000]).unwrap();
+        path.display().to_string()
+    });
+    let mut daemon = Recorder::start_in(
+        &home,
+        "acquisition.rate_hz = 4000\nrecording.mode = \"always\"\nrecording.compression = \"none\"\n\
+         recording.rotate_mb = 1\nrecording.budget_gb = 0.003",
+        &[],
+    );
+    let warning = daemon.message("recordings have names later than the present time");
+    assert_eq!((&warning["files"], warning["first"].as_str()), (&2.into(), Some(&*sooner)), "{warning}");
+    let mut deleted = Vec::new();
+    for _ in 0..5 {
+        let line = daemon.message("deleted to stay within recording.budget_gb");
+        deleted.push(line["file"].as_str().unwrap().to_owned());
+    }
+    daemon.stop();
+    assert_eq!(deleted[..3], [sooner, later, old], "{deleted:?}");
+    assert!(deleted[3] < deleted[4], "today's in their order: {deleted:?}");
+}
+
 #[test]
 fn the_name_of_a_file_is_the_time_of_its_start() {
     let mut daemon = Recorder::start("acquisition.rate_hz = 500");

@@ -25,6 +25,20 @@ fn all_frames_are_identical_and_the_exit_code_is_0() {
     }
 }
 
+/// A recording contains its correction tables: it can be replayed on another machine.
+#[test]
+fn the_files_of_correction_tables_are_not_needed() {
+    let lab = Lab::new();
+    let corners = ["-0.007,-0.007", "0.007,-0.007", "-0.007,0.007", "0.007,0.007"];
+    let rows: String = corners.iter().flat_map(|corner| [corner, ",5e-5,0\n"]).collect();
+    let table = lab.write("a.csv", format!("u_m,v_m,du_m,dv_m\n{rows}"));
+    let file = lab.record("a.mcap", "channels.a.correction = 'a.csv'", 2000);
+    std::fs::remove_file(table).unwrap();
+    let done = on(&["replay"], &file);
+    assert_eq!(done.code, 0, "{}", done.err);
+    assert!(done.out.contains("2000 of 2000 frames are identical"), "{}", done.out);
+}
+
 #[test]
 fn another_configuration_gives_statistics_and_a_recording_of_its_own() {
     let lab = Lab::new();

@@ -30,6 +30,12 @@ pub(crate) fn on(args: &[&str], file: &Path) -> Done {
     run(trifacet(args).arg(file))
 }
 
+/// Whether something that a test needs is absent; the test is then skipped, except in `.ci/run`.
+pub(crate) fn lacks(present: bool, what: &str) -> bool {
+    assert!(present || std::env::var_os("CI").is_none(), "this test needs {what}");
+    !present
+}
+
 /// A child process that is killed at the end of its test.
 pub(crate) struct Killed(pub(crate) Child);
 

@@ -1,0 +1,67 @@
+//! `reload`: takes over changes of the configuration file.
+
+use std::fmt::Display;
+use std::path::Path;
+
+use serde_json::{Value, json};
+use tokio::sync::Mutex;
+
+use super::RunningConfig;
+use super::config_file::Access;
+use super::live::ChannelMap;
+use crate::config::reload::{Reload, reload};
+use crate::config::{self, CalibrationContext};
+use crate::exit::{self, Failure};
+
+/// Reads the file again, and takes over the changes that do not need a restart. The daemon executes other
+/// commands while it reads.
+///
+/// # Errors
+/// Fails if the file cannot be read or is not valid, or if the changes cannot be put in force.
+pub(super) async fn take_over_file(live: &Mutex<RunningConfig>, file: Access) -> Result<Value, Failure> {
+    // The access is kept to the end, so that no other command writes the file in the meantime.
+    let (context, _file) = file.run(read).await.map_err(|e| unchanged(e.code, &e))?;
+    live.lock().await.take_over(&context).await
+}
+
+/// Reads the configuration and its correction tables. Blocks.
+fn read(file: &Path) -> Result<Box<CalibrationContext>, Failure> {
+    let wrong = |e: &dyn Display| Failure::new(exit::CONFIG, e.to_string());
+    let config = config::load_again(file).map_err(|e| wrong(&e))?;
+    CalibrationContext::read(config).map(Box::new).map_err(|e| wrong(&e))
+}
+
+fn unchanged(code: u8, why: &dyn Display) -> Failure {
+    Failure::new(code, format!("configuration unchanged: {why}"))
+}
+
+impl RunningConfig {
+    async fn take_over(&mut self, file: &CalibrationContext) -> Result<Value, Failure> {
+        let (plan, channels) = self.plan(file).map_err(|e| unchanged(exit::CONFIG, &e))?;
+        let Reload { running, taken, changed, refused } = *plan;
+        self.go_on_with(running, channels).await?;
+        self.taken = taken;
+        let mut answer = json!({ "changed": changed, "refused": refused, "config": self.id() });
+        if !refused.is_empty() {
+            answer["error"] = format!("these changes need a restart: {}", refused.join(", ")).into();
+            answer["code"] = exit::DATA.into();
+        }
+        Ok(answer)
+    }
+
+    /// What changes with this file, with the new channel map if it changes.
+    fn plan(&self, file: &CalibrationContext) -> anyhow::Result<(Box<Reload>, Option<ChannelMap>)> {
+        let CalibrationContext { config, tables } = file;
+        let mut plan = Box::new(reload(&self.running, &self.taken, config)?);
+        let map = plan.running.channels != self.running.channels;
+        // The contents of a correction table may have changed.
+        if !map && *tables == self.tables {
+            return Ok((plan, None));
+        }
+        if !map {
+            plan.changed.push("channels (the contents of a correction table)".into());
+        }
+        let channels = plan.running.channels(tables)?;
+        Ok((plan, Some((channels, tables.clone()))))
+    }
+}
