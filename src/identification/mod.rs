@@ -6,12 +6,14 @@
 //! - `probe`: checks whether the beam responds within a dwell time.
 //! - [`task`]: receives samples, makes the steps, and returns the stage. It takes the place of centering.
 //! - [`record`]: the steps and observations of a measurement.
+//! - [`origin`]: what a large origin can mean.
 //! - [`findings`]: the resulting keys of the configuration, and whether they can be trusted.
 //!
 //! Everything but the task is pure.
 
 pub mod findings;
 pub mod observation;
+pub mod origin;
 pub mod plan;
 mod probe;
 pub mod record;
