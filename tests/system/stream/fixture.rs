@@ -45,8 +45,7 @@ pub(crate) async fn start(limits: Limits) -> Server {
 }
 
 pub(crate) fn descriptor() -> Descriptor {
-    StreamFacts { model: Model::Gaussian, ..StreamFacts::example(ID) }
-        .descriptor()
+    StreamFacts { model: Model::Gaussian, ..StreamFacts::example(ID) }.descriptor()
 }
 
 /// A plain, valid frame.
