@@ -22,6 +22,8 @@ const FEW: f64 = 0.1;
 /// After this many agreements, a single disagreement is an error of the tick; after a series of disagreements,
 /// this many agreements are needed.
 const CONFIRMED: u32 = 10;
+/// Two sample rates are the same within this part.
+const SAME_RATE: f64 = 0.01;
 /// In a trial, a counter is right if it agrees with the clock of the host to this part.
 const RIGHT: f64 = 0.05;
 
@@ -54,6 +56,8 @@ pub enum TickFault {
         /// As declared, Hz.
         declared_hz: f64,
     },
+    /// The board samples at the right rate on average, but irregularly; its tick is right.
+    Irregular,
     /// The board's clock has gained time that did not pass on the host: it jumped, or the host slept.
     Ahead {
         /// The time that it gained, nanoseconds.
@@ -82,6 +86,7 @@ impl fmt::Display for TickFault {
             Self::Rate { measured_hz, declared_hz } => {
                 write!(f, "the tick runs at {measured_hz:.4e} Hz; the board declares {declared_hz:.4e} Hz")
             }
+            Self::Irregular => write!(f, "the board samples irregularly: a scan differs by half a period"),
             Self::Ahead { ns } => {
                 write!(
                     f,
@@ -319,7 +324,12 @@ impl DeviceClock {
             self.period_ns = trial.tick_ns / trial.periods as f64;
             let [measured_hz, answered_hz] =
                 [self.period_ns, self.answered_ns].map(|period_ns| NS_PER_S as f64 / period_ns);
-            return TickFault::SampleRate { measured_hz, answered_hz };
+            let irregular = (measured_hz / answered_hz - 1.0).abs() < SAME_RATE;
+            return if irregular {
+                TickFault::Irregular
+            } else {
+                TickFault::SampleRate { measured_hz, answered_hz }
+            };
         }
         self.trust = Trust::Sequence;
         if !is_right(trial.periods as f64 * self.period_ns) {
