@@ -44,7 +44,7 @@ use crate::logging::Logging;
 use crate::monitor::view::{self, View};
 use crate::publishing::descriptor::StreamFacts;
 use crate::publishing::subscription_server::SubscriptionServer;
-use crate::publishing::{Outlets, Publisher, StreamId, subscription_server, udp};
+use crate::publishing::{Outlets, Publisher, StreamId, subscription_server, tcp, udp};
 use crate::recording;
 use crate::replay::RecordingHeader;
 use crate::service::Service;
@@ -81,6 +81,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let (to_tcp, frames) = mpsc::channel(TO_MAIN);
     let (to_monitor, monitored) = mpsc::channel(TO_MAIN);
     let [server, monitor] = main.block_on(async { listeners(config) })?;
+    let (lock, lock_now) = watch::channel(None);
     let (config_in_force, config_now) = watch::channel(config.clone());
     let (records, recording, recorder) =
         recording::recorder::start(&config.recording, &counters).context("cannot start the recorder")?;
@@ -106,6 +107,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         counters: Arc::clone(&counters),
         heartbeats: Arc::clone(&heartbeats),
         glance,
+        lock,
         stop: CancellationToken::new(),
         records,
         context: Arc::clone(context),
@@ -131,6 +133,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         heartbeats: Arc::clone(&heartbeats),
         recording: recording.clone(),
         receivers: receivers.clone(),
+        lock: lock_now.clone(),
         started,
     }));
     let view = View::new(view::Sources {
@@ -138,13 +141,15 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         descriptor: descriptor_now.clone(),
         config: config_now,
         receivers,
+        lock: lock_now.clone(),
         heartbeats,
         control: PageControls::of(&config.monitor, &live),
         recording: recording.state,
     });
+    let sources = tcp::Sources { descriptor: descriptor_now.clone(), lock: lock_now };
     let slow = Slow {
         service: &service,
-        server: server.map(|listener| Server { listener, frames, descriptor: descriptor_now.clone() }),
+        server: server.map(|listener| Server { listener, frames, sources }),
         monitor: monitor.map(|listener| Monitor { listener, frames: monitored, view }),
         subscription_server,
         supervisor,
@@ -154,10 +159,15 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let control = control(live, socket, Hangups { signal: hangup, terminal }, &service.notify);
     let result = serve(&main, config, slow, control, fast, &counters, &stop);
     recorder.join();
-    let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
-    tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
+    log_totals(&counters);
     main.shutdown_background(); // do not wait for pending opens of ports or name look-ups
     result
+}
+
+/// Logs all counters that have counted something.
+fn log_totals(counters: &Counters) {
+    let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
+    tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
 }
 
 /// Opens the port for subscriptions and the sockets of the targets.

@@ -35,7 +35,7 @@ impl ReceivedFrames {
             Message::Pose(frame) => self.frame(&frame, now_ns),
             Message::Descriptor(descriptor) => self.descriptor = Some(descriptor),
             Message::Heartbeat(heartbeat) => self.heartbeat = Some(heartbeat),
-            Message::Answer(_) | Message::Refusal(_) => {}
+            Message::Event(_) | Message::Answer(_) | Message::Refusal(_) => {}
         }
     }
 
