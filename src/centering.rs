@@ -8,7 +8,7 @@ use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 use trifacet_core::centering::centering::Centering;
-use trifacet_core::centering::lock::Transition;
+use trifacet_core::centering::lock::{LockCause, LockCondition, Transition};
 use trifacet_core::centering::{LoopParams, LoopRefusal, LoopState, LoopView, TimedPose};
 use trifacet_core::estimation::PoseReport;
 use trifacet_core::signals::Sample;
@@ -24,6 +24,9 @@ use crate::steering::{Driver, StageEvent};
 const FRESH_S: f64 = 0.1;
 /// Longest wait for the acknowledgement of the last command.
 const LAST_ACK: Duration = Duration::from_secs(1);
+/// Shortest time between two reports of a cause while the lock state remains. Causes can alternate with every
+/// sample. Seconds.
+const CAUSE_S: f64 = 0.1;
 /// Time without samples until silence is reported to the loop.
 const SILENCE_TIMEOUT: Duration = Duration::from_millis(20);
 
@@ -36,6 +39,8 @@ pub struct CenteringLinks {
     pub poses: watch::Receiver<Option<PoseReport>>,
     /// State of the loop, to estimation.
     pub state: watch::Sender<LoopState>,
+    /// The lock state and its cause, to all outputs.
+    pub lock: watch::Sender<Option<LockCondition>>,
     /// Requests from outside the fast side.
     pub orders: mpsc::Receiver<CenteringRequest>,
     /// Changes of the lock state, for the recorder.
@@ -64,9 +69,10 @@ pub async fn run<C: Clock>(
     links: CenteringLinks,
     stop: CancellationToken,
 ) {
-    let CenteringLinks { mut newest, poses, state, mut orders, records } = links;
+    let CenteringLinks { mut newest, poses, state, lock, mut orders, records } = links;
     let mut last_arrival = clock.now();
-    let mut side = Side { centering, driver, clock, counters, poses, records };
+    let lock = LockReporter::new(lock, &centering, last_arrival);
+    let mut side = Side { centering, driver, clock, counters, poses, records, lock };
     loop {
         tokio::select! {
             biased;
@@ -97,6 +103,7 @@ pub async fn run<C: Clock>(
                 last_arrival = now;
             }
         }
+        side.lock.cause(side.centering.cause(), side.clock.now());
         state.send_if_modified(|state| std::mem::replace(state, side.centering.state()) != *state);
     }
     side.finish().await;
@@ -110,6 +117,37 @@ struct Side<D, C> {
     counters: Arc<Counters>,
     poses: watch::Receiver<Option<PoseReport>>,
     records: RecordSender,
+    lock: LockReporter,
+}
+
+/// Reports the lock state and its cause.
+struct LockReporter {
+    to: watch::Sender<Option<LockCondition>>,
+    now: LockCondition,
+    reported: Mono,
+}
+
+impl LockReporter {
+    fn new(to: watch::Sender<Option<LockCondition>>, centering: &Centering, now: Mono) -> Self {
+        let first = LockCondition::initial(centering.state().lock, centering.cause(), now);
+        to.send_replace(Some(first));
+        Self { to, now: first, reported: now }
+    }
+
+    fn change(&mut self, transition: Transition, now: Mono) {
+        self.report(self.now.after(transition, now), now);
+    }
+
+    fn cause(&mut self, cause: LockCause, now: Mono) {
+        if cause != self.now.cause && now.seconds_since(self.reported) >= CAUSE_S {
+            self.report(LockCondition { cause, ..self.now }, now);
+        }
+    }
+
+    fn report(&mut self, condition: LockCondition, now: Mono) {
+        (self.now, self.reported) = (condition, now);
+        self.to.send_replace(Some(condition));
+    }
 }
 
 impl<D: Driver, C: Clock> Side<D, C> {
@@ -149,12 +187,19 @@ impl<D: Driver, C: Clock> Side<D, C> {
         self.say(outcome.transition);
     }
 
-    fn say(&self, transition: Option<Transition>) {
+    fn say(&mut self, transition: Option<Transition>) {
         let Some(transition) = transition else { return };
         let time = self.clock.now();
         let Transition { from, to, cause } = transition;
         self.records.put(|| Entry::lock(time, transition));
-        tracing::info!(from = from.name(), to = to.name(), cause = cause.text(), "lock");
+        let (before, after) = (from.name(), to.name());
+        // Two places in the code: lines of the one do not use up the limit of the other.
+        if cause.gives_up() {
+            tracing::warn!(from = before, to = after, cause = cause.text(), "lock");
+        } else {
+            tracing::info!(from = before, to = after, cause = cause.text(), "lock");
+        }
+        self.lock.change(transition, time);
         self.counters.lock_cause(cause).inc();
         self.counters.lock(to).inc();
     }

@@ -48,6 +48,7 @@
 #define TRIFACET_RECORDING_FAULT   (UINT32_C(1) << 24)
 #define TRIFACET_POWER_STEP        (UINT32_C(1) << 25)
 #define TRIFACET_CHANNEL_FROZEN    (UINT32_C(1) << 26)
+#define TRIFACET_POWER_NOISY       (UINT32_C(1) << 27)
 
 /* Bits with which a pose is not usable for control: it contradicts another signal, its time is unknown, it is an
  * earlier one, or its light was not measured now. */

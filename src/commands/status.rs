@@ -140,7 +140,7 @@ impl Known {
             }
             Message::Descriptor(descriptor) => self.descriptor = Some(*descriptor),
             Message::Heartbeat(heartbeat) => self.heartbeat = Some(heartbeat),
-            Message::Answer(_) | Message::Refusal(_) => {}
+            Message::Event(_) | Message::Answer(_) | Message::Refusal(_) => {}
         }
     }
 

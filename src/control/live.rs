@@ -6,6 +6,7 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use tokio::sync::{Mutex, mpsc, oneshot, watch};
 use tokio::time::timeout;
+use trifacet_core::centering::lock::LockCondition;
 use trifacet_core::centering::{LoopMode, LoopRefusal};
 use trifacet_core::channels::Channels;
 use trifacet_core::steering::StagePosition;
@@ -29,6 +30,7 @@ use crate::estimation::EstimationRequest;
 use crate::exit::{self, Failure};
 use crate::logging::Logging;
 use crate::publishing::descriptor::StreamFacts;
+use crate::publishing::lock_event::lock_event;
 use crate::publishing::udp::ReceiverState;
 use crate::recording::{Handle, RecorderCommand};
 
@@ -69,6 +71,8 @@ pub struct RunningConfig {
     pub recording: Handle,
     /// The receivers of datagrams.
     pub receivers: watch::Receiver<Arc<[ReceiverState]>>,
+    /// The lock state and its cause; `None` in a replay.
+    pub lock: watch::Receiver<Option<LockCondition>>,
     /// Time of the daemon's start.
     pub started: Mono,
 }
@@ -304,11 +308,16 @@ impl RunningConfig {
     async fn loop_now(&self) -> Result<Value, Failure> {
         let view = ask(&self.fast.orders, FAST_SIDE_TIMEOUT, CenteringRequest::View).await?;
         let um = |metres: &[f64; 2]| metres.map(|m| m * 1e6);
+        let condition = (*self.lock.borrow()).and_then(|now| now.explaining(view.lock));
+        let condition = condition.as_ref().map(lock_event);
         let centering = &self.running.centering;
         let gains = centering.gains(self.running.acquisition.rate_hz);
         Ok(json!({
             "mode": view.mode.name(),
             "lock": view.lock.name(),
+            "lock_since": condition.as_ref().map(|event| &event.since),
+            "cause": condition.as_ref().map(|event| &event.cause),
+            "cause_text": condition.as_ref().map(|event| &event.text),
             "offset_um": view.offset.as_deref().map(um),
             "setpoint_um": centering.setpoint_um,
             "commanded_um": view.commanded.as_deref().map(um),

@@ -9,6 +9,7 @@ use tokio::runtime::Builder;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::{self, LocalSet};
 use tokio_util::sync::CancellationToken;
+use trifacet_core::centering::lock::LockCondition;
 use trifacet_core::estimation::PoseReport;
 use trifacet_core::pipeline::Pipeline;
 use trifacet_core::telemetry::heartbeat::{Heartbeats, Task, counted};
@@ -40,6 +41,8 @@ pub(super) struct Parts {
     pub(super) counters: Arc<Counters>,
     pub(super) heartbeats: Arc<Heartbeats>,
     pub(super) glance: Arc<LatestStatus>,
+    /// The lock state and its cause; stays `None` in a replay, which has no loop.
+    pub(super) lock: watch::Sender<Option<LockCondition>>,
     pub(super) control: FastLink,
     pub(super) context: Arc<CalibrationContext>,
     /// The beginning of the recording, if that is the source.
@@ -96,7 +99,7 @@ async fn fast<S: Source + 'static>(
     source: impl FnOnce() -> io::Result<S>,
 ) -> anyhow::Result<()> {
     let Parts { config, pipeline, gcs, mut publisher, .. } = parts;
-    let Parts { counters, heartbeats, glance, control, stop, context, records, .. } = parts;
+    let Parts { counters, heartbeats, glance, lock, control, stop, context, records, .. } = parts;
     let FastLink { changes, questions, orders } = control;
     let source = source().context("cannot start the source")?;
     let (mapping, centering, estimation) = pipeline.into_parts();
@@ -135,7 +138,14 @@ async fn fast<S: Source + 'static>(
             driver,
             SystemClock,
             counters,
-            centering::CenteringLinks { newest, poses, state: state_in, orders, records: records.clone() },
+            centering::CenteringLinks {
+                newest,
+                poses,
+                state: state_in,
+                lock,
+                orders,
+                records: records.clone(),
+            },
             stop.clone(),
         ),
         &heartbeats,

@@ -44,7 +44,7 @@ use crate::logging::Logging;
 use crate::monitor::view::{self, View};
 use crate::publishing::descriptor::StreamFacts;
 use crate::publishing::subscription_server::SubscriptionServer;
-use crate::publishing::{Outlets, Publisher, StreamId, subscription_server, udp};
+use crate::publishing::{Outlets, Publisher, StreamId, subscription_server, tcp, udp};
 use crate::recording;
 use crate::replay::RecordingHeader;
 use crate::service::Service;
@@ -82,6 +82,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let (to_tcp, frames) = mpsc::channel(TO_MAIN);
     let (to_monitor, monitored) = mpsc::channel(TO_MAIN);
     let [server, monitor] = main.block_on(async { listeners(config) })?;
+    let (lock, lock_now) = watch::channel(None);
     let (config_in_force, config_now) = watch::channel(config.clone());
     let (records, recording, recorder) =
         recording::recorder::start(&config.recording, &counters).context("cannot start the recorder")?;
@@ -107,6 +108,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         counters: Arc::clone(&counters),
         heartbeats: Arc::clone(&heartbeats),
         glance,
+        lock,
         stop: CancellationToken::new(),
         records,
         context: Arc::clone(context),
@@ -132,6 +134,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         heartbeats: Arc::clone(&heartbeats),
         recording: recording.clone(),
         receivers: receivers.clone(),
+        lock: lock_now.clone(),
         started,
     }));
     let view = View::new(view::Sources {
@@ -139,13 +142,15 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         descriptor: descriptor_now.clone(),
         config: config_now,
         receivers,
+        lock: lock_now.clone(),
         heartbeats,
         control: PageControls::of(&config.monitor, &live),
         recording: recording.state,
     });
+    let sources = tcp::Sources { descriptor: descriptor_now.clone(), lock: lock_now };
     let slow = Slow {
         service: &service,
-        server: server.map(|listener| Server { listener, frames, descriptor: descriptor_now.clone() }),
+        server: server.map(|listener| Server { listener, frames, sources }),
         monitor: monitor.map(|listener| Monitor { listener, frames: monitored, view }),
         subscription_server,
         supervisor,
@@ -155,8 +160,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let control = control(live, socket, Hangups { signal: hangup, terminal }, &service.notify);
     let result = serve(&main, config, slow, control, fast, &counters, &stop);
     recorder.join();
-    let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
-    tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
+    log_totals(&counters);
     main.shutdown_background(); // do not wait for pending opens of ports or name look-ups
     result
 }
@@ -167,6 +171,12 @@ fn warn_of_unverified_origin(config: &Config) {
         let origin_um = config.steering.origin_um;
         tracing::warn!(?origin_um, "steering.origin_um is not verified: it may hide a displaced PSD");
     }
+}
+
+/// Logs all counters that have counted something.
+fn log_totals(counters: &Counters) {
+    let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
+    tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
 }
 
 /// Opens the port for subscriptions and the sockets of the targets.

@@ -48,7 +48,7 @@ pub(super) struct Slow<'a> {
 pub(super) struct Server {
     pub(super) listener: tokio::net::TcpListener,
     pub(super) frames: mpsc::Receiver<PoseFrame>,
-    pub(super) descriptor: watch::Receiver<Descriptor>,
+    pub(super) sources: tcp::Sources,
 }
 
 /// The HTTP server.
@@ -143,13 +143,13 @@ pub(super) fn serve(
             (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
         let mut cpu_limit = signal(SignalKind::from_raw(rustix::process::Signal::XCPU.as_raw()))?;
         let serving = async {
-            let Some(Server { listener, frames, descriptor }) = server else {
+            let Some(Server { listener, frames, sources }) = server else {
                 stop.cancelled().await;
                 return;
             };
             // Without a stop signal: the server sends all frames of the fast side and ends after them.
             let never = CancellationToken::new();
-            tcp::serve(listener, frames, descriptor, limits, Arc::clone(counters), never).await;
+            tcp::serve(listener, frames, sources, limits, Arc::clone(counters), never).await;
         };
         let monitoring = async {
             match monitor {

@@ -1,10 +1,12 @@
 //! Limits repeated log lines.
 //!
 //! Lines from one place in the code with the same message, fields aside, are limited to [`BURST`] in
-//! [`INTERVAL_S`]. Further lines are counted, and one line reports their number at the end of the interval.
+//! [`INTERVAL_S`]. Further lines are counted, and one line at the end of the interval reports their number and the
+//! fields of the last one, so that the last change of a state is never lost.
 //! Debug and trace lines are not limited.
 
 use std::collections::HashMap;
+use std::fmt::Write as _;
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -36,6 +38,8 @@ struct Place {
     began: Mono,
     said: u32,
     held_back: u64,
+    /// Fields of the last suppressed line.
+    last: String,
     level: Level,
 }
 
@@ -79,8 +83,9 @@ impl Limiter {
         if places.len() >= MOST {
             places.retain(|_, place| place.held_back > 0 || !over(place));
         }
-        let key = (metadata.callsite(), message(event));
-        let fresh = || Place { began: now, said: 0, held_back: 0, level };
+        let Line { message, fields } = Line::of(event);
+        let key = (metadata.callsite(), message);
+        let fresh = || Place { began: now, said: 0, held_back: 0, last: String::new(), level };
         let place = places.entry(key.clone()).or_insert_with(fresh);
         if over(place) {
             (place.began, place.said) = (now, 0);
@@ -90,6 +95,7 @@ impl Limiter {
             return true;
         }
         place.held_back += 1;
+        place.last = fields;
         if place.held_back == 1 {
             // The thread runs as long as the process.
             let _ = self.sums.send((key, place.began + INTERVAL_S * NS_PER_S));
@@ -101,11 +107,14 @@ impl Limiter {
     fn sum_up(&self, key: &Key) {
         let sum = {
             let mut places = self.places.lock().unwrap_or_else(PoisonError::into_inner);
-            places.get_mut(key).map(|place| (std::mem::take(&mut place.held_back), place.level))
+            places.get_mut(key).map(|place| {
+                (std::mem::take(&mut place.held_back), std::mem::take(&mut place.last), place.level)
+            })
         };
-        let Some((count @ 1.., level)) = sum else { return };
+        let Some((count @ 1.., last, level)) = sum else { return };
         let text = &key.1;
-        let line = format!("{text} ... and {count} more in the last {INTERVAL_S} s");
+        let last = if last.is_empty() { last } else { format!("; the last: {last}") };
+        let line = format!("{text} ... and {count} more in the last {INTERVAL_S} s{last}");
         match level {
             Level::ERROR => tracing::error!(target: "trifacet::logging", count, "{line}"),
             Level::WARN => tracing::warn!(target: "trifacet::logging", count, "{line}"),
@@ -133,19 +142,31 @@ impl<S: Subscriber> Layer<S> for Limiter {
     }
 }
 
-/// The message of an event, without its fields.
-fn message(event: &Event<'_>) -> String {
-    struct Message(String);
-    impl Visit for Message {
-        fn record_debug(&mut self, field: &Field, value: &dyn std::fmt::Debug) {
-            if field.name() == "message" {
-                self.0 = format!("{value:?}");
-            }
+/// Message and fields of an event, separately.
+#[derive(Default)]
+struct Line {
+    message: String,
+    /// `name=value`, separated by spaces.
+    fields: String,
+}
+
+impl Line {
+    fn of(event: &Event<'_>) -> Self {
+        let mut line = Self::default();
+        event.record(&mut line);
+        line
+    }
+}
+
+impl Visit for Line {
+    fn record_debug(&mut self, field: &Field, value: &dyn std::fmt::Debug) {
+        if field.name() == "message" {
+            self.message = format!("{value:?}");
+        } else {
+            let gap = if self.fields.is_empty() { "" } else { " " };
+            let _ = write!(self.fields, "{gap}{}={value:?}", field.name()); // writing to a String cannot fail
         }
     }
-    let mut message = Message(String::new());
-    event.record(&mut message);
-    message.0
 }
 
 #[cfg(test)]
@@ -161,12 +182,16 @@ mod tests {
 
     impl<S: Subscriber> Layer<S> for Lines {
         fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
-            self.0.lock().unwrap().push(message(event));
+            self.0.lock().unwrap().push(Line::of(event).message);
         }
     }
 
     fn warn_of(what: &str) {
         tracing::warn!("lost: {what}");
+    }
+
+    fn change_to(state: &str) {
+        tracing::info!(state, number = 3, "lock");
     }
 
     #[test]
@@ -190,6 +215,19 @@ mod tests {
         limiter.sum_up(&place);
         limiter.sum_up_all();
         assert_eq!(said(), ["lost: light ... and 1234 more in the last 10 s"]);
+    }
+
+    #[test]
+    fn the_summary_has_the_fields_of_the_last_line() {
+        let lines = Lines::default();
+        let (limiter, _due) = Limiter::new();
+        let _here = tracing_subscriber::registry().with(lines.clone()).with(limiter.clone()).set_default();
+        (0..BURST).for_each(|_| change_to("held"));
+        change_to("lost");
+        change_to("found again");
+        limiter.sum_up_all();
+        let last = lines.0.lock().unwrap().pop().unwrap();
+        assert_eq!(last, "lock ... and 2 more in the last 10 s; the last: state=\"found again\" number=3");
     }
 
     /// Uses a limiter with a clock of its own, and counts admitted lines.

@@ -2,6 +2,7 @@
 
 use jiff::Timestamp;
 use serde::Serialize;
+use trifacet_core::centering::lock::LockCause;
 use trifacet_wire::{LockState, PoseFrame, Status};
 
 /// A condition for the use of poses.
@@ -45,8 +46,9 @@ impl Subject {
         }
     }
 
-    /// Why the condition fails for this frame: names of status bits, or the lock state.
-    fn reason(self, frame: &PoseFrame) -> String {
+    /// Why the condition fails for this frame: names of status bits, or the lock state with its cause. Without
+    /// a known cause, the status bits that are fatal are the reason.
+    fn reason(self, frame: &PoseFrame, cause: Option<LockCause>) -> String {
         match self {
             Subject::Samples => names(frame.status, NO_SAMPLES),
             Subject::Time => names(frame.status, Status::CLOCK_UNSYNCED),
@@ -56,7 +58,15 @@ impl Subject {
                 // The only other cause of an invalid frame is a gap within an averaged block.
                 if fatal.is_empty() { "SAMPLE_GAP".into() } else { fatal }
             }
-            Subject::Lock => frame.lock.name().into(),
+            Subject::Lock => {
+                let why =
+                    cause.map_or_else(|| names(frame.status, Status::FATAL), |cause| cause.text().into());
+                if why.is_empty() {
+                    frame.lock.name().into()
+                } else {
+                    format!("{}: {why}", frame.lock.name())
+                }
+            }
         }
     }
 }
@@ -103,8 +113,13 @@ impl Checks {
     }
 
     /// The readiness with `newest` as the newest frame. Nothing is ready while a part of the daemon stalls
-    /// (`dead`).
-    pub fn readiness(&self, newest: Option<&PoseFrame>, dead: Option<&Standstill>) -> Readiness {
+    /// (`dead`). `cause` is that of the newest frame's lock state, if it is known.
+    pub fn readiness(
+        &self,
+        newest: Option<&PoseFrame>,
+        dead: Option<&Standstill>,
+        cause: Option<LockCause>,
+    ) -> Readiness {
         let checks = Subject::ALL.iter().zip(self.0).map(|(subject, check)| {
             let (Some(frame), Some(check)) = (newest, check) else {
                 let reason = dead.map_or("no frame has been made yet", |still| &still.why);
@@ -115,7 +130,7 @@ impl Checks {
                     let since_ns = still.since_ns.unwrap_or(frame.time_ns);
                     (false, if check.ok { since_ns } else { check.since_ns }, Some(still.why.clone()))
                 }
-                None => (check.ok, check.since_ns, (!check.ok).then(|| subject.reason(frame))),
+                None => (check.ok, check.since_ns, (!check.ok).then(|| subject.reason(frame, cause))),
             };
             Finding { name: subject.name(), ok, since: utc(since_ns), reason }
         });
@@ -175,17 +190,17 @@ mod tests {
         let [good, held, lost] = frames();
         let mut checks = Checks::default();
         checks.frame(&good);
-        let readiness = checks.readiness(Some(&good), None);
+        let readiness = checks.readiness(Some(&good), None, None);
         assert!(readiness.ready);
         assert_eq!(checks_of(&readiness), [(true, "1970-01-01T00:00:01Z", ""); 5]);
         checks.frame(&held);
         checks.frame(&lost);
-        let readiness = checks.readiness(Some(&lost), None);
+        let readiness = checks.readiness(Some(&lost), None, Some(LockCause::NoLight));
         assert!(!readiness.ready);
         let at = "1970-01-01T00:00:02Z";
         let dark = (false, at, "PSD_A_LOW, PSD_B_LOW");
         let good = (true, "1970-01-01T00:00:01Z", "");
-        assert_eq!(checks_of(&readiness), [good, good, dark, good, (false, at, "lost")]);
+        assert_eq!(checks_of(&readiness), [good, good, dark, good, (false, at, "lost: no PSD sees light")]);
     }
 
     #[test]
@@ -194,7 +209,7 @@ mod tests {
         let replayed = PoseFrame { status: good.status | Status::REPLAYED, ..good };
         let mut checks = Checks::default();
         checks.frame(&replayed);
-        let readiness = checks.readiness(Some(&replayed), None);
+        let readiness = checks.readiness(Some(&replayed), None, None);
         assert!(!readiness.ready);
         let at = "1970-01-01T00:00:01Z";
         let fine = (true, at, "");
@@ -208,7 +223,7 @@ mod tests {
             let frame = PoseFrame { status: good.status | *bit, ..good };
             let mut checks = Checks::default();
             checks.frame(&frame);
-            let ready = checks.readiness(Some(&frame), None).ready;
+            let ready = checks.readiness(Some(&frame), None, None).ready;
             // POSE_HELD is set for single clients only; with a fatal bit the estimator does not set POSE_VALID.
             if *bit != Status::POSE_HELD && !Status::FATAL.has(*bit) {
                 assert_eq!(ready, frame.status.usable(Status::SIMULATED), "{name}");
@@ -220,17 +235,20 @@ mod tests {
     fn no_check_stays_green_without_frames() {
         let [good, held, _] = frames();
         let mut checks = Checks::default();
-        assert_eq!(checks_of(&checks.readiness(None, None)), [(false, "", "no frame has been made yet"); 5]);
+        assert_eq!(
+            checks_of(&checks.readiness(None, None, None)),
+            [(false, "", "no frame has been made yet"); 5]
+        );
         let dead = Standstill { why: "dead".into(), since_ns: Some(4_000_000_000), silent: true };
-        assert_eq!(checks_of(&checks.readiness(None, Some(&dead))), [(false, "", "dead"); 5]);
+        assert_eq!(checks_of(&checks.readiness(None, Some(&dead), None)), [(false, "", "dead"); 5]);
         checks.frame(&good);
         let at = "1970-01-01T00:00:04Z";
-        assert_eq!(checks_of(&checks.readiness(Some(&good), Some(&dead))), [(false, at, "dead"); 5]);
+        assert_eq!(checks_of(&checks.readiness(Some(&good), Some(&dead), None)), [(false, at, "dead"); 5]);
         checks.frame(&held);
         let down = PoseFrame { status: Status::SOURCE_DOWN, time_ns: 5_000_000_000, ..held };
         checks.frame(&down);
         assert_eq!(
-            checks_of(&checks.readiness(Some(&down), None))[0],
+            checks_of(&checks.readiness(Some(&down), None, None))[0],
             (false, "1970-01-01T00:00:05Z", "SOURCE_DOWN")
         );
     }

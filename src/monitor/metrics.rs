@@ -134,7 +134,10 @@ impl Page<'_> {
         let lock = view.newest().borrow().filter(|_| !silent).map(|newest| newest.frame.lock);
         let of = |lock| LockState::ALL.map(|state| (state.name(), flag(lock == state)));
         let states = lock.into_iter().flat_map(of);
-        self.each("lock_state", "1 for the current state of the loop", "state", states)
+        self.each("lock_state", "1 for the current state of the loop", "state", states)?;
+        let of = |cause| LockCause::ALL.iter().map(move |each| (each.label(), flag(*each == cause)));
+        let causes = view.lock().filter(|_| !silent).into_iter().flat_map(|now| of(now.cause));
+        self.each("lock_cause", "1 for the cause of the current state of the loop", "cause", causes)
     }
 
     fn recording(&mut self, view: &View) -> fmt::Result {

@@ -8,6 +8,7 @@ use tokio::sync::mpsc::error::TryRecvError;
 use tokio::sync::{Semaphore, broadcast, mpsc, watch};
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
+use trifacet_core::centering::lock::LockCondition;
 use trifacet_core::telemetry::Counters;
 use trifacet_core::telemetry::heartbeat::{Heartbeats, Task};
 use trifacet_core::time::{Clock, Mono};
@@ -21,6 +22,7 @@ use super::tally::Tally;
 use crate::clock::SystemClock;
 use crate::config::Config;
 use crate::control::PageControls;
+use crate::publishing::lock_event::lock_event;
 use crate::publishing::udp::ReceiverState;
 use crate::recording::handle::State;
 
@@ -50,6 +52,8 @@ pub struct Sources {
     pub config: watch::Receiver<Config>,
     /// The receivers of datagrams.
     pub receivers: watch::Receiver<Arc<[ReceiverState]>>,
+    /// The lock state and its cause; `None` in a replay.
+    pub lock: watch::Receiver<Option<LockCondition>>,
     /// Heartbeats of the tasks of the fast side.
     pub heartbeats: Arc<Heartbeats>,
     /// State of the recorder.
@@ -161,7 +165,13 @@ impl View {
     pub fn readiness(&self) -> Readiness {
         let dead = self.dead();
         let newest = self.newest.borrow().map(|newest| newest.frame);
-        self.aggregates().checks.readiness(newest.as_ref(), dead.as_ref())
+        self.aggregates().checks.readiness(newest.as_ref(), dead.as_ref(), self.lock().map(|now| now.cause))
+    }
+
+    /// The lock state with its cause, if it explains the newest frame.
+    pub(super) fn lock(&self) -> Option<LockCondition> {
+        let lock = self.newest.borrow().map(|newest| newest.frame.lock)?;
+        (*self.sources.lock.borrow())?.explaining(lock)
     }
 
     /// Access to the aggregates. No code panics while it holds the lock, so a poisoned lock is safe to use.
@@ -194,8 +204,10 @@ impl View {
     /// Sends an update to all viewers.
     fn update(&self) {
         let (dead, ready) = (self.dead(), self.readiness());
+        let lock = self.lock().as_ref().map(lock_event);
         let newest = self.newest.borrow().map(|newest| newest.frame);
-        let update = self.aggregates().page.update(newest.as_ref(), dead, ready, &self.sources.counters);
+        let update =
+            self.aggregates().page.update(newest.as_ref(), dead, ready, lock, &self.sources.counters);
         self.sources.counters.page_updates.inc();
         // Fails if the last viewer has just left, which is not a loss.
         let _ = self.updates.send(serde_json::json!({ "update": update }).to_string().into());

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use trifacet_core::telemetry::Counters;
 use trifacet_wire::layout::{COLUMNS, FIELDS};
 use trifacet_wire::message::{MAJOR, MINOR};
-use trifacet_wire::stream::{Descriptor, FieldEntry, Heartbeat};
+use trifacet_wire::stream::{Descriptor, FieldEntry, Heartbeat, LockEvent};
 use trifacet_wire::{LockState, Status};
 
 use super::publisher::StreamId;
@@ -103,8 +103,9 @@ fn words(pairs: &[(&str, &str)]) -> BTreeMap<String, String> {
     pairs.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned())).collect()
 }
 
-/// The heartbeat of a client: frames sent to it, frames dropped for it, and all counters of the daemon.
-pub fn heartbeat(sent: u64, dropped: u64, counters: &Counters) -> Heartbeat {
+/// The heartbeat of a client: frames sent to it, frames dropped for it, all counters of the daemon, and the
+/// cause of the lock state.
+pub fn heartbeat(sent: u64, dropped: u64, counters: &Counters, lock: Option<LockEvent>) -> Heartbeat {
     let counters = counters.list().into_iter().map(|(name, count)| (name.to_owned(), count)).collect();
-    Heartbeat { sent, dropped, counters }
+    Heartbeat { sent, dropped, counters, lock }
 }

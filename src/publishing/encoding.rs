@@ -9,7 +9,7 @@ use trifacet_wire::frame::FrameBytes;
 use trifacet_wire::held::Hold;
 use trifacet_wire::message::Kind;
 use trifacet_wire::stream::{
-    Answer, Descriptor, Format, Heartbeat, Refusal, StreamForm, StreamRequest, json,
+    Answer, Descriptor, Format, Heartbeat, LockEvent, Refusal, StreamForm, StreamRequest, json,
 };
 
 use super::columns::Columns;
@@ -68,6 +68,11 @@ impl ClientEncoder {
         self.divider
     }
 
+    /// Whether changes of the lock state are sent to the client.
+    pub fn events(&self) -> bool {
+        self.request.events
+    }
+
     /// Whether this frame is sent to the client.
     pub fn wants(&self, encoded: &EncodedFrame) -> bool {
         encoded.frame.sequence.is_multiple_of(self.divider)
@@ -110,6 +115,7 @@ impl ClientEncoder {
                 divider: self.divider as u32,
                 rate_hz: descriptor.rate_hz / self.divider as f64,
                 held: self.request.held,
+                events: self.request.events,
                 columns: self.columns(descriptor),
             }),
             ..descriptor.clone()
@@ -141,6 +147,14 @@ impl ClientEncoder {
     /// The heartbeat cannot be serialized.
     pub fn heartbeat(&self, heartbeat: &Heartbeat) -> io::Result<Vec<u8>> {
         self.write(Kind::Heartbeat, heartbeat)
+    }
+
+    /// The bytes of a change of the lock state.
+    ///
+    /// # Errors
+    /// The event cannot be serialized.
+    pub fn event(&self, event: &LockEvent) -> io::Result<Vec<u8>> {
+        self.write(Kind::Event, event)
     }
 
     fn write<T: Serialize>(&self, kind: Kind, body: &T) -> io::Result<Vec<u8>> {

@@ -13,6 +13,7 @@
 pub mod columns;
 pub mod descriptor;
 pub mod encoding;
+pub mod lock_event;
 pub mod publisher;
 pub mod query;
 pub mod subscription;

@@ -3,6 +3,7 @@
 
 use std::fmt::Write as _;
 
+use trifacet_core::centering::lock::{LockCause, LockCondition};
 use trifacet_wire::layout::POSE;
 use trifacet_wire::stream::Descriptor;
 use trifacet_wire::{PoseFrame, Status};
@@ -13,7 +14,7 @@ use super::encoding::EncodedFrame;
 const STALE_S: f64 = 1.0;
 
 /// Answer to `pose?`: the newest pose.
-pub fn pose(encoded: &EncodedFrame, frames_hz: f64) -> String {
+pub fn pose(encoded: &EncodedFrame, frames_hz: f64, lock: Option<LockCondition>) -> String {
     let frame = encoded.frame();
     let age_s = encoded.age_s();
     let valid = valid(frame, age_s, frames_hz);
@@ -22,20 +23,21 @@ pub fn pose(encoded: &EncodedFrame, frames_hz: f64) -> String {
         // Seventeen digits reproduce a 64-bit number exactly.
         let _ = if valid { write!(line, " {name}={x:.16e}") } else { write!(line, " {name}=nan") };
     }
-    line + &state(frame, age_s)
+    line + &state(frame, age_s) + &cause(lock)
 }
 
 /// Answer to `status?`: the newest status.
-pub fn status(encoded: &EncodedFrame, frames_hz: f64) -> String {
+pub fn status(encoded: &EncodedFrame, frames_hz: f64, lock: Option<LockCondition>) -> String {
     let (frame, age_s) = (encoded.frame(), encoded.age_s());
     let names: Vec<_> = frame.status.names().collect();
     let names = if names.is_empty() { "none".into() } else { names.join(",") };
     format!(
-        "valid={}{} bits={names} session=0x{:08x} config=0x{:08x} rate_hz={frames_hz}",
+        "valid={}{} bits={names} session=0x{:08x} config=0x{:08x} rate_hz={frames_hz}{}",
         u8::from(valid(frame, age_s, frames_hz)),
         state(frame, age_s),
         frame.session,
-        frame.config
+        frame.config,
+        cause(lock)
     )
 }
 
@@ -55,4 +57,9 @@ fn valid(frame: &PoseFrame, age_s: f64, frames_hz: f64) -> bool {
 fn state(frame: &PoseFrame, age_s: f64) -> String {
     let PoseFrame { lock, status, sequence, .. } = frame;
     format!(" lock={} status=0x{:08x} age_s={age_s:.6} sequence={sequence}", lock.name(), status.0)
+}
+
+/// The cause of the lock state, as in `/metrics`; "unknown" if none explains the frame.
+fn cause(lock: Option<LockCondition>) -> String {
+    format!(" cause={}", lock.map_or("unknown", |condition| LockCause::label(condition.cause)))
 }

@@ -10,6 +10,8 @@ use crate::recording::Entry;
 
 /// Status bits that do not depend on the samples: they come from the clock, the recorder, and the replay.
 const OF_THE_MOMENT: u32 = Status::CLOCK_UNSYNCED.0 | Status::RECORDING_FAULT.0 | Status::REPLAYED.0;
+/// In the place of `POWER_NOISY`, versions before this bit set the bit of the PSD.
+const LOW: u32 = Status::PSD_A_LOW.0 | Status::PSD_B_LOW.0 | Status::PSD_C_LOW.0;
 /// Columns by which a difference is described first.
 const TELLING: [&str; 7] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "yaw_rad", "status"];
 
@@ -18,6 +20,9 @@ const TELLING: [&str; 7] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "ya
 pub struct Comparison {
     /// Frames that are identical bit by bit.
     pub same: u64,
+    /// Frames that have `PSD_A_LOW` to `PSD_C_LOW` in the place of `POWER_NOISY`, and are identical otherwise:
+    /// their version did not have this bit.
+    pub renamed: u64,
     /// Frames that differ.
     pub other: u64,
     /// Reports without a recorded frame.
@@ -53,10 +58,11 @@ pub struct Pair<'a> {
     /// From the replay, with the same time, session and sequence number.
     pub now: PoseFrame,
     same: bool,
+    renamed: bool,
 }
 
 impl Pair<'_> {
-    /// Whether both are identical bit by bit.
+    /// Whether both are identical, except for the name of `POWER_NOISY` in earlier versions.
     pub fn same(&self) -> bool {
         self.same
     }
@@ -94,7 +100,7 @@ impl Comparison {
 
     fn count(&mut self, pair: &Pair<'_>) {
         if pair.same {
-            self.same += 1;
+            *(if pair.renamed { &mut self.renamed } else { &mut self.same }) += 1;
             return;
         }
         self.other += 1;
@@ -122,7 +128,17 @@ fn pair<'a>(then: &'a PoseFrame, time: Mono, report: &PoseReport) -> Pair<'a> {
     let of_the_moment = |frame: &PoseFrame| frame.status.0 & OF_THE_MOMENT;
     now.status.0 = now.status.0 & !OF_THE_MOMENT | of_the_moment(then);
     (now.solve_delay_ns, now.send_delay_ns) = (then.solve_delay_ns, then.send_delay_ns);
-    Pair { then, same: report.time == time && equal(then, &now), now }
+    let renamed = with_earlier_names(then.status, now.status);
+    let compared = PoseFrame { status: renamed.unwrap_or(now.status), ..now };
+    let same = report.time == time && equal(then, &compared);
+    Pair { then, same, renamed: renamed.is_some(), now }
+}
+
+/// The status `now` in the names of a version without `POWER_NOISY`, if `then` can be of such a version.
+fn with_earlier_names(then: Status, now: Status) -> Option<Status> {
+    let noisy = now.has(Status::POWER_NOISY) && !then.has(Status::POWER_NOISY);
+    let low = then.0 & LOW & !now.0;
+    (noisy && low != 0).then_some(Status(now.0 & !Status::POWER_NOISY.0 | low))
 }
 
 /// Whether two frames are equal bit by bit, including NaN.

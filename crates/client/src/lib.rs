@@ -31,7 +31,7 @@ use std::time::Duration;
 
 use tokio::time::{Instant, sleep_until, timeout, timeout_at};
 pub use trifacet_wire::stream::{
-    Answer, Descriptor, Heartbeat, Message, MessageError, Pace, Refusal, StreamForm,
+    Answer, Descriptor, Heartbeat, LockEvent, Message, MessageError, Pace, Refusal, StreamForm,
 };
 pub use trifacet_wire::{FrameError, PoseFrame};
 
@@ -55,6 +55,9 @@ pub struct Options {
     /// Whether an invalid frame carries the last valid pose, with `POSE_HELD`, instead of NaN. Applies
     /// where `pace` does.
     pub held: bool,
+    /// Whether changes of the lock state arrive as [`Message::Event`]. TCP only. A daemon that does not know
+    /// the option refuses the request.
+    pub events: bool,
     /// Interface that receives a multicast group: its name, or for IPv4 also its address.
     pub interface: Option<String>,
     /// Lease of a subscription after each renewal: 1 to 60 s.
@@ -65,7 +68,14 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { pace: Pace::default(), held: false, interface: None, lease_s: 10, reconnect: None }
+        Self {
+            pace: Pace::default(),
+            held: false,
+            events: false,
+            interface: None,
+            lease_s: 10,
+            reconnect: None,
+        }
     }
 }
 
@@ -200,7 +210,7 @@ impl Client {
                 self.losses.step = descriptor.stream.as_ref().map(|stream| stream.divider.into());
             }
             Message::Refusal(Refusal { error }) => return Err(ClientError::Refused(error.clone())),
-            Message::Heartbeat(_) | Message::Answer(_) => {}
+            Message::Heartbeat(_) | Message::Event(_) | Message::Answer(_) => {}
         }
         Ok(message)
     }

@@ -86,8 +86,8 @@ impl Link {
 async fn open_tcp(place: &str, options: &Options) -> io::Result<Link> {
     let mut stream = TcpStream::connect(place).await?;
     stream.set_nodelay(true)?;
-    let request =
-        StreamRequest { format: Format::Binary, pace: options.pace, fields: None, held: options.held };
+    let Options { pace, held, events, .. } = *options;
+    let request = StreamRequest { format: Format::Binary, pace, fields: None, held, events };
     stream.write_all(format!("{request}\n").as_bytes()).await?;
     Ok(Link::Tcp { stream, decoder: Decoder::default(), opened: false })
 }

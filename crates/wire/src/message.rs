@@ -22,6 +22,8 @@ pub enum Kind {
     Descriptor,
     /// A heartbeat, in JSON: once a second.
     Heartbeat,
+    /// A change of the lock state, in JSON: only for clients that request events.
+    Event,
     /// The answer to a query, as a string in JSON.
     Answer,
     /// The reason why the daemon closes the connection, in JSON.
@@ -30,7 +32,8 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind.
-    pub const ALL: [Kind; 5] = [Kind::Pose, Kind::Descriptor, Kind::Heartbeat, Kind::Answer, Kind::Refusal];
+    pub const ALL: [Kind; 6] =
+        [Kind::Pose, Kind::Descriptor, Kind::Heartbeat, Kind::Event, Kind::Answer, Kind::Refusal];
 
     /// The first four bytes of such a message.
     pub const fn magic(self) -> [u8; 4] {
@@ -38,6 +41,7 @@ impl Kind {
             Kind::Pose => *b"TFP1",
             Kind::Descriptor => *b"TFD1",
             Kind::Heartbeat => *b"TFH1",
+            Kind::Event => *b"TFL1",
             Kind::Answer => *b"TFA1",
             Kind::Refusal => *b"TFE1",
         }
@@ -48,6 +52,7 @@ impl Kind {
         match self {
             Kind::Descriptor => Some("descriptor"),
             Kind::Heartbeat => Some("heartbeat"),
+            Kind::Event => Some("event"),
             Kind::Answer => Some("answer"),
             Kind::Pose | Kind::Refusal => None,
         }

@@ -76,6 +76,8 @@ bits! {
     POWER_STEP = 25,
     /// Fatal: a channel repeats the same code; it is not measured.
     CHANNEL_FROZEN = 26,
+    /// Fatal: the power of a PSD is not known to a fifth of itself.
+    POWER_NOISY = 27,
 }
 
 impl Status {
@@ -91,7 +93,8 @@ impl Status {
             | Status::OUT_OF_RANGE.0
             | Status::SOURCE_DOWN.0
             | Status::POWER_STEP.0
-            | Status::CHANNEL_FROZEN.0,
+            | Status::CHANNEL_FROZEN.0
+            | Status::POWER_NOISY.0,
     );
 
     /// Bits with which a pose is not usable for control: it contradicts another signal, its time is unknown,

@@ -35,7 +35,7 @@ impl ReceivedFrames {
             Message::Pose(frame) => self.frame(&frame, now_ns),
             Message::Descriptor(descriptor) => self.descriptor = Some(descriptor),
             Message::Heartbeat(heartbeat) => self.heartbeat = Some(heartbeat),
-            Message::Answer(_) | Message::Refusal(_) => {}
+            Message::Event(_) | Message::Answer(_) | Message::Refusal(_) => {}
         }
     }
 
@@ -204,7 +204,7 @@ const CLIPPED: &str = "the converter is at its limit there: too much light or to
 const EDGE: &str = "the spot is near the edge there: move the mirror towards the middle";
 
 /// The status bits that make a pose invalid.
-const FATAL: [(Status, &str); 11] = [
+const FATAL: [(Status, &str); 12] = [
     (
         Status::SOURCE_DOWN,
         "no samples: check that the board is plugged in and powered, and see the daemon's log",
@@ -226,6 +226,10 @@ const FATAL: [(Status, &str); 11] = [
     (
         Status::CHANNEL_FROZEN,
         "a channel repeats the same code: check converter and board; the daemon's log names the channel",
+    ),
+    (
+        Status::POWER_NOISY,
+        "the power of a PSD changes too fast: check for vibration, ambient light and noise of the electronics",
     ),
     (Status::OUT_OF_RANGE, "a spot is off its PSD, or the pose is out of range: move the mirror back"),
 ];

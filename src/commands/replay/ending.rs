@@ -61,11 +61,18 @@ pub(super) fn nothing(files: &[Read]) -> Failure {
 
 /// The result as text.
 pub(super) fn text(comparison: &Comparison, engine: &Engine) -> String {
-    let Comparison { same, other, unrecorded, unrepeated, .. } = comparison;
-    let mut text = format!("{same} of {} frames are identical, bit by bit\n", same + other);
+    let Comparison { same, renamed, other, unrecorded, unrepeated, .. } = comparison;
+    let mut text = format!("{same} of {} frames are identical, bit by bit\n", same + renamed + other);
     let mut say = |line: String| {
         let _ = writeln!(text, "{line}"); // writing to a String cannot fail
     };
+    if *renamed > 0 {
+        say(format!(
+            "{} only in the name of a status bit: recorded by a version without POWER_NOISY, which set \
+             PSD_A_LOW, PSD_B_LOW or PSD_C_LOW instead",
+            count(*renamed, "frame") + if *renamed == 1 { " differs" } else { " differ" }
+        ));
+    }
     if *unrecorded > 0 {
         say(format!("{} without a recorded frame", count(*unrecorded, "report")));
     }

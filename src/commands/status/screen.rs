@@ -28,6 +28,7 @@ pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
         lines.push(format!("{:<9} {length:<5}{length_um} um   {angle:<6}{angle_urad} urad", ""));
     }
     lines.push(row("lock", &lock(frame, known.control.as_ref())));
+    lines.extend(cause(frame, known).map(|(since, why)| row("cause", &format!("{why}, since {since}"))));
     let [x, y] = frame.beam_offset.map(|m| number(f64::from(m) * 1e6));
     lines.push(row("offset", &format!("x    {x} um          y     {y} um")));
     lines.push(row("balance", &balance(frame.powers)));
@@ -105,6 +106,20 @@ fn lock(frame: &PoseFrame, control: Option<&Value>) -> String {
     [frame.lock.name(), &mode.unwrap_or_default(), &failed.unwrap_or_default()].concat()
 }
 
+/// Time of the last change of the lock state and its cause, if they belong to the lock state of the frame:
+/// from the control socket, or otherwise from the last heartbeat.
+fn cause(frame: &PoseFrame, known: &Known) -> Option<(String, String)> {
+    let lock = frame.lock.name();
+    let text = |value: &Value| value.as_str().map(str::to_owned);
+    let control = known.control.as_ref().map(|control| &control["loop"]).filter(|now| now["lock"] == lock);
+    let heartbeat = known.heartbeat.as_ref().and_then(|heartbeat| heartbeat.lock.as_ref());
+    let heartbeat = heartbeat.filter(|event| event.lock == lock);
+    control
+        .and_then(|now| Some((text(&now["lock_since"])?, text(&now["cause_text"])?)))
+        .or_else(|| heartbeat.map(|event| (event.since.clone(), event.text.clone())))
+        .map(|(since, why)| (since.get(..19).unwrap_or(&since).replace('T', " ") + " UTC", why))
+}
+
 /// The share of each PSD, and the total power.
 fn balance(powers: [f32; 3]) -> String {
     let powers = powers.map(f64::from);
@@ -170,7 +185,11 @@ pub(super) fn line(known: &Known) -> String {
     let valid = if frame.status.has(Status::POSE_VALID) { "valid" } else { "NOT VALID" };
     let offset = frame.beam_offset.map(f64::from);
     let numbers: Vec<_> = frame.pose.iter().chain(&offset).map(|x| number(x * 1e6)).collect();
-    let trouble = names(Status(known.between.0 & Status::FATAL.0));
+    let mut trouble = names(Status(known.between.0 & Status::FATAL.0));
+    if let Some((_, why)) = cause(frame, known).filter(|_| frame.lock != LockState::Locked) {
+        let gap = if trouble.is_empty() { "" } else { "  " };
+        trouble = format!("{trouble}{gap}{why}");
+    }
     let line =
         format!("  {:<9} {valid:<9} {} {:>8}  {trouble}", frame.lock.name(), numbers.join(" "), known.frames);
     line.trim_end().to_owned()
@@ -187,7 +206,7 @@ pub(super) fn mood(line: &str) -> Option<&'static str> {
         "pose" => "31",
         "lock" if is(LockState::Locked) => "32",
         "lock" if is(LockState::Lost) || is(LockState::Railed) => "31",
-        "lock" | "control" | "replay" | "receiver" => "33",
+        "lock" | "cause" | "control" | "replay" | "receiver" => "33",
         "losses" if text != "none" => "33",
         _ => return None,
     })

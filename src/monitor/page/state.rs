@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 use trifacet_core::telemetry::Counters;
+use trifacet_wire::stream::LockEvent;
 use trifacet_wire::{PoseFrame, Status};
 
 use super::bins::{Bin, History, Past};
@@ -46,6 +47,8 @@ pub struct Update {
     dead: Option<Standstill>,
     ready: Readiness,
     lock_since_ms: f64,
+    /// The cause of the frame's lock state, if it is known.
+    lock: Option<LockEvent>,
     history: Vec<Spell>,
     bins: Vec<Bin>,
     frames: u32,
@@ -93,6 +96,7 @@ impl PageState {
         newest: Option<&PoseFrame>,
         dead: Option<Standstill>,
         ready: Readiness,
+        lock: Option<LockEvent>,
         counters: &Counters,
     ) -> Update {
         let mut lately = std::mem::take(&mut self.lately);
@@ -104,6 +108,7 @@ impl PageState {
             dead,
             ready,
             lock_since_ms: self.history.lock_since_ms(),
+            lock,
             history: self.history.list(),
             bins: self.past.news(),
             frames: lately.frames,

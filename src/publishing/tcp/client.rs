@@ -9,7 +9,9 @@ use tokio::io::AsyncWriteExt;
 use tokio::net::TcpStream;
 use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 use tokio::sync::broadcast::{self};
+use tokio::sync::watch;
 use tokio::time::{Instant, Interval, MissedTickBehavior, interval, sleep_until, timeout};
+use trifacet_core::centering::lock::LockCondition;
 use trifacet_wire::stream::lines::Lines;
 use trifacet_wire::stream::request::MAX_LINE;
 use trifacet_wire::stream::{ClientCommand, StreamRequest};
@@ -17,6 +19,7 @@ use trifacet_wire::stream::{ClientCommand, StreamRequest};
 use super::context::{ServerContext, part};
 use crate::publishing::descriptor::heartbeat;
 use crate::publishing::encoding::{ClientEncoder, EncodedFrame, answer, farewell};
+use crate::publishing::lock_event::lock_event;
 use crate::publishing::query;
 
 /// Send buffer of the kernel in bytes. The default grows to megabytes, which is seconds of old frames.
@@ -32,6 +35,9 @@ pub(super) struct Client {
     ring: broadcast::Receiver<Arc<EncodedFrame>>,
     context: Arc<ServerContext>,
     form: Option<ClientEncoder>,
+    lock: watch::Receiver<Option<LockCondition>>,
+    /// Number of the last change of the lock state that was sent.
+    told: Option<u64>,
     heartbeat: Interval,
     lines: Lines,
     bad_lines: u32,
@@ -60,6 +66,7 @@ enum Event {
     Beat,
     Bytes(io::Result<usize>),
     Frame(Result<Arc<EncodedFrame>, RecvError>),
+    Lock,
     Idle,
     Ending,
 }
@@ -73,8 +80,10 @@ impl Client {
         Self {
             stream,
             ring,
+            lock: context.sources.lock.clone(),
             context,
             form: None,
+            told: None,
             heartbeat: beats(),
             lines: Lines::default(),
             bad_lines: 0,
@@ -124,6 +133,10 @@ impl Client {
                     self.beat().await?;
                     None
                 }
+                Event::Lock => {
+                    self.tell_lock().await?;
+                    None
+                }
                 Event::Bytes(n) => self.said(&buffer[..n?]).await?,
                 Event::Frame(Ok(encoded)) => {
                     self.send_batch(&encoded).await?;
@@ -152,9 +165,11 @@ impl Client {
     /// Waits for the first event. All branches are cancel-safe: an unfinished one has consumed nothing.
     async fn event(&mut self, buffer: &mut [u8]) -> Event {
         let streaming = self.form.is_some();
+        let events = self.form.as_ref().is_some_and(ClientEncoder::events);
         tokio::select! {
             biased;
             _ = self.heartbeat.tick(), if streaming => Event::Beat,
+            Ok(()) = self.lock.changed(), if events => Event::Lock,
             n = read(&self.stream, buffer), if self.open => Event::Bytes(n),
             encoded = self.ring.recv(), if streaming => Event::Frame(encoded),
             () = sleep_until(self.last_line + self.context.limits.idle), if !streaming => Event::Idle,
@@ -192,8 +207,8 @@ impl Client {
             Ok(ClientCommand::Help) => ClientCommand::help().to_owned(),
             Ok(ClientCommand::Descriptor) => {
                 let bytes = match &self.form {
-                    Some(form) => form.descriptor(&self.context.descriptor.borrow())?,
-                    None => query::descriptor(&self.context.descriptor.borrow())?,
+                    Some(form) => form.descriptor(&self.context.sources.descriptor.borrow())?,
+                    None => query::descriptor(&self.context.sources.descriptor.borrow())?,
                 };
                 self.write(&bytes).await?;
                 return Ok(None);
@@ -216,24 +231,40 @@ impl Client {
         Ok(None)
     }
 
-    fn ask(&self, say: impl Fn(&EncodedFrame, f64) -> String) -> String {
-        match &*self.context.newest.borrow() {
-            Some(encoded) => say(encoded, self.context.descriptor.borrow().rate_hz),
+    fn ask(&self, say: impl Fn(&EncodedFrame, f64, Option<LockCondition>) -> String) -> String {
+        let newest = self.context.newest.borrow().clone();
+        match newest {
+            Some(encoded) => {
+                let rate_hz = self.context.sources.descriptor.borrow().rate_hz;
+                let lock = (*self.lock.borrow()).and_then(|now| now.explaining(encoded.frame().lock));
+                say(&encoded, rate_hz, lock)
+            }
             None => "error: no frame has been made yet; allowed: the same query later".into(),
         }
     }
 
     /// Starts a stream, or changes the running one.
     async fn start(&mut self, request: StreamRequest) -> io::Result<()> {
-        let descriptor = self.context.descriptor.borrow().clone();
+        let descriptor = self.context.sources.descriptor.borrow().clone();
         let form = ClientEncoder::new(request, descriptor.rate_hz);
         let greeting = form.greeting(&descriptor)?;
         if self.form.is_none() {
             self.ring = self.ring.resubscribe();
         }
         self.heartbeat = beats();
-        self.form = Some(form);
-        self.write(&greeting).await
+        (self.form, self.told) = (Some(form), None);
+        self.write(&greeting).await?;
+        self.tell_lock().await
+    }
+
+    /// Sends the lock state to a client that requests events, unless it has been sent.
+    async fn tell_lock(&mut self) -> io::Result<()> {
+        let Some(form) = self.form.as_ref().filter(|form| form.events()) else { return Ok(()) };
+        let now = *self.lock.borrow_and_update();
+        let Some(now) = now.filter(|now| self.told != Some(now.number)) else { return Ok(()) };
+        self.told = Some(now.number);
+        let bytes = form.event(&lock_event(&now))?;
+        self.write(&bytes).await
     }
 
     /// Sends a frame together with those that are waiting behind it.
@@ -282,7 +313,8 @@ impl Client {
 
     async fn beat(&mut self) -> io::Result<()> {
         let Some(form) = &self.form else { return Ok(()) };
-        let bytes = form.heartbeat(&heartbeat(self.sent, self.dropped, &self.context.counters))?;
+        let lock = self.context.lock().as_ref().map(lock_event);
+        let bytes = form.heartbeat(&heartbeat(self.sent, self.dropped, &self.context.counters, lock))?;
         self.write(&bytes).await
     }
 

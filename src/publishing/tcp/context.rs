@@ -9,9 +9,10 @@ use tokio::net::TcpStream;
 use tokio::sync::watch;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
+use trifacet_core::centering::lock::LockCondition;
 use trifacet_core::telemetry::Counters;
-use trifacet_wire::stream::Descriptor;
 
+use super::Sources;
 use crate::config::Network;
 use crate::publishing::encoding::EncodedFrame;
 
@@ -47,12 +48,19 @@ impl Default for Limits {
 
 /// Data shared by all clients.
 pub(super) struct ServerContext {
-    /// The current descriptor.
-    pub(super) descriptor: watch::Receiver<Descriptor>,
+    pub(super) sources: Sources,
     pub(super) limits: Limits,
     pub(super) counters: Arc<Counters>,
     pub(super) newest: watch::Receiver<Option<Arc<EncodedFrame>>>,
     pub(super) ending: CancellationToken,
+}
+
+impl ServerContext {
+    /// The lock state with its cause, if it explains the newest frame.
+    pub(super) fn lock(&self) -> Option<LockCondition> {
+        let frame = self.newest.borrow().as_ref().map(|encoded| encoded.frame().lock)?;
+        (*self.sources.lock.borrow())?.explaining(frame)
+    }
 }
 
 /// Sends `last_word` and closes once the client has read it. Closing a socket with unread input would reset

@@ -17,6 +17,7 @@ use tokio::sync::{broadcast, mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
+use trifacet_core::centering::lock::LockCondition;
 use trifacet_core::telemetry::Counters;
 use trifacet_wire::PoseFrame;
 use trifacet_wire::held::Hold;
@@ -46,12 +47,21 @@ pub fn bind(address: SocketAddr) -> Result<TcpListener, Failure> {
     Ok(listener)
 }
 
+/// What the server reports beside the frames.
+#[derive(Clone, Debug)]
+pub struct Sources {
+    /// The current descriptor.
+    pub descriptor: watch::Receiver<Descriptor>,
+    /// The lock state and its cause; `None` without a loop.
+    pub lock: watch::Receiver<Option<LockCondition>>,
+}
+
 /// Serves the incoming frames until `shutdown` or until the channel closes. Then sends the remaining frames,
 /// within a second at most.
 pub async fn serve(
     listener: TcpListener,
     mut frames: mpsc::Receiver<PoseFrame>,
-    descriptor: watch::Receiver<Descriptor>,
+    sources: Sources,
     limits: Limits,
     counters: Arc<Counters>,
     shutdown: CancellationToken,
@@ -60,7 +70,7 @@ pub async fn serve(
     let (newest_in, newest) = watch::channel(None);
     let mut broadcaster = Broadcaster { ring, newest: newest_in, hold: Hold::default() };
     let ending = CancellationToken::new();
-    let context = ServerContext { descriptor, limits, counters, newest, ending: ending.clone() };
+    let context = ServerContext { sources, limits, counters, newest, ending: ending.clone() };
     let mut server = Server { context: context.into(), clients: JoinSet::new(), partings: JoinSet::new() };
     tokio::select! {
         () = broadcaster.run(&mut frames) => {}

@@ -79,3 +79,16 @@ fn a_burst_of_noise_increases_the_standard_uncertainties() {
         }
     }
 }
+
+/// 2.6 V of light at a threshold of 0.05 V: the powers change too fast, but none of them is low.
+#[test]
+fn a_fast_vibration_makes_the_powers_noisy_and_not_low() {
+    let mut daemon = Daemon::start(
+        "centering.mode = \"off\"\n\
+         twin.motion = [{ axis = \"tx\", kind = \"sine\", amount_um = 20, frequency_hz = 400 }]",
+    );
+    let mut stream = daemon.client();
+    stream.until("a noisy power", |f| f.has(Status::POWER_NOISY) && !f.valid());
+    let low = [Status::PSD_A_LOW, Status::PSD_B_LOW, Status::PSD_C_LOW];
+    assert!(stream.take(1000).iter().all(|f| !low.iter().any(|bit| f.has(*bit))));
+}

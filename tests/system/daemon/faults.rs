@@ -92,7 +92,7 @@ fn all_losses_are_counted(stream: &mut Stream) -> u64 {
 }
 
 fn fatal(frame: &Frame, bits: Status) -> bool {
-    const ALL: u32 = 0x0600_607E; // the light, and the solver
+    const ALL: u32 = 0x0E00_607E; // the light, and the solver
     frame.status.0 & ALL == bits.0
 }
 

@@ -8,6 +8,7 @@ mod doubts;
 mod ending;
 mod faults;
 mod gcs;
+mod lock_causes;
 mod loop_closed;
 mod running;
 mod service;

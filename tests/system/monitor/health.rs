@@ -56,7 +56,8 @@ fn readiness_changes_within_a_second_and_states_the_reason() {
     within_a_second(&blocked, "optics", ordered);
     assert_eq!(check(&blocked, "samples")["ok"], true, "{blocked}");
     let lock = check(&blocked, "lock")["reason"].as_str().unwrap();
-    assert!(["held", "lost", "searching"].contains(&lock), "{blocked}");
+    let (state, cause) = lock.split_once(": ").expect("state and cause");
+    assert!(["held", "lost", "searching"].contains(&state) && !cause.is_empty(), "{blocked}");
     until(at, "ready again", |ready| ready["ready"] == true);
 }
 
@@ -74,7 +75,7 @@ fn a_loop_that_is_off_is_not_ready() {
     let mut daemon = Daemon::start(&format!("{ON}centering.mode = \"off\"\n"));
     let at = daemon.monitor();
     let ready = until(at, "optics are fine", |ready| check(ready, "optics")["ok"] == true);
-    assert_eq!(check(&ready, "lock")["reason"], "off");
+    assert_eq!(check(&ready, "lock")["reason"], "off: switched off");
     assert_eq!(get(at, "/healthz").code, 200);
 }
 

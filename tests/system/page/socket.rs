@@ -55,13 +55,19 @@ fn history_and_updates_contain_every_sample_once_at_ten_kilohertz() {
     let history = watch(&mut socket, 10);
     let through = history["through"].as_i64().unwrap();
     let mut bins: Vec<Value> = history["bins"].as_array().unwrap().clone();
+    let mut explained = false;
     for _ in 0..20 {
         let update = next(&mut socket, "update");
         let [number, text] = ["time_ns", "time_ns_text"].map(|name| &update["frame"][name]);
         assert_eq!(text.as_str().unwrap().parse().ok(), number.as_i64(), "{update}");
+        // Around a change, the cause may belong to another state than the newest frame.
+        let lock = &update["lock"];
+        assert!(lock.is_null() || lock["lock"] == update["frame"]["lock"], "{update}");
+        explained |= lock["cause"] == "offset_within_limit";
         let news = update["bins"].as_array().unwrap();
         bins.extend(news.iter().filter(|bin| bin[0].as_i64().unwrap() > through).cloned());
     }
+    assert!(explained, "no update has the cause of the lock");
     let from = first.time_ns.div_euclid(20_000_000) + 1;
     bins.retain(|bin| bin[0].as_i64().unwrap() >= from);
     let last = bins.last().unwrap()[0].as_i64().unwrap();

@@ -122,11 +122,12 @@ fn without_a_board_the_page_reports_no_samples_and_shows_no_values() {
     let mut page = Browser::open(&format!("http://{at}/"), DESK);
     page.until("document.querySelector('#headline')?.innerText.includes('No valid pose: no samples since')");
     page.until("document.querySelectorAll('#latency dd').length >= 5");
+    page.until("document.querySelector('#beam-facts').innerText.includes('no samples')"); // the cause
     let told = page.eval(
         "[...document.querySelectorAll('.psd .none, #balance .none, #latency dd, #beam-facts dd')].map((e) => e.textContent)",
     );
     let told: Vec<_> = told.as_array().unwrap().iter().map(|text| text.as_str().unwrap()).collect();
-    assert_eq!(told.iter().filter(|text| **text == "no samples").count(), 4, "{told:?}");
+    assert_eq!(told.iter().filter(|text| **text == "no samples").count(), 5, "{told:?}");
     assert_eq!(told.iter().filter(|text| **text == "–").count(), 9, "{told:?}");
     assert_eq!(page.eval("document.querySelector('.spectra').hidden"), true);
     assert_eq!(page.complaints(), Vec::<String>::new());

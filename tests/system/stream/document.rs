@@ -102,14 +102,14 @@ fn all_commands_are_documented_and_all_documented_commands_are_valid() {
         ClientCommand::parse(command.as_bytes()).unwrap();
     }
     let options = first_words("Options of `stream`");
-    for option in ["format", "divider", "rate_hz", "fields", "held"] {
+    for option in ["format", "divider", "rate_hz", "fields", "held", "events"] {
         assert!(
             options.iter().any(|o| o.starts_with(&format!("{option}="))),
             "{options:?} do not contain {option}"
         );
         assert!(ClientCommand::help().contains(&format!("{option}=")));
     }
-    assert_eq!(options.len(), 5);
+    assert_eq!(options.len(), 6);
     // The examples of subscriptions are valid too.
     let asks = DOCUMENT.lines().filter_map(|l| l.strip_prefix("> ")).filter(|l| l.contains("subscribe "));
     assert_eq!(

@@ -38,7 +38,9 @@ pub(crate) async fn start(limits: Limits) -> Server {
         let (counters, shutdown) = (counters.clone(), shutdown.clone());
         async move {
             let descriptor = tokio::sync::watch::channel(descriptor()).1;
-            tcp::serve(listener, rx, descriptor, limits, counters, shutdown).await;
+            let lock = tokio::sync::watch::channel(None).1;
+            let sources = tcp::Sources { descriptor, lock };
+            tcp::serve(listener, rx, sources, limits, counters, shutdown).await;
         }
     });
     Server { address, frames, counters, shutdown, task }

@@ -64,6 +64,11 @@ impl Centering {
         LoopState { lock: self.lock.state(), position: self.stage.commanded() }
     }
 
+    /// The cause of the current lock state.
+    pub fn cause(&self) -> LockCause {
+        self.lock.cause()
+    }
+
     /// The current state in detail, for the operator.
     pub fn view(&self) -> LoopView {
         LoopView {

@@ -207,3 +207,20 @@ fn averaging_does_not_reduce_the_systematic_uncertainty() {
         }
     }
 }
+
+/// The light is not low: the bit of the PSD must not be set.
+#[test]
+fn a_power_that_changes_with_every_sample_is_noisy_not_low() {
+    let mut estimation = estimation(|_| {});
+    let samples = (0..200).map(|k| {
+        let mut sample = sample(k);
+        sample.powers[1] *= if k % 2 == 0 { 1.4 } else { 0.6 };
+        sample.powers[2] *= if k % 2 == 0 { 0.6 } else { 1.4 };
+        sample
+    });
+    let reports = reports(&mut estimation, samples);
+    let last = reports.last().unwrap();
+    assert!(last.pose.is_none() && last.status.has(Status::POWER_NOISY), "{last:?}");
+    let low = Status::PSD_A_LOW.0 | Status::PSD_B_LOW.0 | Status::PSD_C_LOW.0;
+    assert!(reports.iter().all(|report| report.status.0 & low == 0));
+}

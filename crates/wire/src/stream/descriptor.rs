@@ -1,4 +1,4 @@
-//! Messages in JSON: descriptor, heartbeat, answer and refusal.
+//! Messages in JSON: descriptor, heartbeat, event, answer and refusal.
 //!
 //! Readers ignore unknown keys; a later minor version may add some.
 
@@ -80,6 +80,9 @@ pub struct StreamForm {
     pub rate_hz: f64,
     /// Whether a frame without a valid pose carries the last valid one, marked with `POSE_HELD`.
     pub held: bool,
+    /// Whether changes of the lock state are sent as events.
+    #[serde(default)]
+    pub events: bool,
     /// The values of a line of text, in order; empty with the binary format.
     pub columns: Vec<String>,
 }
@@ -93,6 +96,27 @@ pub struct Heartbeat {
     pub dropped: u64,
     /// Every counter of the daemon by name.
     pub counters: BTreeMap<String, u64>,
+    /// The lock state with its cause; absent if the newest frame shows another state, or if no loop runs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lock: Option<LockEvent>,
+}
+
+/// The lock state with its cause: an event of a stream that requests events.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LockEvent {
+    /// Changes of the lock state since the start of the daemon. A step of more than one shows changes that
+    /// were not sent.
+    pub number: u64,
+    /// The lock state before the last change.
+    pub from: String,
+    /// The lock state.
+    pub lock: String,
+    /// The label of the cause, as in `/metrics`: "no_light".
+    pub cause: String,
+    /// The cause as a clause: "no PSD sees light".
+    pub text: String,
+    /// Time of the last change, UTC in RFC 3339 format.
+    pub since: String,
 }
 
 /// The answer to a query: a message within a stream, or a line for a client without a stream.

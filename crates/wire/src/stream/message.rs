@@ -1,8 +1,8 @@
-//! Messages on TCP: the pose frame, and four kinds in JSON.
+//! Messages on TCP: the pose frame, and five kinds in JSON.
 //!
 //! [`Decoder`] finds them in a byte stream, and resynchronises after damage.
 
-use super::descriptor::{Answer, Descriptor, Heartbeat, Refusal};
+use super::descriptor::{Answer, Descriptor, Heartbeat, LockEvent, Refusal};
 use crate::frame::{FrameError, PoseFrame};
 use crate::message::{CRC_SIZE, HEADER_SIZE, Header, Kind, MAJOR, crcs, header};
 
@@ -18,6 +18,8 @@ pub enum Message {
     Descriptor(Box<Descriptor>),
     /// Counters of frames and losses.
     Heartbeat(Heartbeat),
+    /// A change of the lock state, for a client that requests events.
+    Event(LockEvent),
     /// The answer to a query.
     Answer(Answer),
     /// The reason why the daemon closes the connection.
@@ -140,6 +142,7 @@ fn read(header: Header, message: &[u8]) -> Option<Result<Message, MessageError>>
         Kind::Pose => PoseFrame::decode(message).map(Message::Pose).map_err(MessageError::from),
         Kind::Descriptor => serde_json::from_slice(body).map(Message::Descriptor).map_err(json_error),
         Kind::Heartbeat => serde_json::from_slice(body).map(Message::Heartbeat).map_err(json_error),
+        Kind::Event => serde_json::from_slice(body).map(Message::Event).map_err(json_error),
         Kind::Answer => serde_json::from_slice(body).map(Message::Answer).map_err(json_error),
         Kind::Refusal => serde_json::from_slice(body).map(Message::Refusal).map_err(json_error),
     })

@@ -11,8 +11,8 @@ pub const MAX_LINE: usize = 256;
 pub const MAX_DIVIDER: u32 = 1_000_000;
 
 const COMMANDS: &str = "stream, pose?, status?, descriptor?, help, bye";
-const OPTIONS: &str = "format=, divider=, rate_hz=, fields=, held=";
-const HELP: &str = "stream [format=binary|json|csv] [divider=N | rate_hz=F] [fields=A,B,...] [held=on|off]; \
+const OPTIONS: &str = "format=, divider=, rate_hz=, fields=, held=, events=";
+const HELP: &str = "stream [format=binary|json|csv] [divider=N | rate_hz=F] [fields=A,B,...] [held=on|off] [events=on|off]; \
     pose?; status?; descriptor?; help; bye";
 
 /// A valid request.
@@ -43,6 +43,8 @@ pub struct StreamRequest {
     pub fields: Option<Vec<&'static str>>,
     /// Whether a frame without a valid pose carries the last valid one (`POSE_HELD`) instead of NaN.
     pub held: bool,
+    /// Whether changes of the lock state are sent as messages beside the frames.
+    pub events: bool,
 }
 
 /// Format of the frames.
@@ -164,6 +166,7 @@ impl StreamRequest {
                 "rate_hz" => request.pace = Pace::RateHz(rate(&option_text, value)?),
                 "fields" => request.fields = Some(fields(value)?),
                 "held" => request.held = on_or_off(&option_text, value)?,
+                "events" => request.events = on_or_off(&option_text, value)?,
                 _ => return wrong(format!("{option_text} is not an option of stream"), OPTIONS),
             }
             if !seen.insert(key) {
@@ -237,7 +240,10 @@ impl fmt::Display for StreamRequest {
         if let Some(fields) = &self.fields {
             write!(f, " fields={}", fields.join(","))?;
         }
-        if self.held { f.write_str(" held=on") } else { Ok(()) }
+        if self.held {
+            f.write_str(" held=on")?;
+        }
+        if self.events { f.write_str(" events=on") } else { Ok(()) }
     }
 }
 
@@ -263,11 +269,11 @@ mod tests {
         assert_eq!(parse("pose?"), Ok(ClientCommand::Pose));
         assert_eq!(parse("  BYE "), Ok(ClientCommand::Bye));
         assert_eq!(parse("Stream"), Ok(ClientCommand::Stream(StreamRequest::default())));
-        let all = request("stream format=csv rate_hz=12.5 fields=sequence,tx_m held=on");
+        let all = request("stream format=csv rate_hz=12.5 fields=sequence,tx_m held=on events=on");
         assert_eq!(all.format, Format::Csv);
         assert_eq!(all.pace, Pace::RateHz(12.5));
         assert_eq!(all.fields, Some(vec!["sequence", "tx_m"]));
-        assert!(all.held);
+        assert!(all.held && all.events);
     }
 
     #[test]
@@ -287,6 +293,7 @@ mod tests {
             ("stream format=json fields=tx", "\"tx\" is not a field", "tx_m, ty_m"),
             ("stream format=json fields=tx_m,tx_m", "tx_m twice", "once"),
             ("stream held=yes", "held=yes", "on, off"),
+            ("stream events=1", "events=1", "on, off"),
             ("GET / HTTP/1.1", "GET", "stream"),
             ("\u{7}\u{e9}", "\\x07\\xc3\\xa9", "stream"),
         ] {
@@ -318,10 +325,11 @@ mod tests {
             format in prop::sample::select(vec![Format::Binary, Format::Json, Format::Csv]),
             pace in prop_oneof![(1..=MAX_DIVIDER).prop_map(Pace::Divider), (1e-3..1e6).prop_map(Pace::RateHz)],
             held: bool,
+            events: bool,
             fields in prop::option::of(prop::sample::subsequence(COLUMNS.to_vec(), 1..8)),
         ) {
             let fields = fields.filter(|_| format != Format::Binary);
-            let request = StreamRequest { format, pace, fields, held };
+            let request = StreamRequest { format, pace, fields, held, events };
             prop_assert_eq!(ClientCommand::parse(request.to_string().as_bytes()), Ok(ClientCommand::Stream(request)));
         }
     }

@@ -218,6 +218,7 @@ function beam(frame, update, now_ms) {
     ["loop", hello.descriptor.replay ? NO_LOOP : hello.config.centering.mode],
     ["lock", `${SHAPES[LOCK_GRADES[frame.lock]]} ${frame.lock}`],
     ["", since],
+    ["cause", update.lock?.text ?? "–"],
     ["offset x", um(dx, 3)],
     ["offset y", um(dy, 3)],
     ["distance", um(away, 3)],

@@ -18,6 +18,11 @@ macro_rules! causes {
                 match self { $(Self::$name => $label),* }
             }
 
+            /// The loop has given up: it waits for light elsewhere, or for the operator.
+            pub fn gives_up(self) -> bool {
+                matches!(self, Self::SearchesFailed | Self::LostTooOften)
+            }
+
             /// The cause as a clause for logs and recordings: "no PSD sees light".
             pub fn text(self) -> &'static str {
                 match self { $(Self::$name => $text),* }

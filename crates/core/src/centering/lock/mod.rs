@@ -15,10 +15,12 @@
 //! ```
 
 mod cause;
+mod condition;
 #[cfg(test)]
 mod tests;
 
 pub use cause::LockCause;
+pub use condition::{LockCondition, Transition};
 use trifacet_wire::LockState;
 
 use crate::centering::LoopMode;
@@ -101,17 +103,6 @@ pub enum Action {
     Waiting,
 }
 
-/// A change of the lock state, with its cause.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Transition {
-    /// State before.
-    pub from: LockState,
-    /// State after.
-    pub to: LockState,
-    /// The cause.
-    pub cause: LockCause,
-}
-
 /// Decision that follows from an observation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LockDecision {
@@ -128,6 +119,8 @@ pub struct LockDecision {
 pub struct Lock {
     limits: LockLimits,
     state: LockState,
+    /// Why the state is not another one.
+    cause: LockCause,
     action: Action,
     /// Time with error and rms within the limits, seconds.
     good_s: f64,
@@ -164,14 +157,15 @@ impl Next {
 impl Lock {
     /// The state machine of a loop in this mode.
     pub fn new(limits: LockLimits, mode: LoopMode) -> Self {
-        let (state, action) = match mode {
-            LoopMode::On => (LockState::Acquiring, Action::Regulating),
-            LoopMode::Manual => (LockState::Manual, Action::Holding),
-            LoopMode::Off | LoopMode::Shadow => (LockState::Off, Action::Holding),
+        let (state, action, cause) = match mode {
+            LoopMode::On => (LockState::Acquiring, Action::Regulating, LockCause::SwitchedOn),
+            LoopMode::Manual => (LockState::Manual, Action::Holding, LockCause::SwitchedToManual),
+            LoopMode::Off | LoopMode::Shadow => (LockState::Off, Action::Holding, LockCause::SwitchedOff),
         };
         Self {
             limits,
             state,
+            cause,
             action,
             good_s: 0.0,
             blind_s: 0.0,
@@ -197,12 +191,7 @@ impl Lock {
     pub fn switch(&mut self, mode: LoopMode) -> Option<Transition> {
         let from = self.state;
         *self = Self::new(self.limits, mode);
-        let cause = match mode {
-            LoopMode::On => LockCause::SwitchedOn,
-            LoopMode::Off | LoopMode::Shadow => LockCause::SwitchedOff,
-            LoopMode::Manual => LockCause::SwitchedToManual,
-        };
-        (from != self.state).then_some(Transition { from, to: self.state, cause })
+        (from != self.state).then_some(Transition { from, to: self.state, cause: self.cause })
     }
 
     /// Starts a search on request of the operator: without the waiting time, and with all counts reset.
@@ -216,6 +205,11 @@ impl Lock {
     /// The state.
     pub fn state(&self) -> LockState {
         self.state
+    }
+
+    /// The cause of the present state.
+    pub fn cause(&self) -> LockCause {
+        self.cause
     }
 
     /// Failed searches since the last lock.
@@ -247,6 +241,7 @@ impl Lock {
         self.dark = seen == LockInput::Dark;
         self.action = next.action;
         let from = std::mem::replace(&mut self.state, next.state);
+        self.cause = next.cause;
         let transition =
             (from != next.state).then_some(Transition { from, to: next.state, cause: next.cause });
         LockDecision { action: next.action, begins: next.begins, transition }

@@ -177,3 +177,31 @@ fn off_and_manual_stay_until_they_are_switched() {
         assert_eq!(lock.switch(mode).unwrap().to, state);
     }
 }
+
+#[test]
+fn giving_up_is_a_change_with_a_cause_that_remains() {
+    let mut lock = new();
+    let mut changes = Vec::new();
+    for _ in 0..MOST_SLIPS {
+        feed(&mut lock, ELSEWHERE, 60); // lost, then a jump
+        feed(&mut lock, off_by(10e-6), 3);
+        changes.extend(lock.update(LockInput::Unclear(LockCause::Clipped), false, DT).transition);
+    }
+    let last = lock.update(LockInput::Dark, false, DT);
+    assert_eq!((last.action, last.transition), (Action::Waiting, None), "reported once");
+    let held = |cause| Transition { from: LockState::Acquiring, to: LockState::Held, cause };
+    assert_eq!(changes.last(), Some(&held(LockCause::LostTooOften)));
+    assert_eq!(lock.cause(), LockCause::LostTooOften);
+}
+
+#[test]
+fn the_cause_follows_the_observation_while_the_state_remains() {
+    let mut lock = new();
+    feed(&mut lock, LockInput::Unclear(LockCause::Clipped), 1);
+    let held = lock.update(LockInput::Dark, false, DT);
+    assert_eq!((held.transition, lock.state(), lock.cause()), (None, LockState::Held, LockCause::NoLight));
+    feed(&mut lock, off_by(10e-6), 1);
+    assert_eq!((lock.state(), lock.cause()), (LockState::Acquiring, LockCause::OffsetTooLarge));
+    let _ = lock.switch(LoopMode::Manual);
+    assert_eq!((lock.state(), lock.cause()), (LockState::Manual, LockCause::SwitchedToManual));
+}
