@@ -13,7 +13,7 @@ use trifacet_core::centering::{LoopParams, LoopRefusal, LoopState, LoopView, Tim
 use trifacet_core::estimation::PoseReport;
 use trifacet_core::signals::Sample;
 use trifacet_core::steering::{Command, StagePosition};
-use trifacet_core::telemetry::Counters;
+use trifacet_core::telemetry::{CommandGauge, Counters};
 use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::actuator::Ack;
 
@@ -40,6 +40,8 @@ pub struct CenteringLinks {
     pub orders: mpsc::Receiver<CenteringRequest>,
     /// Changes of the lock state, for the recorder.
     pub records: RecordSender,
+    /// The commands without an acknowledgement, for the monitor.
+    pub commands: Arc<CommandGauge>,
 }
 
 /// Requests to the loop.
@@ -64,9 +66,9 @@ pub async fn run<C: Clock>(
     links: CenteringLinks,
     stop: CancellationToken,
 ) {
-    let CenteringLinks { mut newest, poses, state, mut orders, records } = links;
+    let CenteringLinks { mut newest, poses, state, mut orders, records, commands } = links;
     let mut last_arrival = clock.now();
-    let mut side = Side { centering, driver, clock, counters, poses, records };
+    let mut side = Side { centering, driver, clock, counters, poses, records, commands, overdue: false };
     loop {
         tokio::select! {
             biased;
@@ -97,6 +99,7 @@ pub async fn run<C: Clock>(
                 last_arrival = now;
             }
         }
+        side.watch_commands();
         state.send_if_modified(|state| std::mem::replace(state, side.centering.state()) != *state);
     }
     side.finish().await;
@@ -110,6 +113,9 @@ struct Side<D, C> {
     counters: Arc<Counters>,
     poses: watch::Receiver<Option<PoseReport>>,
     records: RecordSender,
+    commands: Arc<CommandGauge>,
+    /// It was logged that answers to commands are overdue.
+    overdue: bool,
 }
 
 impl<D: Driver, C: Clock> Side<D, C> {
@@ -162,6 +168,22 @@ impl<D: Driver, C: Clock> Side<D, C> {
     fn send(&mut self, command: Option<Command>) {
         if let Some(command) = command {
             self.driver.steer(command);
+        }
+    }
+
+    /// Publishes the commands without an acknowledgement, and logs when answers become overdue, and when they
+    /// arrive in time again.
+    fn watch_commands(&mut self) {
+        let backlog = self.centering.backlog();
+        self.commands.set(&backlog);
+        if std::mem::replace(&mut self.overdue, backlog.overdue) == backlog.overdue {
+            return;
+        }
+        if backlog.overdue {
+            let age_ms = (backlog.age_s(self.clock.now()) * 1e3).round();
+            tracing::warn!(unanswered = backlog.count, age_ms, "the stage does not answer commands");
+        } else {
+            tracing::info!("the stage answers commands again");
         }
     }
 

@@ -43,6 +43,10 @@ pub enum FaultKind {
     },
     /// The board stops sending.
     Stalled,
+    /// The board executes commands, but acknowledges none.
+    MuteAcks,
+    /// The board executes commands, but acknowledges other ids.
+    WrongAcks,
     /// The stage ignores commands.
     SteeringStuck,
     /// The power of the laser is multiplied by a factor.
@@ -100,6 +104,8 @@ enum KindName {
     Dropped,
     Corrupted,
     Stalled,
+    MuteAcks,
+    WrongAcks,
     SteeringStuck,
     LaserPower,
     NoiseBurst,
@@ -138,6 +144,8 @@ impl TryFrom<FaultKeys> for Fault {
                 FaultKind::Corrupted { fraction: needed(keys.fraction.take(), "fraction")? }
             }
             KindName::Stalled => FaultKind::Stalled,
+            KindName::MuteAcks => FaultKind::MuteAcks,
+            KindName::WrongAcks => FaultKind::WrongAcks,
             KindName::SteeringStuck => FaultKind::SteeringStuck,
             KindName::LaserPower => FaultKind::LaserPower { factor: needed(keys.factor.take(), "factor")? },
             KindName::NoiseBurst => FaultKind::NoiseBurst { factor: needed(keys.factor.take(), "factor")? },
@@ -181,7 +189,11 @@ impl Fault {
                 at.number("factor", factor, 0.0..=1000.0);
             }
             FaultKind::LaserBump { shift_um } => at.numbers("shift_um", &shift_um, -10_000.0..=10_000.0),
-            FaultKind::BeamBlocked | FaultKind::Stalled | FaultKind::SteeringStuck => {}
+            FaultKind::BeamBlocked
+            | FaultKind::Stalled
+            | FaultKind::MuteAcks
+            | FaultKind::WrongAcks
+            | FaultKind::SteeringStuck => {}
         }
     }
 }

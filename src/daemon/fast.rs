@@ -12,7 +12,7 @@ use tokio_util::sync::CancellationToken;
 use trifacet_core::estimation::PoseReport;
 use trifacet_core::pipeline::Pipeline;
 use trifacet_core::telemetry::heartbeat::{Heartbeats, Task, counted};
-use trifacet_core::telemetry::{Counters, LatestStatus};
+use trifacet_core::telemetry::{CommandGauge, Counters, LatestStatus};
 use trifacet_wire::stream::Descriptor;
 
 use crate::acquisition::{SerialSource, Source};
@@ -46,6 +46,7 @@ pub(super) struct Parts {
     pub(super) header: Option<RecordingHeader>,
     pub(super) descriptor: watch::Sender<Descriptor>,
     pub(super) records: RecordSender,
+    pub(super) commands: Arc<CommandGauge>,
     pub(super) stop: CancellationToken,
 }
 
@@ -96,7 +97,7 @@ async fn fast<S: Source + 'static>(
     source: impl FnOnce() -> io::Result<S>,
 ) -> anyhow::Result<()> {
     let Parts { config, pipeline, gcs, mut publisher, .. } = parts;
-    let Parts { counters, heartbeats, glance, control, stop, context, records, .. } = parts;
+    let Parts { counters, heartbeats, glance, control, stop, context, records, commands: gauge, .. } = parts;
     let FastLink { changes, questions, orders } = control;
     let source = source().context("cannot start the source")?;
     let (mapping, centering, estimation) = pipeline.into_parts();
@@ -135,7 +136,14 @@ async fn fast<S: Source + 'static>(
             driver,
             SystemClock,
             counters,
-            centering::CenteringLinks { newest, poses, state: state_in, orders, records: records.clone() },
+            centering::CenteringLinks {
+                newest,
+                poses,
+                state: state_in,
+                orders,
+                records: records.clone(),
+                commands: gauge,
+            },
             stop.clone(),
         ),
         &heartbeats,

@@ -131,10 +131,12 @@ impl Emulator {
         while let Some(frame) = deframer.next(&mut bytes) {
             let answer = match frame.map(Request::decode) {
                 Ok(Ok(request)) => self.requested(request, now),
-                Ok(Err(error)) => error.to_answer(),
-                Err(_) => Answer::Error { reason: ErrorReason::Corrupted, kind: 0 },
+                Ok(Err(error)) => Some(error.to_answer()),
+                Err(_) => Some(Answer::Error { reason: ErrorReason::Corrupted, kind: 0 }),
             };
-            self.send(&answer);
+            if let Some(answer) = answer {
+                self.send(&answer);
+            }
         }
         self.deframer = deframer;
     }
@@ -154,16 +156,20 @@ impl Emulator {
         }
     }
 
-    fn requested(&mut self, request: Request, now: Mono) -> Answer {
-        match request {
+    /// The answer to a request; `None` if a fault suppresses it.
+    fn requested(&mut self, request: Request, now: Mono) -> Option<Answer> {
+        Some(match request {
             Request::Identify => Answer::Identity(self.identity()),
             Request::Start { rate_mhz, park } => self.start(rate_mhz, park),
             Request::Stop => {
                 self.set_started(None);
                 Answer::Reply(Reply { start: false, result: StartResult::Done, rate_mhz: 0 })
             }
-            Request::Steer(command) => Answer::Ack { id: command.id, result: self.steer(&command, now) },
-        }
+            Request::Steer(command) => {
+                let result = self.steer(&command, now);
+                Answer::Ack { id: self.twin.acknowledged(command.id)?, result }
+            }
+        })
     }
 
     fn start(&mut self, rate_mhz: u32, park: [i32; 2]) -> Answer {

@@ -5,6 +5,9 @@ use trifacet_wire::channel::SIGNALS;
 use super::TwinError;
 use crate::config::{Fault, FaultKind};
 
+/// The bits of an id that a wrong acknowledgement changes: no command of the last weeks has that id.
+const WRONG_ID: u32 = 0x8000_0000;
+
 /// The fate of a scan on its way to the host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Fate {
@@ -17,6 +20,18 @@ pub enum Fate {
     Corrupted,
     /// The board sends nothing at all.
     Stalled,
+}
+
+/// What the board acknowledges, in the order of severity.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Acks {
+    /// The commands.
+    #[default]
+    Right,
+    /// Other ids than those of the commands.
+    Wrong,
+    /// Nothing.
+    Missing,
 }
 
 /// All faults, configured and injected.
@@ -42,6 +57,8 @@ pub struct Active {
     pub corrupted: f64,
     /// The board sends nothing.
     pub stalled: bool,
+    /// What the board acknowledges.
+    pub acks: Acks,
     /// The steering stage does not move.
     pub stuck: bool,
     /// The laser's power is multiplied by this.
@@ -95,6 +112,7 @@ impl Default for Active {
             dropped: 0.0,
             corrupted: 0.0,
             stalled: false,
+            acks: Acks::Right,
             stuck: false,
             power: 1.0,
             noise: 1.0,
@@ -114,6 +132,15 @@ impl Active {
         }
     }
 
+    /// The id that is acknowledged for a command with this id; `None`: no acknowledgement is sent.
+    pub fn acknowledged(&self, id: u32) -> Option<u32> {
+        match self.acks {
+            Acks::Right => Some(id),
+            Acks::Wrong => Some(id ^ WRONG_ID),
+            Acks::Missing => None,
+        }
+    }
+
     fn add(&mut self, kind: FaultKind) {
         match kind {
             FaultKind::BeamBlocked => self.dark = [true; 3],
@@ -124,6 +151,8 @@ impl Active {
             FaultKind::Dropped { fraction } => self.dropped = either(self.dropped, fraction),
             FaultKind::Corrupted { fraction } => self.corrupted = either(self.corrupted, fraction),
             FaultKind::Stalled => self.stalled = true,
+            FaultKind::MuteAcks => self.acks = Acks::Missing,
+            FaultKind::WrongAcks => self.acks = self.acks.max(Acks::Wrong),
             FaultKind::SteeringStuck => self.stuck = true,
             FaultKind::LaserPower { factor } => self.power *= factor,
             FaultKind::NoiseBurst { factor } => self.noise *= factor,

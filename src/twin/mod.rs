@@ -182,6 +182,11 @@ impl Twin {
         self.stage.command(self.outputs.metres(codes), t_s);
     }
 
+    /// The id that the board acknowledges for a command with this id; `None` if it sends no acknowledgement.
+    pub fn acknowledged(&self, id: u32) -> Option<u32> {
+        self.faults.active(self.next_s()).acknowledged(id)
+    }
+
     /// Injects a fault from the next scan on, for `for_s` seconds or, with `None`, without end.
     ///
     /// # Errors

@@ -9,6 +9,7 @@ use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_wire::actuator::{Ack, LeaseAction, OutputCommand};
 
 use super::{Fate, Outputs, Twin};
+use crate::acquisition::in_flight::InFlight;
 use crate::acquisition::{Source, SourceError, SourceEvent};
 use crate::clock::pace::{Pace, Waiting};
 
@@ -20,6 +21,7 @@ pub struct TwinSource<C: Waiting> {
     outputs: Outputs,
     pace: Pace<C>,
     counters: Arc<Counters>,
+    in_flight: InFlight,
     /// Events that have not been returned yet.
     events: VecDeque<SourceEvent>,
     /// Number of scans that are due and not yet taken.
@@ -46,6 +48,7 @@ impl<C: Waiting> TwinSource<C> {
         Ok(Self {
             events: VecDeque::from([SourceEvent::Up(twin.identity().clone())]),
             outputs: twin.outputs().clone(),
+            in_flight: InFlight::new(usize::MAX, Arc::clone(&counters)),
             counters,
             due: 0,
             lost: 0,
@@ -127,8 +130,12 @@ impl<C: Waiting> Source for TwinSource<C> {
             let t_s = now.seconds_since(self.pace.schedule().time(0));
             self.twin.steer(command.codes, t_s);
         }
+        self.in_flight.expire(now);
+        self.in_flight.sent(&command, now);
         // A stalled board sends no acknowledgements either.
-        if !self.stalled {
+        if let Some(id) = self.twin.acknowledged(command.id).filter(|_| !self.stalled)
+            && self.in_flight.acknowledged(id)
+        {
             self.events.push_back(SourceEvent::Ack(Ack { id: command.id, accepted }));
         }
     }

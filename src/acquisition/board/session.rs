@@ -12,6 +12,7 @@ use trifacet_wire::board::{Answer, BoardIdentity, Deframer, MessageError, Reques
 
 use super::link_faults::{LinkFault, Tally};
 use super::{Arrival, Sequence, compatibility};
+use crate::acquisition::in_flight::{InFlight, most_in_flight};
 use crate::acquisition::timebase::{ScanCounters, Timebase};
 use crate::acquisition::{SourceError, SourceEvent};
 use crate::config::{Config, SteeringKind};
@@ -37,6 +38,8 @@ pub struct Settings {
     pub latency_ns: i64,
     /// Parking position as a fraction of full scale.
     pub park: [f64; 2],
+    /// Largest number of commands that wait for an acknowledgement. Above 0.
+    pub most_in_flight: usize,
 }
 
 impl From<&Config> for Settings {
@@ -46,6 +49,7 @@ impl From<&Config> for Settings {
             rate_hz: config.acquisition.rate_hz,
             baud: serial.baud,
             latency_ns: (serial.latency_us * 1e3).round() as i64,
+            most_in_flight: most_in_flight(config),
             park: match config.steering.kind {
                 SteeringKind::Outputs => config.steering.park_um.map(|um| um / config.steering.full_scale_um),
                 SteeringKind::Gcs => [0.0; 2], // with another stage the outputs are never commanded
@@ -100,8 +104,10 @@ pub struct Session {
     reported: Option<SourceError>,
     /// Bytes that wait to be written.
     out: Vec<u8>,
-    /// The newest command, not yet encoded.
-    command: Option<OutputCommand>,
+    /// The newest command, not yet encoded, with its time.
+    command: Option<(OutputCommand, Mono)>,
+    in_flight: InFlight,
+    counters: Arc<Counters>,
     /// Number of corrupted frames while waiting for an answer.
     garbage: u32,
 }
@@ -110,11 +116,13 @@ impl Session {
     /// A session without a connection.
     pub fn new(settings: Settings, counters: Arc<Counters>) -> Self {
         Self {
+            in_flight: InFlight::new(settings.most_in_flight, Arc::clone(&counters)),
             settings,
             state: State::Unlinked,
             deframer: Deframer::default(),
             sequence: Sequence::default(),
-            tally: Tally::new(counters),
+            tally: Tally::new(Arc::clone(&counters)),
+            counters,
             last: None,
             events: VecDeque::new(),
             reported: None,
@@ -142,18 +150,20 @@ impl Session {
         self.events.pop_front()
     }
 
-    /// Takes a command, which replaces an older one that has not been sent. Without a running board the
+    /// Takes a command, which replaces an older one that has not been sent. The command waits while too many
+    /// commands have no acknowledgement: a slow board then gets the newest command, not old ones. Without a running board the
     /// command is dropped, because it would be outdated when the board is back. A stalled board may still
     /// receive, so that the last command of a loop that ends is sent to it.
-    pub fn steer(&mut self, command: OutputCommand) {
-        if self.scanning() {
-            self.command = Some(command);
+    pub fn steer(&mut self, command: OutputCommand, now: Mono) {
+        self.in_flight.expire(now);
+        if self.scanning() && self.command.replace((command, now)).is_some() {
+            self.counters.commands_replaced.inc();
         }
     }
 
     /// Requests the board to stop scanning, after the last command.
     pub fn stop(&mut self) {
-        if let Some(command) = self.command.take() {
+        if let Some((command, _)) = self.command.take() {
             Request::Steer(command).encode(&mut self.out);
         }
         Request::Stop.encode(&mut self.out);
@@ -162,8 +172,10 @@ impl Session {
     /// The bytes to write next.
     pub fn output(&mut self) -> &[u8] {
         if self.out.is_empty()
-            && let Some(command) = self.command.take()
+            && self.in_flight.has_room()
+            && let Some((command, now)) = self.command.take()
         {
+            self.in_flight.sent(&command, now);
             Request::Steer(command).encode(&mut self.out);
         }
         &self.out
@@ -239,7 +251,9 @@ impl Session {
                 self.scanned(&scan, now);
             }
             (Answer::Ack { id, result }, State::Running(_) | State::Resting { stalled: Some(_), .. }) => {
-                self.events.push_back(SourceEvent::Ack(result.ack(id)));
+                if self.in_flight.acknowledged(id) {
+                    self.events.push_back(SourceEvent::Ack(result.ack(id)));
+                }
             }
             (Answer::Identity(board), State::Identifying { .. }) => self.identified(board, now),
             (Answer::Reply(reply @ Reply { start: true, .. }), State::Starting { .. }) => {
@@ -284,6 +298,7 @@ impl Session {
         let missed = self.last.map_or(0.0, |last| now.seconds_since(last) * rate_hz);
         self.sequence.restart(missed.round() as u64);
         self.command = None;
+        self.in_flight.clear();
         self.state = State::Running(Running {
             channels: board.roles.len(),
             timebase: Timebase::new(board.tick_hz, rate_hz, self.settings.latency_ns, self.last),

@@ -4,6 +4,7 @@
 
 mod channels;
 mod clients;
+mod commands;
 mod doubts;
 mod ending;
 mod faults;

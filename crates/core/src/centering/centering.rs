@@ -10,7 +10,9 @@ use super::stage::{CommandStatus, StageModel};
 use crate::centering::apex_tracker::ApexTracker;
 use crate::centering::observation::BeamObservation;
 use crate::centering::open_loop::OpenLoopMove;
-use crate::centering::{LoopMode, LoopParams, LoopState, LoopView, OnExit, Outcome, TimedPose};
+use crate::centering::{
+    CommandBacklog, LoopMode, LoopParams, LoopState, LoopView, OnExit, Outcome, TimedPose,
+};
 use crate::signals::Sample;
 use crate::steering::{BeamOffset, BeamPoint, Command, StageMove, StagePosition};
 use crate::time::Mono;
@@ -38,6 +40,8 @@ pub struct Centering {
     offset: Option<BeamOffset>,
     shadow: Option<(StagePosition, StagePosition)>,
     commands: u32,
+    /// Time of the last sample's arrival.
+    now: Mono,
 }
 
 impl Centering {
@@ -56,6 +60,7 @@ impl Centering {
             offset: None,
             shadow: None,
             commands: 0,
+            now: Mono(0),
         }
     }
 
@@ -74,6 +79,7 @@ impl Centering {
             commanded: self.stage.commanded(),
             shadow: self.shadow,
             attempts: self.lock.attempts(),
+            backlog: self.stage.backlog(),
         }
     }
 
@@ -161,6 +167,11 @@ impl Centering {
         self.stage.answers(answer.id, answer.accepted);
     }
 
+    /// The commands that the stage has not acknowledged.
+    pub fn backlog(&self) -> CommandBacklog {
+        self.stage.backlog()
+    }
+
     /// Records the position that the stage reports, metres.
     pub fn stage_at(&mut self, position: StagePosition) {
         self.stage.set_reported(position);
@@ -177,10 +188,12 @@ impl Centering {
     /// it is recent.
     pub fn sample(&mut self, sample: &Sample, pose: Option<&TimedPose>, now: Mono) -> Outcome {
         let dt = self.seconds_since_last(sample);
+        self.now = now;
         if self.last.is_some_and(|(_, time)| sample.time.seconds_since(time) >= self.params.lease_s()) {
             self.released(); // the lease has expired, and the board has acted on its own
         }
         self.last = Some((sample.index, sample.time));
+        self.stage.check_answers(&self.params, now, dt);
         match self.params.mode {
             LoopMode::Off => Outcome::default(),
             LoopMode::Shadow => {
@@ -243,6 +256,7 @@ impl Centering {
         match self.stage.command_status() {
             CommandStatus::Gone => Some(LockCause::StageGone),
             CommandStatus::Refuses => Some(LockCause::StageRefuses),
+            CommandStatus::Obeys if self.stage.backlog().overdue => Some(LockCause::CommandsUnanswered),
             CommandStatus::Obeys if self.late_s > self.params.limits.lost_s => {
                 Some(LockCause::SamplesTooLate)
             }
@@ -407,7 +421,7 @@ impl Centering {
     fn command(&mut self, position: StagePosition) -> Command {
         self.commands = self.commands.wrapping_add(1);
         let LoopParams { lease_ms, on_lease, .. } = self.params;
-        self.stage.commands(self.commands, position);
+        self.stage.commands(self.commands, position, self.now);
         Command { id: self.commands, position, lease_ms, on_expiry: on_lease }
     }
 }

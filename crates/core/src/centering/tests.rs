@@ -78,6 +78,7 @@ impl Bench {
         }
         self.stage_um = to;
         self.expiry = Some(command.on_expiry);
+        self.centering.stage_answers(Ack { id: command.id, accepted: true });
         true
     }
 
@@ -277,6 +278,7 @@ fn a_source_that_is_always_late_is_reported() {
                 && outcome.command.is_some_and(|command| command.position == StagePosition([0.0; 2]))
         );
         transitions.extend(outcome.transition.map(|t| (t.to, t.cause)));
+        bench.obey(outcome);
     }
     assert_eq!(
         transitions,
@@ -302,6 +304,29 @@ fn a_refusing_stage_is_held_at_its_last_accepted_position() {
         assert_ne!(bench.lock(), LockState::Locked);
     }
     assert!(matches!(bench.lock(), LockState::Held | LockState::Lost | LockState::Acquiring));
+}
+
+#[test]
+fn a_stage_that_does_not_answer_is_held_until_it_answers_again() {
+    let mut bench = Bench::new(|_| {});
+    bench.run(500);
+    assert_eq!(bench.lock(), LockState::Locked);
+    let mut transitions = Vec::new();
+    for k in 0..200 {
+        let sample = bench.sample();
+        let outcome = bench.centering.sample(&sample, None, sample.time);
+        assert!(outcome.command.is_some(), "commands renew the lease");
+        transitions.extend(outcome.transition.map(|t| (k, t.to, t.cause)));
+    }
+    let cause = LockCause::CommandsUnanswered;
+    let [(held, LockState::Held, first), (_, LockState::Lost, second)] = transitions[..] else {
+        panic!("{transitions:?}")
+    };
+    assert_eq!([first, second], [cause; 2]);
+    assert!((60..70).contains(&held), "12 ms of age for 50 ms: {held}");
+    assert!(bench.centering.backlog().overdue && bench.centering.backlog().count == 200);
+    bench.run(200);
+    assert_eq!((bench.lock(), bench.centering.backlog().overdue), (LockState::Locked, false));
 }
 
 #[test]
