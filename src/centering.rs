@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::yield_now;
-use tokio::time::{sleep, timeout};
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until, timeout};
 use tokio_util::sync::CancellationToken;
 use trifacet_core::centering::centering::Centering;
 use trifacet_core::centering::lock::Transition;
@@ -13,6 +13,7 @@ use trifacet_core::centering::{LoopParams, LoopRefusal, LoopState, LoopView, Tim
 use trifacet_core::estimation::PoseReport;
 use trifacet_core::signals::Sample;
 use trifacet_core::steering::{Command, StagePosition};
+use trifacet_core::telemetry::heartbeat::HEARTBEAT;
 use trifacet_core::telemetry::{CommandGauge, Counters};
 use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::actuator::Ack;
@@ -24,8 +25,6 @@ use crate::steering::{Driver, StageEvent};
 const FRESH_S: f64 = 0.1;
 /// Longest wait for the acknowledgement of the last command.
 const LAST_ACK: Duration = Duration::from_secs(1);
-/// Time without samples until silence is reported to the loop.
-const SILENCE_TIMEOUT: Duration = Duration::from_millis(20);
 
 /// Channels of the task.
 #[derive(Debug)]
@@ -42,6 +41,8 @@ pub struct CenteringLinks {
     pub records: RecordSender,
     /// The commands without an acknowledgement, for the monitor.
     pub commands: Arc<CommandGauge>,
+    /// Time without samples until silence is reported to the loop.
+    pub silence: Duration,
 }
 
 /// Requests to the loop.
@@ -66,8 +67,10 @@ pub async fn run<C: Clock>(
     links: CenteringLinks,
     stop: CancellationToken,
 ) {
-    let CenteringLinks { mut newest, poses, state, mut orders, records, commands } = links;
-    let mut last_arrival = clock.now();
+    let CenteringLinks { mut newest, poses, state, mut orders, records, commands, silence } = links;
+    let (mut last_arrival, mut silent_from) = (clock.now(), Instant::now());
+    let mut heartbeat = interval(HEARTBEAT);
+    heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut side = Side { centering, driver, clock, counters, poses, records, commands, overdue: false };
     loop {
         tokio::select! {
@@ -80,13 +83,14 @@ pub async fn run<C: Clock>(
                     break; // acquisition has ended; the daemon detects that
                 }
                 let Some(sample) = *newest.borrow_and_update() else { continue };
+                silent_from = Instant::now();
                 if let Some(skipped) = side.centering.skipped(&sample) {
                     side.counters.centering_skips.add(skipped);
                     last_arrival = side.clock.now();
                     side.act(&sample, last_arrival);
                 }
             }
-            () = sleep(SILENCE_TIMEOUT) => {
+            () = sleep_until(silent_from + silence) => {
                 // The whole thread may have been suspended: events that have arrived since then are handled
                 // first.
                 yield_now().await;
@@ -96,8 +100,9 @@ pub async fn run<C: Clock>(
                 let now = side.clock.now();
                 let transition = side.centering.silence(now.seconds_since(last_arrival));
                 side.say(transition);
-                last_arrival = now;
+                (last_arrival, silent_from) = (now, Instant::now());
             }
+            _ = heartbeat.tick() => {}
         }
         side.watch_commands();
         state.send_if_modified(|state| std::mem::replace(state, side.centering.state()) != *state);

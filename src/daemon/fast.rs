@@ -62,7 +62,8 @@ pub(super) fn start(parts: Parts) -> anyhow::Result<Fast> {
     match parts.config.acquisition.source {
         SourceKind::Twin => {
             let twin = Twin::new(&parts.config)?;
-            let source = || TwinSource::new(twin, SystemClock, counters);
+            let silence = parts.config.acquisition.silence_times();
+            let source = move || TwinSource::new(twin, SystemClock, counters, silence);
             start_fast(parts.config.realtime.clone(), || fast(parts, source))
         }
         SourceKind::Replay => start_fast(parts.config.realtime.clone(), || replayed(parts)),
@@ -143,6 +144,7 @@ async fn fast<S: Source + 'static>(
                 orders,
                 records: records.clone(),
                 commands: gauge,
+                silence: config.acquisition.silence_times().first,
             },
             stop.clone(),
         ),
@@ -160,6 +162,7 @@ async fn fast<S: Source + 'static>(
         estimation::run(
             estimation,
             config.acquisition.rate_hz,
+            config.acquisition.silence(),
             SystemClock,
             estimation::EstimationLinks { samples, questions, steering, newest: poses_in, publish, recorder },
         ),
@@ -201,7 +204,8 @@ async fn replayed(parts: Parts) -> anyhow::Result<()> {
     };
     let links = replay::task::ReplayLinks { control, publish, means };
     let (_, _, estimation) = pipeline.into_parts();
-    let recording = replay::Recording { config: config.replay, header, estimation, counters };
+    let silence = config.acquisition.silence();
+    let recording = replay::Recording { config: config.replay, silence, header, estimation, counters };
     let task = replay::task::run(recording, SystemClock, links, stop);
     // This task counts heartbeats for all three.
     let [acquisition, centering, estimation] = Task::ALL.map(|task| heartbeats.of(task));

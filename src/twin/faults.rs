@@ -57,6 +57,8 @@ pub struct Active {
     pub corrupted: f64,
     /// The board sends nothing.
     pub stalled: bool,
+    /// The board sends in bursts at this interval, seconds; 0: at once.
+    pub burst_s: f64,
     /// What the board acknowledges.
     pub acks: Acks,
     /// The steering stage does not move.
@@ -112,6 +114,7 @@ impl Default for Active {
             dropped: 0.0,
             corrupted: 0.0,
             stalled: false,
+            burst_s: 0.0,
             acks: Acks::Right,
             stuck: false,
             power: 1.0,
@@ -151,6 +154,7 @@ impl Active {
             FaultKind::Dropped { fraction } => self.dropped = either(self.dropped, fraction),
             FaultKind::Corrupted { fraction } => self.corrupted = either(self.corrupted, fraction),
             FaultKind::Stalled => self.stalled = true,
+            FaultKind::Bursts { interval_ms } => self.burst_s = self.burst_s.max(interval_ms * 1e-3),
             FaultKind::MuteAcks => self.acks = Acks::Missing,
             FaultKind::WrongAcks => self.acks = self.acks.max(Acks::Wrong),
             FaultKind::SteeringStuck => self.stuck = true,
@@ -190,6 +194,9 @@ fn check(fault: &Fault) -> Result<(), (&'static str, &'static str)> {
             if !within(factor, f64::MAX) =>
         {
             Err(("factor", "must be a finite number, 0 or more"))
+        }
+        FaultKind::Bursts { interval_ms } if !within(interval_ms, f64::MAX) => {
+            Err(("interval_ms", "must be a finite number, 0 or more"))
         }
         FaultKind::LaserBump { shift_um } if !shift_um.iter().all(|um| um.is_finite()) => {
             Err(("shift_um", "must be two finite numbers"))
@@ -250,6 +257,7 @@ mod tests {
             (FaultKind::Corrupted { fraction: f64::NAN }, "fraction"),
             (FaultKind::LaserPower { factor: -1.0 }, "factor"),
             (FaultKind::NoiseBurst { factor: f64::INFINITY }, "factor"),
+            (FaultKind::Bursts { interval_ms: f64::NAN }, "interval_ms"),
             (FaultKind::LaserBump { shift_um: [0.0, f64::NAN] }, "shift_um"),
         ] {
             let error = Faults::new(&[fault(0.0, None, kind)]).unwrap_err();

@@ -4,8 +4,9 @@ use std::collections::VecDeque;
 use std::io;
 use std::sync::Arc;
 
+use trifacet_core::pipeline::SilenceTimes;
 use trifacet_core::telemetry::Counters;
-use trifacet_core::time::{Mono, NS_PER_S};
+use trifacet_core::time::Mono;
 use trifacet_wire::actuator::{Ack, LeaseAction, OutputCommand};
 
 use super::{Fate, Outputs, Twin};
@@ -37,12 +38,12 @@ pub struct TwinSource<C: Waiting> {
 }
 
 impl<C: Waiting> TwinSource<C> {
-    /// Starts the twin now. With the system clock, this must be called on the thread and in the tokio runtime
+    /// Starts the twin now. A stall is reported after the first time of `silence`. With the system clock, this must be called on the thread and in the tokio runtime
     /// that will read the events.
     ///
     /// # Errors
     /// The system provides no timer.
-    pub fn new(twin: Twin, clock: C, counters: Arc<Counters>) -> io::Result<Self> {
+    pub fn new(twin: Twin, clock: C, counters: Arc<Counters>, silence: SilenceTimes) -> io::Result<Self> {
         let rate_hz = twin.identity().rate_hz;
         let pace = Pace::new(clock, rate_hz)?;
         Ok(Self {
@@ -55,7 +56,7 @@ impl<C: Waiting> TwinSource<C> {
             last_scan: pace.schedule().time(0),
             down: false,
             stalled: false,
-            patience: MIN_SILENCE_NS.max((5.0 / rate_hz * NS_PER_S as f64) as i64),
+            patience: silence.first.as_nanos() as i64,
             pace,
             twin,
         })
@@ -143,9 +144,6 @@ impl<C: Waiting> Source for TwinSource<C> {
     async fn close(self) {}
 }
 
-/// The shortest silence that counts as a stall, nanoseconds.
-const MIN_SILENCE_NS: i64 = 20_000_000;
-
 #[cfg(test)]
 mod tests {
     use trifacet_core::signals::Scan;
@@ -170,7 +168,9 @@ mod tests {
         config.steering.park_um = [250.0, 0.0];
         let (clock, counters) = (ManualClock::new(), Arc::<Counters>::default());
         let twin = Twin::new(&config).unwrap();
-        let source = TwinSource::new(twin, clock.clone(), Arc::clone(&counters)).unwrap();
+        let source =
+            TwinSource::new(twin, clock.clone(), Arc::clone(&counters), config.acquisition.silence_times())
+                .unwrap();
         Bench { clock, counters, source }
     }
 

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
+use trifacet_core::pipeline::SilenceTimes;
 use trifacet_core::signals::Scan;
 use trifacet_core::telemetry::Counters;
 use trifacet_core::time::{Mono, NS_PER_S};
@@ -11,52 +12,16 @@ use trifacet_wire::board::message::{BoardScan, ErrorReason, Reply, StartResult};
 use trifacet_wire::board::{Answer, BoardIdentity, Deframer, MessageError, Request};
 
 use super::link_faults::{LinkFault, Tally};
-use super::{Arrival, Sequence, compatibility};
-use crate::acquisition::in_flight::{InFlight, most_in_flight};
+use super::{Arrival, Sequence, Settings, compatibility};
+use crate::acquisition::in_flight::InFlight;
 use crate::acquisition::timebase::{ScanCounters, Timebase};
 use crate::acquisition::{SourceError, SourceEvent};
-use crate::config::{Config, SteeringKind};
 
 const MS: i64 = NS_PER_S / 1000;
 /// Time limit for an answer of the board, milliseconds.
 const ANSWER_MS: u32 = 500;
 /// Pause after a fault before the next request, nanoseconds.
 const REST_NS: i64 = NS_PER_S;
-/// Scans have stalled after this time ...
-const STALL_NS: i64 = 20 * MS;
-/// ... or after this many periods, whichever is longer.
-const STALL_PERIODS: f64 = 5.0;
-
-/// Settings of the session.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
-    /// Scans per second.
-    pub rate_hz: f64,
-    /// Baud rate of the port.
-    pub baud: u32,
-    /// Constant delay from a scan to its arrival, nanoseconds.
-    pub latency_ns: i64,
-    /// Parking position as a fraction of full scale.
-    pub park: [f64; 2],
-    /// Largest number of commands that wait for an acknowledgement. Above 0.
-    pub most_in_flight: usize,
-}
-
-impl From<&Config> for Settings {
-    fn from(config: &Config) -> Self {
-        let serial = &config.acquisition.serial;
-        Self {
-            rate_hz: config.acquisition.rate_hz,
-            baud: serial.baud,
-            latency_ns: (serial.latency_us * 1e3).round() as i64,
-            most_in_flight: most_in_flight(config),
-            park: match config.steering.kind {
-                SteeringKind::Outputs => config.steering.park_um.map(|um| um / config.steering.full_scale_um),
-                SteeringKind::Gcs => [0.0; 2], // with another stage the outputs are never commanded
-            },
-        }
-    }
-}
 
 /// A board that cannot generate the configured rate uses the nearest one. A larger difference is logged.
 const RATE_TOLERANCE: f64 = 1e-3;
@@ -301,8 +266,9 @@ impl Session {
         self.in_flight.clear();
         self.state = State::Running(Running {
             channels: board.roles.len(),
-            timebase: Timebase::new(board.tick_hz, rate_hz, self.settings.latency_ns, self.last),
-            patience_ns: STALL_NS.max((STALL_PERIODS / rate_hz * NS_PER_S as f64) as i64),
+            timebase: Timebase::new(board.tick_hz, rate_hz, self.settings.latency_ns, self.last)
+                .with_bursts(self.settings.silence),
+            patience_ns: SilenceTimes::new(rate_hz, self.settings.silence).first.as_nanos() as i64,
             last_arrival: now,
             last_sequence: None,
             lease_expired: true, // a lease of the previous daemon is not counted

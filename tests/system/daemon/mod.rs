@@ -2,6 +2,7 @@
 //!
 //! Every frame that a test receives is also checked against the rules of `testkit::honest`.
 
+mod bursts;
 mod channels;
 mod clients;
 mod commands;

@@ -34,8 +34,8 @@ pub struct Centering {
     good_place: Option<StagePosition>,
     /// Position of the stage for the apex that was computed when the loop gave up its searches.
     gave_up: Option<StagePosition>,
-    /// How long samples have been too old, seconds.
-    late_s: f64,
+    /// Since when samples have arrived too late.
+    late_since: Option<Mono>,
     last: Option<(u64, Mono)>,
     offset: Option<BeamOffset>,
     shadow: Option<(StagePosition, StagePosition)>,
@@ -55,7 +55,7 @@ impl Centering {
             open_loop: OpenLoopMove::Still,
             good_place: None,
             gave_up: None,
-            late_s: 0.0,
+            late_since: None,
             last: None,
             offset: None,
             shadow: None,
@@ -192,6 +192,7 @@ impl Centering {
         if self.last.is_some_and(|(_, time)| sample.time.seconds_since(time) >= self.params.lease_s()) {
             self.released(); // the lease has expired, and the board has acted on its own
         }
+        self.note_lateness(sample, now);
         self.last = Some((sample.index, sample.time));
         self.stage.check_answers(&self.params, now, dt);
         match self.params.mode {
@@ -212,10 +213,19 @@ impl Centering {
         }
     }
 
+    /// Records whether samples arrive too late to act on them: this one, or, if samples arrive in bursts, those
+    /// since the last one. The controller accepts a few periods between two samples.
+    fn note_lateness(&mut self, sample: &Sample, now: Mono) {
+        let LoopParams { loop_delay_s, period_s, .. } = self.params;
+        let late = now.seconds_since(sample.time) > loop_delay_s;
+        let sparse = |last| now.seconds_since(last) > loop_delay_s + MOST_PERIODS * period_s;
+        let late = late || self.last.is_some_and(|(_, last)| sparse(last));
+        self.late_since = self.late_since.or(Some(now)).filter(|_| late);
+    }
+
     /// One step in mode on.
     fn act(&mut self, sample: &Sample, pose: Option<&TimedPose>, now: Mono, dt: f64) -> Outcome {
         let late = now.seconds_since(sample.time) > self.params.loop_delay_s;
-        self.late_s = if late { self.late_s + dt } else { 0.0 };
         self.take_over(sample, dt);
         let behind = self.stage.behind(sample, &self.params, dt);
         let stuck = self.stage.stuck_s() > self.params.limits.lost_s;
@@ -257,10 +267,10 @@ impl Centering {
             CommandStatus::Gone => Some(LockCause::StageGone),
             CommandStatus::Refuses => Some(LockCause::StageRefuses),
             CommandStatus::Obeys if self.stage.backlog().overdue => Some(LockCause::CommandsUnanswered),
-            CommandStatus::Obeys if self.late_s > self.params.limits.lost_s => {
-                Some(LockCause::SamplesTooLate)
+            CommandStatus::Obeys => {
+                let late_s = self.late_since.map_or(0.0, |since| self.now.seconds_since(since));
+                (late_s > self.params.limits.lost_s).then_some(LockCause::SamplesTooLate)
             }
-            CommandStatus::Obeys => None,
         }
     }
 

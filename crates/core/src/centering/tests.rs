@@ -289,6 +289,31 @@ fn a_source_that_is_always_late_is_reported() {
     assert_eq!(bench.centering.state().lock, LockState::Acquiring);
 }
 
+/// Runs for `bursts` bursts of `length` samples that arrive together: the loop gets the last one of each.
+fn run_in_bursts(bench: &mut Bench, bursts: usize, length: u64) -> Vec<(LockState, LockCause)> {
+    let mut transitions = Vec::new();
+    for _ in 0..bursts {
+        bench.index += length - 1;
+        let sample = bench.sample();
+        let outcome = bench.centering.sample(&sample, None, sample.time);
+        transitions.extend(outcome.transition.map(|t| (t.to, t.cause)));
+        bench.obey(outcome);
+    }
+    transitions
+}
+
+#[test]
+fn samples_in_bursts_are_too_late_although_the_last_of_a_burst_is_fresh() {
+    let mut bench = Bench::new(|_| {});
+    bench.run(500);
+    assert_eq!(run_in_bursts(&mut bench, 100, 5), [], "a few periods");
+    let held = run_in_bursts(&mut bench, 100, 100);
+    assert_eq!(held[0], (LockState::Held, LockCause::SamplesTooLate), "{held:?}");
+    assert!(held.iter().all(|(_, cause)| *cause == LockCause::SamplesTooLate), "{held:?}");
+    bench.run(200);
+    assert_eq!(bench.lock(), LockState::Locked);
+}
+
 #[test]
 fn a_refusing_stage_is_held_at_its_last_accepted_position() {
     let mut bench = Bench::new(|_| {});

@@ -1,3 +1,5 @@
+use std::time::Duration;
+
 use trifacet_wire::actuator::{Ack, LeaseAction};
 use trifacet_wire::board::message::SteerResult;
 use trifacet_wire::channel::{Converter, Role, SIGNALS};
@@ -29,8 +31,14 @@ struct Bench {
 impl Bench {
     fn new() -> Self {
         let counters = Arc::new(Counters::default());
-        let settings =
-            Settings { rate_hz: 1000.0, baud: 921_600, latency_ns: 0, park: [0.2, -0.2], most_in_flight: 3 };
+        let settings = Settings {
+            rate_hz: 1000.0,
+            baud: 921_600,
+            latency_ns: 0,
+            park: [0.2, -0.2],
+            silence: Duration::from_millis(20),
+            most_in_flight: 3,
+        };
         let session = Session::new(settings, Arc::clone(&counters));
         Self { session, counters, now: START }
     }
