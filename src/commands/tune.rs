@@ -59,6 +59,9 @@ pub(crate) struct TuneArgs {
     /// Draw the response to the steps into a file
     #[arg(long, value_name = "FILE.svg")]
     plot: Option<PathBuf>,
+    /// Write an origin beyond tune.origin_limit_um: the laser is known to be displaced, not a PSD
+    #[arg(long)]
+    accept_origin: bool,
     /// Print the results and do not change the file
     #[arg(long)]
     print: bool,
@@ -78,7 +81,7 @@ pub(crate) fn tune(args: &TuneArgs) -> anyhow::Result<()> {
     eprint!("{report}");
     // The results are stored even if the plot fails.
     let drawn = args.plot.as_deref().map_or(Ok(()), |file| draw(file, &findings, &recording));
-    let kept = keep(file, &findings, &report);
+    let kept = keep(file, &findings, &report, args.accept_origin);
     if let (Err(error), Err(_)) = (&drawn, &kept) {
         eprintln!("{error:#}");
     }
@@ -107,7 +110,12 @@ fn draw(file: &Path, findings: &Findings, recording: &Recording) -> anyhow::Resu
 }
 
 /// Prints the keys and writes them, if the results are reliable.
-fn keep(file: Option<&Path>, findings: &Findings, report: &Report) -> anyhow::Result<()> {
+fn keep(
+    file: Option<&Path>,
+    findings: &Findings,
+    report: &Report,
+    accept_origin: bool,
+) -> anyhow::Result<()> {
     if !findings.doubts.is_empty() {
         let why = findings.doubts.join("\n");
         return Err(Failure::new(
@@ -116,7 +124,10 @@ fn keep(file: Option<&Path>, findings: &Findings, report: &Report) -> anyhow::Re
         )
         .into());
     }
-    let edits = report.edits();
+    if let Some(doubt) = report.origin_doubt()?.filter(|_| !accept_origin) {
+        return Err(Failure::new(exit::DATA, format!("nothing is written: {doubt}")).into());
+    }
+    let edits = report.edits()?;
     written(write!(io::stdout(), "{}", edit::edited("", &edits)?))?;
     file.map_or(Ok(()), |file| write(file, &edits))
 }

@@ -42,8 +42,8 @@ pub struct SerialConfig {
     pub port: PathBuf,
     /// Line rate, bits per second. A byte takes ten bits.
     pub baud: u32,
-    /// Constant delay from the end of a scan to its arrival, microseconds. It is subtracted from arrival
-    /// times.
+    /// Constant delay from the tick of a scan to the arrival of its last byte, microseconds. It is subtracted
+    /// from arrival times.
     pub latency_us: f64,
 }
 

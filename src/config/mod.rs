@@ -40,6 +40,7 @@ mod replay;
 mod rewrite;
 mod steering;
 mod text;
+mod tune;
 mod twin;
 
 pub use acquisition::{AcquisitionConfig, SerialConfig, SourceKind};
@@ -67,6 +68,7 @@ pub use recording::{Compression, RecordingConfig, RecordingMode};
 pub use replay::ReplayConfig;
 use serde::{Deserialize, Serialize};
 pub use steering::{NO_TILT, SteeringConfig, SteeringKind, SteeringKindError};
+pub use tune::TuneConfig;
 pub use twin::{TwinConfig, TwinSteering};
 
 /// The whole configuration.
@@ -83,6 +85,8 @@ pub struct Config {
     pub centering: CenteringConfig,
     /// The laser's steering stage.
     pub steering: SteeringConfig,
+    /// Limits of `trifacet tune`.
+    pub tune: TuneConfig,
     /// Computation of poses.
     pub estimation: EstimationConfig,
     /// Coordinate frames of the poses.
@@ -113,6 +117,7 @@ impl Config {
         self.channels.check(at.section("channels"));
         self.centering.check(at.section("centering"));
         self.steering.check(at.section("steering"));
+        self.tune.check(at.section("tune"));
         self.estimation.check(at.section("estimation"));
         self.frames.check(at.section("frames"));
         self.publishing.check(at.section("publishing"));

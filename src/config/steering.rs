@@ -56,6 +56,8 @@ pub struct SteeringConfig {
     pub matrix: [[f64; 2]; 2],
     /// Position of the beam in the plane of the apex with the stage at zero, micrometres.
     pub origin_um: [f64; 2],
+    /// Whether `origin_um` is known to be that of the laser. `tune --accept-origin` sets it to false.
+    pub origin_verified: bool,
     /// Standard uncertainty of the beam position derived from the readback, including pointing drift,
     /// micrometres.
     pub deviation_um: f64,
@@ -83,6 +85,7 @@ impl Default for SteeringConfig {
             kind: SteeringKind::Outputs,
             matrix: [[1.0, 0.0], [0.0, 1.0]],
             origin_um: [0.0; 2],
+            origin_verified: true,
             deviation_um: 1.5,
             full_scale_um: 500.0,
             limit_um: 400.0,

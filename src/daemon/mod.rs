@@ -67,6 +67,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let service = Service::new(&config.realtime, Arc::clone(&heartbeats), Arc::clone(&glance));
     let (config, context, header) = &holding(config)?;
     let pipeline = config.pipeline(&context.tables, context.id())?;
+    warn_of_unverified_origin(config);
     let id = StreamId::new(context.id());
     let facts = StreamFacts::new(id, config, context.calibrated());
     let main = Builder::new_current_thread().enable_all().build().context("cannot start a runtime")?;
@@ -161,6 +162,14 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     tracing::info!(counters = ?counts.collect::<Vec<_>>(), "stopped");
     main.shutdown_background(); // do not wait for pending opens of ports or name look-ups
     result
+}
+
+/// A large origin that `tune --accept-origin` wrote may hide a displaced PSD.
+fn warn_of_unverified_origin(config: &Config) {
+    if !config.steering.origin_verified {
+        let origin_um = config.steering.origin_um;
+        tracing::warn!(?origin_um, "steering.origin_um is not verified: it may hide a displaced PSD");
+    }
 }
 
 /// Opens the port for subscriptions and the sockets of the targets.

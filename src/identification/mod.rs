@@ -7,6 +7,7 @@
 //! - [`task`]: receives samples, makes the steps, and returns the stage. It takes the place of centering.
 //! - `gaps`: times without samples, and how often a step is repeated.
 //! - [`record`]: the steps and observations of a measurement.
+//! - [`origin`]: what a large origin can mean.
 //! - [`findings`]: the resulting keys of the configuration, and whether they can be trusted.
 //!
 //! Everything but the task is pure.
@@ -14,6 +15,7 @@
 pub mod findings;
 mod gaps;
 pub mod observation;
+pub mod origin;
 pub mod plan;
 mod probe;
 pub mod record;

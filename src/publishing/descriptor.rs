@@ -24,6 +24,8 @@ pub struct StreamFacts {
     pub model: Model,
     /// Whether every PSD has a correction table.
     pub calibrated: bool,
+    /// As in [`Descriptor::systematic`].
+    pub systematic: [f64; 6],
 }
 
 impl StreamFacts {
@@ -35,12 +37,20 @@ impl StreamFacts {
             average: config.estimation.average,
             model: config.estimation.model,
             calibrated,
+            systematic: config.estimation.systematic(),
         }
     }
 
     /// A stream of 1 kHz, for examples and tests.
     pub fn example(id: StreamId) -> Self {
-        Self { id, sample_rate_hz: 1000.0, average: 1, model: Model::Ray, calibrated: false }
+        Self {
+            id,
+            sample_rate_hz: 1000.0,
+            average: 1,
+            model: Model::Ray,
+            calibrated: false,
+            systematic: [0.0; 6],
+        }
     }
 
     /// The descriptor of this daemon.
@@ -59,6 +69,7 @@ impl StreamFacts {
                 Model::Gaussian => "gaussian".into(),
             },
             calibrated: facts.calibrated,
+            systematic: facts.systematic,
             units: words(&[
                 ("length", "m"),
                 ("angle", "rad"),

@@ -4,7 +4,7 @@ use serde::Serialize;
 use trifacet_core::time::Mono;
 use trifacet_wire::actuator::{LeaseAction, OutputCommand};
 use trifacet_wire::board::message::{BoardScan, ErrorReason, Reply, StartResult, SteerResult};
-use trifacet_wire::board::{Answer, BoardIdentity, Deframer, Request};
+use trifacet_wire::board::{Answer, BoardIdentity, Deframer, MessageError, Request};
 
 use super::{Fate, OUTPUT_BITS, Outputs, Twin, TwinError, TwinScan};
 use crate::config::{Config, FaultKind};
@@ -145,6 +145,8 @@ impl Emulator {
         while let Some(frame) = deframer.next(&mut bytes) {
             let answer = match frame.map(Request::decode) {
                 Ok(Ok(request)) => self.requested(request, now),
+                // From a board: the line echoes. An answer would be echoed too, without end.
+                Ok(Err(MessageError::Type(0x80..))) => None,
                 Ok(Err(error)) => Some(error.to_answer()),
                 Err(_) => Some(Answer::Error { reason: ErrorReason::Corrupted, kind: 0 }),
             };

@@ -332,3 +332,38 @@ fn a_port_in_use_is_reported_with_its_process() {
     assert_eq!(output.status.code(), Some(75));
     assert!(said(&output).contains(&format!("in use by process {}", first.0.id())), "{}", said(&output));
 }
+
+/// A wrong dark offset shifts the spot on PSD A by 0.5 mm, as a displaced PSD does.
+#[test]
+fn a_large_origin_is_written_only_on_request_and_stays_visible() {
+    let lab = Lab::new("publishing.udp = []\n[twin]\ndark_v = [0.77, 0, 0, 0, 0, 0, 0, 0, 0]\n");
+    let refused = lab.tune(&["--steps", "20"]);
+    let text = said(&refused);
+    assert_eq!(refused.status.code(), Some(65), "{text}");
+    for words in
+        ["tune.origin_limit_um is 100", "the laser is displaced", "a PSD is displaced", "--accept-origin"]
+    {
+        assert!(text.contains(words), "{words}: {text}");
+    }
+    assert!(lab.untouched() && refused.stdout.is_empty());
+
+    let accepted = lab.tune(&["--steps", "20", "--accept-origin"]);
+    assert!(accepted.status.success(), "{}", said(&accepted));
+    let config = lab.after();
+    assert!(!config.steering.origin_verified);
+    let [x, y] = config.steering.origin_um;
+    assert!(x.hypot(y) > 200.0, "{x} {y}");
+    let systematic = config.estimation.systematic();
+    assert!(systematic[..3].iter().any(|sigma| *sigma > 200e-6), "{systematic:?}");
+    assert!(systematic[3..].iter().any(|sigma| *sigma > 300e-6), "{systematic:?}");
+    let check = lab.command(&["check"]).output().unwrap();
+    assert!(String::from_utf8_lossy(&check.stdout).contains("origin_um is not verified"), "{check:?}");
+
+    let text = std::fs::read_to_string(&lab.file).unwrap();
+    let mut daemon = Daemon::start(&text);
+    daemon.message("steering.origin_um is not verified");
+    let frame = daemon.client().until("a pose", super::testkit::Frame::valid);
+    let error = frame.pose[..3].iter().fold(0.0_f64, |a, b| a.max(b.abs()));
+    let stated = frame.deviations[..3].iter().fold(0.0_f32, |a, b| a.max(*b));
+    assert!(error > 200e-6 && f64::from(stated) > error / 2.0, "{error} m, stated {stated} m");
+}

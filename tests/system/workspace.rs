@@ -117,3 +117,44 @@ fn no_module_depends_on_one_that_depends_on_it() {
     }
     assert!(left.is_empty(), "these depend on each other: {left:#?}");
 }
+
+/// Whether an SPDX expression without exceptions allows distribution under one of these licences.
+fn permits(expression: &str, allowed: &[&str]) -> bool {
+    let plain = expression.replace(['(', ')'], "").replace('/', " OR ");
+    plain.split(" AND ").all(|part| part.split(" OR ").any(|licence| allowed.contains(&licence.trim())))
+}
+
+#[test]
+fn every_dependency_has_a_permissive_licence_and_comes_from_the_registry() {
+    const ALLOWED: [&str; 8] =
+        ["MIT", "Apache-2.0", "BSD-2-Clause", "BSD-3-Clause", "CC0-1.0", "Unicode-3.0", "Unlicense", "Zlib"];
+    // Of its files, which are unchanged, the source is public.
+    const FILE_COPYLEFT: [&str; 1] = ["serialport"];
+    let done = run(Command::new(env!("CARGO")).current_dir(env!("CARGO_MANIFEST_DIR")).args([
+        "tree",
+        "--offline",
+        "--workspace",
+        "--all-features",
+        "--edges",
+        "normal,build",
+        "--prefix",
+        "none",
+        "--format",
+        "{p}|{l}",
+    ]));
+    assert_eq!(done.code, 0, "{}", done.err);
+    let lines: BTreeSet<_> = done.out.lines().filter(|line| !line.is_empty()).collect();
+    assert!(lines.len() > 100, "{lines:?}");
+    for line in lines {
+        let (package, licence) = line.split_once('|').unwrap();
+        let licence = licence.trim_end_matches(" (*)");
+        let name = package.split(' ').next().unwrap();
+        assert!(permits(licence, &ALLOWED) || FILE_COPYLEFT.contains(&name), "{package}: {licence}");
+    }
+    let lock = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.lock")).unwrap();
+    let sources: Vec<_> = lock.lines().filter_map(|line| line.strip_prefix("source = ")).collect();
+    assert!(
+        sources.len() > 100 && sources.iter().all(|source| source.starts_with("\"registry+")),
+        "{sources:?}"
+    );
+}

@@ -279,6 +279,6 @@ mod tests {
         other[4] = 2;
         socket.send_to(&other, to).unwrap();
         let error = client.next().await.unwrap_err();
-        assert!(error.to_string().contains("version 2.0"), "{error}");
+        assert!(error.to_string().contains("version 2.1"), "{error}");
     }
 }

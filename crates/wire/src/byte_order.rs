@@ -60,7 +60,7 @@ mod tests {
         let frame = PoseFrame::example();
         let little = frame.encode();
         let big = big_endian(&little);
-        assert_eq!(&big[..8], b"TFP1\x01\x00\x00\xc0");
+        assert_eq!(&big[..8], b"TFP1\x01\x01\x00\xc0");
         assert_eq!(f64::from_be_bytes(big[56..64].try_into().unwrap()), 1e-6);
         assert_eq!(u64::from_be_bytes(big[16..24].try_into().unwrap()), 9);
         assert_eq!(PoseFrame::decode_either(&big), Ok(frame));

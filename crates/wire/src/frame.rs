@@ -258,7 +258,10 @@ mod tests {
         assert_eq!(PoseFrame::decode(&good[..191]), Err(FrameError::Length(191)));
         assert_eq!(PoseFrame::decode(&[]), Err(FrameError::Length(0)));
         assert_eq!(PoseFrame::decode(&with(3, b'2')), Err(FrameError::Magic(*b"TFP2")));
-        assert_eq!(PoseFrame::decode(&with(4, 2)), Err(FrameError::Version { major: 2, minor: 0 }));
+        assert_eq!(
+            PoseFrame::decode(&with(4, 2)),
+            Err(FrameError::Version { major: 2, minor: crate::message::MINOR })
+        );
         assert_eq!(PoseFrame::decode(&with(6, 191)), Err(FrameError::Size(191)));
         let damaged = with(100, !good[100]);
         let expected = crc32fast::hash(&damaged[..188]);

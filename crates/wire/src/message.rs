@@ -8,7 +8,7 @@ use crate::layout::FRAME_SIZE;
 /// Major version of the stream: the layout of frames and messages.
 pub const MAJOR: u8 = 1;
 /// Minor version: additions that readers may ignore (new status bits, kinds of message, JSON keys).
-pub const MINOR: u8 = 0;
+pub const MINOR: u8 = 1;
 /// Magic (4 bytes), major, minor, size (u16, of the whole message, little-endian).
 pub const HEADER_SIZE: usize = 8;
 /// The CRC at the end.

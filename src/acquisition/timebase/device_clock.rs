@@ -22,6 +22,8 @@ const FEW: f64 = 0.1;
 /// After this many agreements, a single disagreement is an error of the tick; after a series of disagreements,
 /// this many agreements are needed.
 const CONFIRMED: u32 = 10;
+/// Two sample rates are the same within this part.
+const SAME_RATE: f64 = 0.01;
 /// In a trial, a counter is right if it agrees with the clock of the host to this part.
 const RIGHT: f64 = 0.05;
 
@@ -54,6 +56,8 @@ pub enum TickFault {
         /// As declared, Hz.
         declared_hz: f64,
     },
+    /// The board samples at the right rate on average, but irregularly; its tick is right.
+    Irregular,
     /// The board's clock has gained time that did not pass on the host: it jumped, or the host slept.
     Ahead {
         /// The time that it gained, nanoseconds.
@@ -82,6 +86,7 @@ impl fmt::Display for TickFault {
             Self::Rate { measured_hz, declared_hz } => {
                 write!(f, "the tick runs at {measured_hz:.4e} Hz; the board declares {declared_hz:.4e} Hz")
             }
+            Self::Irregular => write!(f, "the board samples irregularly: a scan differs by half a period"),
             Self::Ahead { ns } => {
                 write!(
                     f,
@@ -143,6 +148,8 @@ pub(super) struct DeviceClock {
     /// What the tick of the previous scan would have been without its fault.
     expected: u32,
     trust: Trust,
+    /// Time from scan to scan by the tick, nanoseconds, if the last trial found the tick to be right.
+    candidate: Option<f64>,
     /// Agreements since the last disagreement.
     agreements: u32,
     /// Number of agreements that are needed until the counters vouch for the time again.
@@ -183,6 +190,7 @@ impl DeviceClock {
             last: tick,
             expected: tick,
             trust: Trust::Arrival,
+            candidate: None,
             agreements: 0,
             suspect: 0,
             trial: Trial::new(arrival),
@@ -302,31 +310,42 @@ impl DeviceClock {
         }
         let trial = std::mem::replace(trial, Trial::new(arrival));
         if f64::from(trial.faults) < FEW * f64::from(trial.scans) {
+            self.candidate = None;
             if self.trust == Trust::Sequence {
                 self.trust = Trust::Arrival;
             }
             return None;
         }
-        Some(self.decide(&trial, (arrival - trial.began) as f64))
+        self.decide(&trial, (arrival - trial.began) as f64)
     }
 
     /// Decides a trial of `elapsed_ns` by the clock of the host, in which the counters disagreed.
-    fn decide(&mut self, trial: &Trial, elapsed_ns: f64) -> TickFault {
+    /// One that finds the tick to be right needs a second one: the arrivals of a busy host are unreliable, and the
+    /// times are flagged until then.
+    fn decide(&mut self, trial: &Trial, elapsed_ns: f64) -> Option<TickFault> {
         let is_right = |ns: f64| (ns / elapsed_ns - 1.0).abs() < RIGHT;
         let measured_ns = elapsed_ns / trial.periods as f64;
-        if is_right(trial.tick_ns) {
+        let by_tick = Some(trial.tick_ns / trial.periods as f64).filter(|_| is_right(trial.tick_ns));
+        let before = std::mem::replace(&mut self.candidate, by_tick);
+        if let Some(period_ns) = by_tick {
+            before.filter(|before| (period_ns / before - 1.0).abs() < RIGHT)?;
             self.trust = Trust::Tick;
-            self.period_ns = trial.tick_ns / trial.periods as f64;
+            self.period_ns = period_ns;
             let [measured_hz, answered_hz] =
                 [self.period_ns, self.answered_ns].map(|period_ns| NS_PER_S as f64 / period_ns);
-            return TickFault::SampleRate { measured_hz, answered_hz };
+            let irregular = (measured_hz / answered_hz - 1.0).abs() < SAME_RATE;
+            return Some(if irregular {
+                TickFault::Irregular
+            } else {
+                TickFault::SampleRate { measured_hz, answered_hz }
+            });
         }
         self.trust = Trust::Sequence;
         if !is_right(trial.periods as f64 * self.period_ns) {
             self.period_ns = measured_ns;
         }
         let declared_hz = NS_PER_S as f64 / self.tick_ns;
-        TickFault::Rate { measured_hz: declared_hz * trial.tick_ns / elapsed_ns, declared_hz }
+        Some(TickFault::Rate { measured_hz: declared_hz * trial.tick_ns / elapsed_ns, declared_hz })
     }
 
     /// Standard uncertainty of a step. A single time is predicted by the sequence to the tolerance of the

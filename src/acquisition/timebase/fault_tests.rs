@@ -151,6 +151,15 @@ fn another_sample_rate_than_answered_is_named_and_the_tick_gives_the_time() {
 }
 
 #[test]
+fn irregular_sampling_is_named_and_the_tick_gives_the_time() {
+    // Every second scan is 0.7 ms late, and its tick says so: the harness states times without this delay.
+    let outcomes = Board::with_tick(|k, ticks| ticks + 700 * (k % 2)).run(5000);
+    assert!(faults(&outcomes).iter().any(|(_, fault)| *fault == TickFault::Irregular));
+    let last = outcomes.last().unwrap();
+    assert!(!last.flagged() && last.error_ns.abs() < 1e6, "{last:?}");
+}
+
+#[test]
 fn an_oscillator_of_one_percent_is_followed_and_named() {
     for drift in [0.01, -0.01] {
         let outcomes =

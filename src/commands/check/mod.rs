@@ -246,6 +246,9 @@ fn notes(config: &Config, lines: &mut Lines) {
         let psds = bare.join(", ");
         lines.say("note", format!("no correction table for PSD {psds}: the frames carry UNCALIBRATED"));
     }
+    if !config.steering.origin_verified {
+        lines.say("note", "steering.origin_um is not verified: it may hide a displaced PSD");
+    }
     let publishing = &config.publishing;
     for target in &publishing.udp {
         if let Err(cause) = resolve::resolve(target) {

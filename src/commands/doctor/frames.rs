@@ -240,7 +240,10 @@ const WARNINGS: [(Status, &str); 10] = [
     ),
     (Status::STEERING_RAILED, "align the laser by hand until the stage leaves its limit"),
     (Status::SAMPLE_GAP, "samples are lost before they reach the daemon: see its counters"),
-    (Status::CLOCK_UNSYNCED, "the daemon's system clock was stepped: wait, or restart the daemon"),
+    (
+        Status::CLOCK_UNSYNCED,
+        "the time is not reliable: the system clock was stepped (wait), or the clock of the board is wrong (see the daemon's log)",
+    ),
     (Status::UNCALIBRATED, "spot errors up to 250 um: set correction tables in [channels]"),
     (
         Status::INCONSISTENT,

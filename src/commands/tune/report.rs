@@ -5,8 +5,10 @@ use std::fmt;
 use trifacet::config::edit::{Edit, Value};
 use trifacet::config::{CenteringConfig, Config, Gains};
 use trifacet::identification::findings::{Findings, Measured};
+use trifacet::identification::origin::errors_of_displaced_psd;
 use trifacet::identification::plan::Plan;
 use trifacet::identification::record::AXES;
+use trifacet_core::steering::BeamPoint;
 
 /// Results together with the configuration of the measurement.
 pub(super) struct Report<'a> {
@@ -17,11 +19,14 @@ pub(super) struct Report<'a> {
 
 impl Report<'_> {
     /// The keys to write.
-    pub(super) fn edits(&self) -> [Edit; 4] {
+    ///
+    /// # Errors
+    /// The head cannot be built.
+    pub(super) fn edits(&self) -> anyhow::Result<Vec<Edit>> {
         let Findings { matrix, origin, .. } = self.findings;
         let row = |row: &[Measured; 2]| row.iter().map(|cell| rounded(cell.value, 1e5)).collect::<Value>();
         let [delay_ms, lag_ms] = self.times_ms();
-        [
+        let mut edits = vec![
             Edit { section: &["steering"], key: "matrix", value: matrix.iter().map(row).collect() },
             Edit {
                 section: &["steering"],
@@ -30,7 +35,60 @@ impl Report<'_> {
             },
             Edit { section: &["centering"], key: "loop_delay_ms", value: delay_ms.into() },
             Edit { section: &["centering"], key: "lag_ms", value: lag_ms.into() },
-        ]
+        ];
+        let large = self.large_origin();
+        if large || !self.config.steering.origin_verified {
+            edits.push(Edit { section: &["steering"], key: "origin_verified", value: (!large).into() });
+        }
+        if large {
+            edits.extend(self.systematic()?);
+        }
+        Ok(edits)
+    }
+
+    fn origin(&self) -> BeamPoint {
+        BeamPoint(self.findings.origin.map(|o| o.value))
+    }
+
+    fn large_origin(&self) -> bool {
+        let [x, y] = self.origin().0;
+        x.hypot(y) * 1e6 > self.config.tune.origin_limit_um
+    }
+
+    /// The systematic uncertainties with a large origin: those of the configuration, or the errors that a displaced
+    /// PSD would cause where these are larger.
+    fn systematic(&self) -> anyhow::Result<[Edit; 2]> {
+        let errors = errors_of_displaced_psd(self.config.optics()?, self.origin());
+        let now = self.config.estimation.systematic();
+        let micro: [f64; 6] = std::array::from_fn(|i| rounded(errors[i].max(now[i]) * 1e6, 1e3));
+        let list = |part: &[f64]| part.iter().copied().collect::<Value>();
+        Ok([
+            Edit { section: &["estimation"], key: "systematic_um", value: list(&micro[..3]) },
+            Edit { section: &["estimation"], key: "systematic_urad", value: list(&micro[3..]) },
+        ])
+    }
+
+    /// Why a large origin is not simply written.
+    ///
+    /// # Errors
+    /// The head cannot be built.
+    pub(super) fn origin_doubt(&self) -> anyhow::Result<Option<String>> {
+        if !self.large_origin() {
+            return Ok(None);
+        }
+        let [x, y] = self.origin().0.map(|metres| metres * 1e6);
+        let errors = errors_of_displaced_psd(self.config.optics()?, self.origin());
+        let largest = |part: &[f64]| part.iter().fold(0.0_f64, |a, b| a.max(*b)) * 1e6;
+        Ok(Some(format!(
+            "the origin is {x:.1}, {y:.1} um; tune.origin_limit_um is {}.\n\
+             Either the laser is displaced by this amount: then repeat with --accept-origin.\n\
+             Or a PSD is displaced, or its dark offset is wrong: then the poses are wrong by up to {:.0} um and {:.0} \
+             urad, and the origin would hide it. Check the geometry in [head] and `trifacet dark`.\n\
+             Steps of the stage cannot distinguish the two; a calibration can",
+            self.config.tune.origin_limit_um,
+            largest(&errors[..3]),
+            largest(&errors[3..])
+        )))
     }
 
     /// Delay and lag as written, milliseconds.

@@ -128,7 +128,11 @@ fn corrupted_messages_are_answered_and_unsent_scans_are_dropped() {
     let mut bench = Bench::started();
     bench.board.received(&[0, 3, 9, 9, 0], bench.now);
     let corrupted = Answer::Error { reason: ErrorReason::Corrupted, kind: 0 };
+    let mut echo = Vec::new();
+    corrupted.encode(&mut echo);
     assert_eq!(bench.answers(), [corrupted]);
+    bench.board.received(&echo, bench.now);
+    assert_eq!(bench.answers(), [], "an echo of its own answer");
     for _ in 0..10_000 {
         bench.board.sample(bench.now);
     }

@@ -183,9 +183,11 @@ fn a_wrong_clock_of_the_board_is_flagged_and_named_and_the_time_stays_right() {
     for order in ["clock-rate 10 1.5", "clock-rate 0 1.5", "clock-rate 0.5 1.5"] {
         let first = bench.fault(order, |f| f.has(Status::CLOCK_UNSYNCED));
         assert!(first.valid());
-        let during = bench.stream.take(1000);
-        assert!(during.iter().skip(20).all(|f| f.has(Status::CLOCK_UNSYNCED)), "{order}");
-        for frame in &during {
+        // The board counts 1500 scans during the fault. Scans may be lost on a busy machine.
+        let during =
+            bench.stream.through("most of the fault", |f| f.sample_index > first.sample_index + 1000);
+        for frame in during.iter().filter(|f| f.of_samples() && f.sample_index > first.sample_index + 20) {
+            assert!(frame.has(Status::CLOCK_UNSYNCED), "{order}: {frame:?} after {first:?}");
             let age_ns = frame.sent_ns() - frame.time_ns;
             assert!((-20_000_000..600_000_000).contains(&age_ns), "{order}: {age_ns} ns old");
         }

@@ -247,7 +247,7 @@ fn a_refusal_is_reported_with_the_message_of_the_daemon() {
     other[188..].copy_from_slice(&crc.to_le_bytes());
     let told = over_tcp(&other);
     assert!(
-        told["end"].as_str().unwrap().starts_with("VersionError: the daemon speaks version 2.0"),
+        told["end"].as_str().unwrap().starts_with("VersionError: the daemon speaks version 2.1"),
         "{told}"
     );
 }

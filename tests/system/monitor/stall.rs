@@ -29,8 +29,10 @@ fn is_named_before_the_end(what: &str) {
         let (mut daemon, at) = daemon();
         daemon.told(&["drill", what, task]);
         let name = format!("task {task} stalled");
-        let named = |ready: &Value| reasons(ready).iter().filter(|why| why.starts_with(&name)).count();
-        until(at, &name, |ready| named(ready) == 3);
+        let named = |ready: &Value| reasons(ready).iter().all(|why| why.starts_with(&name));
+        let failing =
+            |ready: &Value| ready["checks"].as_array().unwrap().iter().all(|check| check["ok"] == false);
+        until(at, &name, |ready| failing(ready) && named(ready));
         let health = get(at, "/healthz");
         assert!(health.code == 503 && health.body.starts_with(&name), "{health:?}");
         nothing_stays_green(at);

@@ -56,7 +56,7 @@ fn every_status_bit_and_lock_state_is_documented() {
 
 #[test]
 fn the_example_decodes_to_the_described_values_and_encodes_to_the_same_bytes() {
-    let bytes = dump("54 46 50 31 01 00 c0");
+    let bytes = dump("54 46 50 31 01 01 c0");
     let frame = PoseFrame::decode(&bytes).unwrap();
     let expected = PoseFrame {
         session: 0x1234_5678,
@@ -81,7 +81,7 @@ fn the_example_decodes_to_the_described_values_and_encodes_to_the_same_bytes() {
         steering: [12.75e-6, -8.5e-6],
     };
     assert_eq!(frame.encode().to_vec(), bytes);
-    let turned = dump("54 46 50 31 01 00 00 c0");
+    let turned = dump("54 46 50 31 01 01 00 c0");
     assert_eq!(big_endian(&frame.encode()).to_vec(), turned, "{}", hex(&big_endian(&frame.encode())));
     assert_eq!(PoseFrame::decode_either(&turned).unwrap().encode().to_vec(), bytes);
     assert_eq!(expected.encode().to_vec(), bytes, "{}", hex(&expected.encode()));

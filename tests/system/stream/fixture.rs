@@ -45,8 +45,7 @@ pub(crate) async fn start(limits: Limits) -> Server {
 }
 
 pub(crate) fn descriptor() -> Descriptor {
-    StreamFacts { id: ID, sample_rate_hz: 1000.0, average: 1, model: Model::Gaussian, calibrated: false }
-        .descriptor()
+    StreamFacts { model: Model::Gaussian, ..StreamFacts::example(ID) }.descriptor()
 }
 
 /// A plain, valid frame.

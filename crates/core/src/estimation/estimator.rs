@@ -165,6 +165,11 @@ impl Estimation {
             report.iterations = error.iterations();
             report.status |= light::reason(&error);
         }
+        if let Some(covariance) = &mut report.covariance {
+            for (i, sigma) in self.settings.systematic.iter().enumerate() {
+                covariance[(i, i)] += sigma * sigma;
+            }
+        }
         report
     }
 

@@ -26,6 +26,9 @@ pub struct Settings {
     pub edge_margin: f64,
     /// Largest deviation of a power fraction from one third without a warning.
     pub balance_limit: f64,
+    /// Standard uncertainties that averaging does not reduce: x, y, z in metres; roll, pitch, yaw in radians. They
+    /// are part of every stated covariance.
+    pub systematic: [f64; 6],
     /// Status bits that are always set.
     pub fixed: Status,
     /// From the world frame of the head to the user's frame.
@@ -46,6 +49,7 @@ impl Settings {
             fuse: false,
             edge_margin: 0.5e-3,
             balance_limit: 0.05,
+            systematic: [0.0; 6],
             fixed: Status::default(),
             frames: Frames::default(),
             config: 0,

@@ -187,3 +187,23 @@ fn after_darkness_or_a_gap_no_step_is_detected() {
         assert!(!reports.iter().any(|r| r.status.has(Status::POWER_STEP)));
     }
 }
+
+#[test]
+fn averaging_does_not_reduce_the_systematic_uncertainty() {
+    let systematic = [2e-6, 0.0, 3e-6, 0.0, 5e-6, 0.0];
+    let deviations = |average: u16, systematic: [f64; 6]| {
+        let mut estimation = estimation(|s| (s.average, s.systematic) = (average, systematic));
+        let report = (0..u64::from(average))
+            .find_map(|index| estimation.sample(&sample(index), &LoopState::default()))
+            .unwrap();
+        report.covariance.unwrap().diagonal().map(f64::sqrt)
+    };
+    for average in [1, 100, 10_000] {
+        let random = deviations(average, [0.0; 6]);
+        let stated = deviations(average, systematic);
+        for axis in 0..6 {
+            let expected = random[axis].hypot(systematic[axis]);
+            assert!((stated[axis] / expected - 1.0).abs() < 1e-9, "axis {axis}, {average} samples");
+        }
+    }
+}

@@ -30,6 +30,10 @@ pub struct Descriptor {
     pub model: String,
     /// Whether every PSD has a correction table; if not, frames carry `UNCALIBRATED`.
     pub calibrated: bool,
+    /// The part of the stated standard uncertainties that averaging does not reduce, in the sensor's world frame:
+    /// x, y, z in metres; roll, pitch, yaw in radians.
+    #[serde(default)]
+    pub systematic: [f64; 6],
     /// Units of lengths, angles, powers and times.
     pub units: BTreeMap<String, String>,
     /// Description of the coordinate frames.

@@ -162,7 +162,8 @@ function headline({ frame, ready, dead }, now_ms) {
     const loop = mode === "shadow" ? " (loop in shadow mode)" : "";
     return grade("warn", `Pose valid, beam not locked: ${reason}${loop}${from}`);
   }
-  grade("bad", `No valid pose: ${reasons(reason)}${from}`);
+  const fault = name === "time" || name === "consistency" ? "Pose not usable" : "No valid pose";
+  grade("bad", `${fault}: ${reasons(reason)}${from}`);
 }
 
 /** The headline of a replay, which must not look like live data. */
