@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::yield_now;
-use tokio::time::{sleep, timeout};
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until, timeout};
 use tokio_util::sync::CancellationToken;
 use trifacet_core::centering::centering::Centering;
 use trifacet_core::centering::lock::{LockCause, LockCondition, Transition};
@@ -13,7 +13,8 @@ use trifacet_core::centering::{LoopParams, LoopRefusal, LoopState, LoopView, Tim
 use trifacet_core::estimation::PoseReport;
 use trifacet_core::signals::Sample;
 use trifacet_core::steering::{Command, StagePosition};
-use trifacet_core::telemetry::Counters;
+use trifacet_core::telemetry::heartbeat::HEARTBEAT;
+use trifacet_core::telemetry::{CommandGauge, Counters};
 use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::actuator::Ack;
 
@@ -27,8 +28,6 @@ const LAST_ACK: Duration = Duration::from_secs(1);
 /// Shortest time between two reports of a cause while the lock state remains. Causes can alternate with every
 /// sample. Seconds.
 const CAUSE_S: f64 = 0.1;
-/// Time without samples until silence is reported to the loop.
-const SILENCE_TIMEOUT: Duration = Duration::from_millis(20);
 
 /// Channels of the task.
 #[derive(Debug)]
@@ -45,6 +44,10 @@ pub struct CenteringLinks {
     pub orders: mpsc::Receiver<CenteringRequest>,
     /// Changes of the lock state, for the recorder.
     pub records: RecordSender,
+    /// The commands without an acknowledgement, for the monitor.
+    pub commands: Arc<CommandGauge>,
+    /// Time without samples until silence is reported to the loop.
+    pub silence: Duration,
 }
 
 /// Requests to the loop.
@@ -69,10 +72,13 @@ pub async fn run<C: Clock>(
     links: CenteringLinks,
     stop: CancellationToken,
 ) {
-    let CenteringLinks { mut newest, poses, state, lock, mut orders, records } = links;
-    let mut last_arrival = clock.now();
+    let CenteringLinks { mut newest, poses, state, lock, mut orders, records, commands, silence } = links;
+    let (mut last_arrival, mut silent_from) = (clock.now(), Instant::now());
     let lock = LockReporter::new(lock, &centering, last_arrival);
-    let mut side = Side { centering, driver, clock, counters, poses, records, lock };
+    let mut heartbeat = interval(HEARTBEAT);
+    heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut side =
+        Side { centering, driver, clock, counters, poses, records, lock, commands, overdue: false };
     loop {
         tokio::select! {
             biased;
@@ -84,13 +90,14 @@ pub async fn run<C: Clock>(
                     break; // acquisition has ended; the daemon detects that
                 }
                 let Some(sample) = *newest.borrow_and_update() else { continue };
+                silent_from = Instant::now();
                 if let Some(skipped) = side.centering.skipped(&sample) {
                     side.counters.centering_skips.add(skipped);
                     last_arrival = side.clock.now();
                     side.act(&sample, last_arrival);
                 }
             }
-            () = sleep(SILENCE_TIMEOUT) => {
+            () = sleep_until(silent_from + silence) => {
                 // The whole thread may have been suspended: events that have arrived since then are handled
                 // first.
                 yield_now().await;
@@ -100,9 +107,11 @@ pub async fn run<C: Clock>(
                 let now = side.clock.now();
                 let transition = side.centering.silence(now.seconds_since(last_arrival));
                 side.say(transition);
-                last_arrival = now;
+                (last_arrival, silent_from) = (now, Instant::now());
             }
+            _ = heartbeat.tick() => {}
         }
+        side.watch_commands();
         side.lock.cause(side.centering.cause(), side.clock.now());
         state.send_if_modified(|state| std::mem::replace(state, side.centering.state()) != *state);
     }
@@ -118,6 +127,9 @@ struct Side<D, C> {
     poses: watch::Receiver<Option<PoseReport>>,
     records: RecordSender,
     lock: LockReporter,
+    commands: Arc<CommandGauge>,
+    /// It was logged that answers to commands are overdue.
+    overdue: bool,
 }
 
 /// Reports the lock state and its cause.
@@ -207,6 +219,22 @@ impl<D: Driver, C: Clock> Side<D, C> {
     fn send(&mut self, command: Option<Command>) {
         if let Some(command) = command {
             self.driver.steer(command);
+        }
+    }
+
+    /// Publishes the commands without an acknowledgement, and logs when answers become overdue, and when they
+    /// arrive in time again.
+    fn watch_commands(&mut self) {
+        let backlog = self.centering.backlog();
+        self.commands.set(&backlog);
+        if std::mem::replace(&mut self.overdue, backlog.overdue) == backlog.overdue {
+            return;
+        }
+        if backlog.overdue {
+            let age_ms = (backlog.age_s(self.clock.now()) * 1e3).round();
+            tracing::warn!(unanswered = backlog.count, age_ms, "the stage does not answer commands");
+        } else {
+            tracing::info!("the stage answers commands again");
         }
     }
 

@@ -6,9 +6,11 @@
 //!
 //! - [`source`]: the trait of a source, and its events. [`task`]: the acquisition task.
 //! - [`serial`]: a board on a serial port. [`board`]: the host side of its protocol.
+//! - [`in_flight`]: the steering commands without an acknowledgement.
 //! - [`timebase`]: from ticks of the board to the time of the host.
 
 pub mod board;
+pub mod in_flight;
 pub mod serial;
 pub mod source;
 pub mod task;

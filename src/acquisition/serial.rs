@@ -164,8 +164,8 @@ impl<C: Clock> Source for SerialSource<C> {
         }
     }
 
-    fn steer(&mut self, command: OutputCommand, _now: Mono) {
-        self.session.steer(command);
+    fn steer(&mut self, command: OutputCommand, now: Mono) {
+        self.session.steer(command, now);
     }
 
     async fn close(mut self) {

@@ -14,6 +14,8 @@ mod device_clock;
 mod fault_tests;
 mod filter;
 
+use std::time::Duration;
+
 use device_clock::DeviceClock;
 pub use device_clock::{ScanCounters, TickFault};
 use filter::{Block, Filter};
@@ -23,14 +25,15 @@ use trifacet_core::time::{Mono, NS_PER_S};
 const SLOWEST: f64 = 0.5;
 /// Such a time is at most this much later than the arrival, nanoseconds.
 const MOST_AFTER_NS: i64 = 10_000_000;
-/// Longest delay from scan to arrival, nanoseconds. An earlier time is excluded by the arrival.
+/// Longest delay from scan to arrival, nanoseconds, unless scans arrive in longer bursts. An earlier time is
+/// excluded by the arrival.
 const MAX_DELAY_NS: i64 = NS_PER_S / 2;
 /// An arrival that is earlier than predicted by this and five standard uncertainties shows that the clock of the
 /// board has jumped, nanoseconds.
 const EARLY_NS: f64 = 10e6;
-/// Standard uncertainty of a time of which only the arrival is known, nanoseconds: the delay is between 0 and
-/// its maximum.
-const ARRIVAL_ONLY_NS: f64 = MAX_DELAY_NS as f64 * 0.288_675_134_594_812_9; // 1 / sqrt(12)
+/// Standard uncertainty of a time of which only the arrival is known, as a fraction of the longest delay:
+/// 1 / sqrt(12).
+const ARRIVAL_ONLY: f64 = 0.288_675_134_594_812_9;
 /// Drift beyond which the clock of the board is at fault. RC oscillators have 1 %, crystals 100 ppm.
 const LARGE_DRIFT: f64 = 1e-3;
 /// Time after which the filter knows a large drift, nanoseconds of the board's clock.
@@ -53,6 +56,8 @@ pub struct Timebase {
     tick_hz: u32,
     rate_hz: f64,
     latency_ns: i64,
+    /// Longest delay from scan to arrival, nanoseconds.
+    max_delay_ns: i64,
     /// No earlier time is returned.
     floor: Option<Mono>,
     state: Option<State>,
@@ -81,20 +86,26 @@ impl Timebase {
     /// part of the delay from the scan to its arrival. No time before `floor` (the time of the last scan
     /// before a reconnect) is returned.
     pub fn new(tick_hz: u32, rate_hz: f64, latency_ns: i64, floor: Option<Mono>) -> Self {
-        Self { tick_hz, rate_hz, latency_ns, floor, state: None }
+        Self { tick_hz, rate_hz, latency_ns, max_delay_ns: MAX_DELAY_NS, floor, state: None }
+    }
+
+    /// The same for scans that arrive in bursts, at intervals of at most `interval`.
+    #[must_use]
+    pub fn with_bursts(self, interval: Duration) -> Self {
+        Self { max_delay_ns: MAX_DELAY_NS.max(interval.as_nanos() as i64), ..self }
     }
 
     /// Time of the scan with these counters that arrived at `arrival`. Arrivals must be in order.
     pub fn moment(&mut self, counters: ScanCounters, arrival: Mono) -> Moment {
-        let Self { tick_hz, rate_hz, .. } = *self;
+        let Self { tick_hz, rate_hz, max_delay_ns, .. } = *self;
         let state = match &mut self.state {
             Some(state) => state,
             None => self
                 .state
                 .insert(State::new(DeviceClock::new(tick_hz, rate_hz, counters.tick, arrival), arrival)),
         };
-        let (sigma_ns, fault) = state.advance(counters, arrival);
-        let (possible, excluded_ns) = state.bounded(arrival, MAX_DELAY_NS);
+        let (sigma_ns, fault) = state.advance(counters, arrival, max_delay_ns);
+        let (possible, excluded_ns) = state.bounded(arrival, max_delay_ns);
         let estimate = possible + -self.latency_ns;
         let time =
             estimate.max(state.slowest(arrival).or(self.floor.map(|floor| floor + 1)).unwrap_or(estimate));
@@ -102,7 +113,8 @@ impl Timebase {
         let held_back = (time - estimate) as f64;
         let tick_ns = state.clock.tick_ns();
         let known = state.filter.variance[0].max(tick_ns * tick_ns / 12.0).sqrt();
-        let sigma_ns = known.max(sigma_ns.unwrap_or(ARRIVAL_ONLY_NS)).max(held_back).max(excluded_ns);
+        let sigma_ns =
+            known.max(sigma_ns.unwrap_or(max_delay_ns as f64 * ARRIVAL_ONLY)).max(held_back).max(excluded_ns);
         Moment { time, sigma_ns, fault }
     }
 
@@ -128,7 +140,12 @@ impl State {
     }
 
     /// Takes a scan. Returns the standard uncertainty that its counters leave, and their fault.
-    fn advance(&mut self, counters: ScanCounters, arrival: Mono) -> (Option<f64>, Option<TickFault>) {
+    fn advance(
+        &mut self,
+        counters: ScanCounters,
+        arrival: Mono,
+        max_delay_ns: i64,
+    ) -> (Option<f64>, Option<TickFault>) {
         if self.given.is_none() {
             self.block.add(0.0, 0.0); // the first arrival is the origin
             return (Some(0.0), None);
@@ -138,7 +155,7 @@ impl State {
         let early_ns = 5.0 * self.filter.variance[0].sqrt();
         let possible = |step_ns: f64| {
             let delay_ns = since_origin_ns - predicted_ns - step_ns * (1.0 + drift);
-            (-early_ns..=MAX_DELAY_NS as f64).contains(&delay_ns)
+            (-early_ns..=max_delay_ns as f64).contains(&delay_ns)
         };
         let step = self.clock.step(counters, arrival, possible);
         if step.decided {
@@ -152,7 +169,7 @@ impl State {
         if residual_ns < -early_ns - EARLY_NS {
             self.anchor(arrival);
             let ahead = TickFault::Ahead { ns: (-residual_ns) as i64 };
-            let reported = -residual_ns > MAX_DELAY_NS as f64;
+            let reported = -residual_ns > max_delay_ns as f64;
             return (step.sigma_ns, step.fault.or(reported.then_some(ahead)));
         }
         self.early_ns = self.early_ns.min(residual_ns);

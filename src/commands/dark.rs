@@ -68,7 +68,8 @@ fn measure(config: &Config, samples: u32) -> anyhow::Result<DarkOffsets> {
             twin.inject(FaultKind::BeamBlocked, None)?;
             eprintln!("averaging {samples} scans of the twin with its laser off");
             runtime.block_on(async {
-                average(TwinSource::new(twin, SystemClock, counters)?, config, samples).await
+                let silence = config.acquisition.silence_times();
+                average(TwinSource::new(twin, SystemClock, counters, silence)?, config, samples).await
             })
         }
     }

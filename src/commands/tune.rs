@@ -154,7 +154,8 @@ fn measure(config: &Config, args: &TuneArgs) -> anyhow::Result<Option<Recording>
         SourceKind::Twin => {
             let twin = Twin::new(config)?;
             let counted = Arc::clone(&counters);
-            let source = || TwinSource::new(twin, SystemClock, counted);
+            let silence = config.acquisition.silence_times();
+            let source = || TwinSource::new(twin, SystemClock, counted, silence);
             LocalSet::new().block_on(&runtime, with(source, config, args, counters))
         }
     }

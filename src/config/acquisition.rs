@@ -1,8 +1,10 @@
 //! `[acquisition]`: the source of the samples.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
+use trifacet_core::pipeline::SilenceTimes;
 
 use super::check::Checker;
 
@@ -26,6 +28,8 @@ pub struct AcquisitionConfig {
     pub source: SourceKind,
     /// Sample rate, Hz.
     pub rate_hz: f64,
+    /// Time without samples after which the source counts as down, milliseconds.
+    pub silence_ms: f64,
     /// Settings of the serial board.
     pub serial: SerialConfig,
 }
@@ -45,7 +49,7 @@ pub struct SerialConfig {
 
 impl Default for AcquisitionConfig {
     fn default() -> Self {
-        Self { source: SourceKind::Twin, rate_hz: 1000.0, serial: SerialConfig::default() }
+        Self { source: SourceKind::Twin, rate_hz: 1000.0, silence_ms: 20.0, serial: SerialConfig::default() }
     }
 }
 
@@ -56,8 +60,20 @@ impl Default for SerialConfig {
 }
 
 impl AcquisitionConfig {
+    /// Time without samples after which the source counts as down; at least five periods, whatever the rate of
+    /// the source.
+    pub fn silence(&self) -> Duration {
+        Duration::from_secs_f64(self.silence_ms * 1e-3)
+    }
+
+    /// When the lack of samples is reported, at the configured rate.
+    pub fn silence_times(&self) -> SilenceTimes {
+        SilenceTimes::new(self.rate_hz, self.silence())
+    }
+
     pub(super) fn check(&self, mut at: Checker<'_>) {
         at.number("rate_hz", self.rate_hz, 1.0..=20_000.0);
+        at.number("silence_ms", self.silence_ms, 1.0..=10_000.0);
         self.serial.check(at.section("serial"));
     }
 }

@@ -152,7 +152,8 @@ impl Config {
     /// # Errors
     /// Fails if the geometry does not describe a sensor head, or if a correction table is not valid.
     pub fn pipeline(&self, tables: &Tables, id: u32) -> Result<Pipeline, AssemblyError> {
-        Ok(Pipeline::new(self.measurement(tables, id)?, self.centering_loop()?))
+        let silence = self.acquisition.silence();
+        Ok(Pipeline::new(self.measurement(tables, id)?, self.centering_loop()?, silence))
     }
 
     /// The parameters of estimation, in SI units. `calibrated`: every PSD has a correction table. `id`: the

@@ -43,6 +43,15 @@ pub enum FaultKind {
     },
     /// The board stops sending.
     Stalled,
+    /// The board sends in bursts, as some USB hubs do. Only an emulated board does this.
+    Bursts {
+        /// Interval between two bursts, milliseconds.
+        interval_ms: f64,
+    },
+    /// The board executes commands, but acknowledges none.
+    MuteAcks,
+    /// The board executes commands, but acknowledges other ids.
+    WrongAcks,
     /// The stage ignores commands.
     SteeringStuck,
     /// The power of the laser is multiplied by a factor.
@@ -75,7 +84,7 @@ pub struct Fault {
     pub kind: FaultKind,
 }
 
-/// The keys as in the file. The kind determines which of the last five are allowed.
+/// The keys as in the file. The kind determines which of the last six are allowed.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FaultKeys {
@@ -86,6 +95,7 @@ struct FaultKeys {
     channel: Option<u8>,
     fraction: Option<f64>,
     factor: Option<f64>,
+    interval_ms: Option<f64>,
     shift_um: Option<[f64; 2]>,
 }
 
@@ -100,6 +110,9 @@ enum KindName {
     Dropped,
     Corrupted,
     Stalled,
+    Bursts,
+    MuteAcks,
+    WrongAcks,
     SteeringStuck,
     LaserPower,
     NoiseBurst,
@@ -138,6 +151,11 @@ impl TryFrom<FaultKeys> for Fault {
                 FaultKind::Corrupted { fraction: needed(keys.fraction.take(), "fraction")? }
             }
             KindName::Stalled => FaultKind::Stalled,
+            KindName::Bursts => {
+                FaultKind::Bursts { interval_ms: needed(keys.interval_ms.take(), "interval_ms")? }
+            }
+            KindName::MuteAcks => FaultKind::MuteAcks,
+            KindName::WrongAcks => FaultKind::WrongAcks,
             KindName::SteeringStuck => FaultKind::SteeringStuck,
             KindName::LaserPower => FaultKind::LaserPower { factor: needed(keys.factor.take(), "factor")? },
             KindName::NoiseBurst => FaultKind::NoiseBurst { factor: needed(keys.factor.take(), "factor")? },
@@ -150,6 +168,7 @@ impl TryFrom<FaultKeys> for Fault {
             ("channel", keys.channel.is_some()),
             ("fraction", keys.fraction.is_some()),
             ("factor", keys.factor.is_some()),
+            ("interval_ms", keys.interval_ms.is_some()),
             ("shift_um", keys.shift_um.is_some()),
         ];
         match stray.into_iter().find(|(_, is_there)| *is_there) {
@@ -180,8 +199,13 @@ impl Fault {
             | FaultKind::ClockRate { factor } => {
                 at.number("factor", factor, 0.0..=1000.0);
             }
+            FaultKind::Bursts { interval_ms } => at.number("interval_ms", interval_ms, 1.0..=10_000.0),
             FaultKind::LaserBump { shift_um } => at.numbers("shift_um", &shift_um, -10_000.0..=10_000.0),
-            FaultKind::BeamBlocked | FaultKind::Stalled | FaultKind::SteeringStuck => {}
+            FaultKind::BeamBlocked
+            | FaultKind::Stalled
+            | FaultKind::MuteAcks
+            | FaultKind::WrongAcks
+            | FaultKind::SteeringStuck => {}
         }
     }
 }

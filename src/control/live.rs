@@ -323,6 +323,11 @@ impl RunningConfig {
             "commanded_um": view.commanded.as_deref().map(um),
             "apex_velocity_um_per_s": view.velocity.as_deref().map(um),
             "searches_in_vain": view.attempts,
+            "commands": {
+                "unanswered": view.backlog.count,
+                "age_s": view.backlog.age_s(SystemClock.now()),
+                "overdue": view.backlog.overdue,
+            },
             "shadow": view.shadow.map(|(at, to)| json!({ "stands_at_um": um(&at), "would_go_to_um": um(&to) })),
             "kp": gains.kp,
             "ki_per_s": gains.ki_per_s,

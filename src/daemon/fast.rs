@@ -13,7 +13,7 @@ use trifacet_core::centering::lock::LockCondition;
 use trifacet_core::estimation::PoseReport;
 use trifacet_core::pipeline::Pipeline;
 use trifacet_core::telemetry::heartbeat::{Heartbeats, Task, counted};
-use trifacet_core::telemetry::{Counters, LatestStatus};
+use trifacet_core::telemetry::{CommandGauge, Counters, LatestStatus};
 use trifacet_wire::stream::Descriptor;
 
 use crate::acquisition::{SerialSource, Source};
@@ -49,6 +49,7 @@ pub(super) struct Parts {
     pub(super) header: Option<RecordingHeader>,
     pub(super) descriptor: watch::Sender<Descriptor>,
     pub(super) records: RecordSender,
+    pub(super) commands: Arc<CommandGauge>,
     pub(super) stop: CancellationToken,
 }
 
@@ -64,7 +65,8 @@ pub(super) fn start(parts: Parts) -> anyhow::Result<Fast> {
     match parts.config.acquisition.source {
         SourceKind::Twin => {
             let twin = Twin::new(&parts.config)?;
-            let source = || TwinSource::new(twin, SystemClock, counters);
+            let silence = parts.config.acquisition.silence_times();
+            let source = move || TwinSource::new(twin, SystemClock, counters, silence);
             start_fast(parts.config.realtime.clone(), || fast(parts, source))
         }
         SourceKind::Replay => start_fast(parts.config.realtime.clone(), || replayed(parts)),
@@ -99,7 +101,9 @@ async fn fast<S: Source + 'static>(
     source: impl FnOnce() -> io::Result<S>,
 ) -> anyhow::Result<()> {
     let Parts { config, pipeline, gcs, mut publisher, .. } = parts;
-    let Parts { counters, heartbeats, glance, lock, control, stop, context, records, .. } = parts;
+    let Parts {
+        counters, heartbeats, glance, lock, control, stop, context, records, commands: gauge, ..
+    } = parts;
     let FastLink { changes, questions, orders } = control;
     let source = source().context("cannot start the source")?;
     let (mapping, centering, estimation) = pipeline.into_parts();
@@ -145,6 +149,8 @@ async fn fast<S: Source + 'static>(
                 lock,
                 orders,
                 records: records.clone(),
+                commands: gauge,
+                silence: config.acquisition.silence_times().first,
             },
             stop.clone(),
         ),
@@ -162,6 +168,7 @@ async fn fast<S: Source + 'static>(
         estimation::run(
             estimation,
             config.acquisition.rate_hz,
+            config.acquisition.silence(),
             SystemClock,
             estimation::EstimationLinks { samples, questions, steering, newest: poses_in, publish, recorder },
         ),
@@ -203,7 +210,8 @@ async fn replayed(parts: Parts) -> anyhow::Result<()> {
     };
     let links = replay::task::ReplayLinks { control, publish, means };
     let (_, _, estimation) = pipeline.into_parts();
-    let recording = replay::Recording { config: config.replay, header, estimation, counters };
+    let silence = config.acquisition.silence();
+    let recording = replay::Recording { config: config.replay, silence, header, estimation, counters };
     let task = replay::task::run(recording, SystemClock, links, stop);
     // This task counts heartbeats for all three.
     let [acquisition, centering, estimation] = Task::ALL.map(|task| heartbeats.of(task));

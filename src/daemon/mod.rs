@@ -30,7 +30,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{Mutex, mpsc, watch};
 use tokio_util::sync::CancellationToken;
 use trifacet_core::telemetry::heartbeat::Heartbeats;
-use trifacet_core::telemetry::{Counters, LatestStatus};
+use trifacet_core::telemetry::{CommandGauge, Counters, LatestStatus};
 use trifacet_core::time::Clock;
 use trifacet_wire::stream::Descriptor;
 
@@ -101,7 +101,9 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
             descriptor: descriptor.clone(),
         },
     );
+    let commands = Arc::<CommandGauge>::default();
     let parts = Parts {
+        commands: Arc::clone(&commands),
         pipeline,
         gcs,
         publisher,
@@ -146,6 +148,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         heartbeats,
         control: PageControls::of(&config.monitor, &live),
         recording: recording.state,
+        commands,
     });
     let sources = tcp::Sources { descriptor: descriptor_now.clone(), lock: lock_now };
     let slow = Slow {

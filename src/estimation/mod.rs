@@ -2,6 +2,8 @@
 
 pub mod loop_liveness;
 
+use std::time::Duration;
+
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::yield_now;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
@@ -45,16 +47,18 @@ pub enum EstimationRequest {
     Mean(u32, oneshot::Sender<Result<Pose, Status>>),
 }
 
-/// Runs until acquisition ends. `rate_hz` is the expected rate of samples.
+/// Runs until acquisition ends. `rate_hz` is the expected rate of samples, `silence` the shortest silence that is
+/// reported.
 pub async fn run<C: Clock>(
     mut estimation: Estimation,
     rate_hz: f64,
+    silence: Duration,
     clock: C,
     links: EstimationLinks<impl FnMut(&PoseReport)>,
 ) {
     let EstimationLinks { mut samples, mut questions, mut steering, newest, mut publish, mut recorder } =
         links;
-    let mut silence_timer = SilenceTimer::new(rate_hz);
+    let mut silence_timer = SilenceTimer::new(rate_hz, silence);
     let mut last = None;
     let mut mean: Option<PoseMean> = None;
     let mut warnings = WarningLatch::default();
@@ -206,19 +210,20 @@ impl PoseMean {
 
 /// Schedule of the reports during silence.
 struct SilenceTimer {
+    shortest: Duration,
     times: SilenceTimes,
     next: Instant,
 }
 
 impl SilenceTimer {
-    fn new(rate_hz: f64) -> Self {
-        let times = SilenceTimes::new(rate_hz);
-        Self { times, next: Instant::now() + times.first }
+    fn new(rate_hz: f64, shortest: Duration) -> Self {
+        let times = SilenceTimes::new(rate_hz, shortest);
+        Self { shortest, times, next: Instant::now() + times.first }
     }
 
     /// The timer for another source; the silence so far counts.
     fn of(&self, identity: &Identity) -> Self {
-        Self { next: self.next, ..Self::new(identity.rate_hz) }
+        Self { next: self.next, ..Self::new(identity.rate_hz, self.shortest) }
     }
 
     fn restart(&mut self) {

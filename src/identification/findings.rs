@@ -114,6 +114,11 @@ impl Findings {
         findings.join(period);
         findings.judge(&recording.plan, period);
         findings.remark();
+        if recording.repeats > 0 {
+            findings
+                .remarks
+                .push(format!("samples stopped now and then: {} steps were repeated", recording.repeats));
+        }
         Ok(findings)
     }
 

@@ -5,6 +5,7 @@
 //! - [`plan`]: chooses safe steps, and refuses unsafe ones.
 //! - `probe`: checks whether the beam responds within a dwell time.
 //! - [`task`]: receives samples, makes the steps, and returns the stage. It takes the place of centering.
+//! - `gaps`: times without samples, and how often a step is repeated.
 //! - [`record`]: the steps and observations of a measurement.
 //! - [`origin`]: what a large origin can mean.
 //! - [`findings`]: the resulting keys of the configuration, and whether they can be trusted.
@@ -12,6 +13,7 @@
 //! Everything but the task is pure.
 
 pub mod findings;
+mod gaps;
 pub mod observation;
 pub mod origin;
 pub mod plan;

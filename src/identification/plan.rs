@@ -85,6 +85,15 @@ pub struct Plan {
     pub noise: BeamOffset,
 }
 
+impl Plan {
+    /// Position of the stage at one end of the steps of an axis; `forth`: the positive end.
+    pub(super) fn end_of_step(&self, axis: usize, forth: bool) -> StagePosition {
+        let mut to = self.found;
+        to.0[axis] += if forth { self.step / 2.0 } else { -self.step / 2.0 };
+        to
+    }
+}
+
 impl Settings {
     /// Settings from a checked configuration. `beam_sigma`: standard deviation of the beam profile, metres.
     pub fn new(config: &Config, beam_sigma: f64, choices: Choices) -> Self {

@@ -34,4 +34,6 @@ pub struct Recording {
     pub rest: usize,
     /// The steps, in order.
     pub steps: Vec<Step>,
+    /// Number of steps that were repeated because samples stopped.
+    pub repeats: u32,
 }

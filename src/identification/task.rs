@@ -11,10 +11,12 @@ use trifacet_core::steering::{Command, StagePosition};
 use trifacet_core::time::Clock;
 use trifacet_wire::actuator::Ack;
 
+use super::gaps::{self, Gaps};
 use super::observation::{self, Observation, Observer};
 use super::plan::{Plan, Settings, refused, um};
 use super::probe::Probe;
 use super::record::{Recording, Step};
+use crate::acquisition::SourceError;
 use crate::acquisition::task::SampleEvent;
 use crate::exit::{self, Failure};
 use crate::steering::{Driver, StageEvent};
@@ -85,6 +87,7 @@ pub async fn run<D: Driver, C: Clock>(
         rested: 0,
         ages: Vec::new(),
         fresh: f64::INFINITY,
+        gaps: Gaps::default(),
     };
     let plan = tuner.rest().await?;
     let Some(source) = tuner.source.clone() else { return Err(refused("the source is gone")) };
@@ -95,7 +98,8 @@ pub async fn run<D: Driver, C: Clock>(
     let steps = tuner.steps(&plan, audience).await;
     let complaint = tuner.finish(plan.end).await;
     audience.back(plan.end, complaint.as_deref());
-    Ok(Some(Recording { plan, rest: tuner.rested, steps: steps?, looks: tuner.looks }))
+    let repeats = tuner.gaps.repeats();
+    Ok(Some(Recording { plan, rest: tuner.rested, steps: steps?, looks: tuner.looks, repeats }))
 }
 
 /// State of the measurement.
@@ -122,6 +126,7 @@ struct Tuner<D, C> {
     ages: Vec<f64>,
     /// Largest age of a sample on which a step is made, seconds.
     fresh: f64,
+    gaps: Gaps,
 }
 
 impl<D: Driver, C: Clock> Tuner<D, C> {
@@ -146,27 +151,50 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         for axis in 0..2 {
             self.probe(axis, plan).await?;
         }
-        let (mut steps, all) = (Vec::new(), 2 * plan.steps);
+        let mut steps = Vec::new();
         for axis in 0..2 {
-            let place = |forth: bool| {
-                let mut to = plan.found;
-                to.0[axis] += if forth { plan.step / 2.0 } else { -plan.step / 2.0 };
-                to
-            };
-            self.go(place(false), plan).await?;
-            self.dwell(plan.dwell, plan).await?;
+            self.rest_at(plan.end_of_step(axis, false), plan).await?;
             for k in 0..plan.steps {
-                let (forth, to) = (k % 2 == 0, place(k % 2 == 0));
-                let computed = self.go(to, plan).await?;
-                steps.push(Step { axis, forth, to, on: self.looks.len() - 1, computed });
-                self.dwell(plan.dwell / 2, plan).await?;
-                audience.progress(steps.len() as u32, all);
-                self.dwell(plan.dwell - plan.dwell / 2, plan).await?;
+                let made = steps.len() as u32 + 1;
+                let step =
+                    self.step(axis, k % 2 == 0, plan, || audience.progress(made, 2 * plan.steps)).await?;
+                steps.push(step);
             }
-            self.go(plan.found, plan).await?;
-            self.dwell(plan.dwell, plan).await?;
+            self.rest_at(plan.found, plan).await?;
         }
         Ok(steps)
+    }
+
+    /// Makes one step and observes it. If samples stop meanwhile, the stage returns and the step is repeated.
+    async fn step(
+        &mut self,
+        axis: usize,
+        forth: bool,
+        plan: &Plan,
+        mut progress: impl FnMut(),
+    ) -> Result<Step, Failure> {
+        let (from, to) = (plan.end_of_step(axis, !forth), plan.end_of_step(axis, forth));
+        let mut attempts = 0;
+        loop {
+            let gaps = self.gaps.count();
+            let computed = self.go(to, plan).await?;
+            let step = Step { axis, forth, to, on: self.looks.len() - 1, computed };
+            self.dwell(plan.dwell / 2, plan).await?;
+            progress();
+            self.dwell(plan.dwell - plan.dwell / 2, plan).await?;
+            if self.gaps.count() == gaps {
+                return Ok(step);
+            }
+            attempts += 1;
+            self.gaps.repeat(attempts)?;
+            self.rest_at(from, plan).await?;
+        }
+    }
+
+    /// Sends the stage to a position and waits for a dwell time.
+    async fn rest_at(&mut self, to: StagePosition, plan: &Plan) -> Result<(), Failure> {
+        self.go(to, plan).await?;
+        self.dwell(plan.dwell, plan).await
     }
 
     /// Sends the first command: the present position. If the beam moves, the position is wrong.
@@ -191,14 +219,22 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
         Ok(())
     }
 
-    /// Makes one step of an axis and observes it: the movement must end within a dwell time.
+    /// Makes one step of an axis and observes it: the movement must end within a dwell time. If samples stop
+    /// meanwhile, the step is repeated.
     async fn probe(&mut self, axis: usize, plan: &Plan) -> Result<(), Failure> {
-        let before = self.looks.len() - plan.dwell;
-        let mut to = plan.found;
-        to.0[axis] -= plan.step / 2.0;
-        self.go(to, plan).await?;
-        let on = self.looks.len() - 1;
-        self.dwell(plan.watch, plan).await?;
+        let mut attempts = 0;
+        let (before, on) = loop {
+            let (before, gaps) = (self.looks.len() - plan.dwell, self.gaps.count());
+            self.go(plan.end_of_step(axis, false), plan).await?;
+            let on = self.looks.len() - 1;
+            self.dwell(plan.watch, plan).await?;
+            if self.gaps.count() == gaps {
+                break (before, on);
+            }
+            attempts += 1;
+            self.gaps.repeat(attempts)?;
+            self.rest_at(plan.found, plan).await?;
+        };
         let seen = Probe {
             axis,
             sent: plan.step / 2.0,
@@ -280,11 +316,19 @@ impl<D: Driver, C: Clock> Tuner<D, C> {
                 acquired = self.samples.recv() => match acquired {
                     Some(SampleEvent::Sample(sample, _)) => {
                         let look = self.observer.look(&sample).map_err(|e| refused(e.to_string()))?;
+                        if self.commanded.is_some() {
+                            gaps::check_lease(self.looks.last(), &look, &self.settings)?;
+                        }
                         self.looks.push(look);
                         return Ok(look);
                     }
                     Some(SampleEvent::Up(source)) => self.source = Some(source),
                     Some(SampleEvent::Down(down)) if first => why = down.to_string(),
+                    // Samples may resume; otherwise the deadline ends the measurement.
+                    Some(SampleEvent::Down(down @ SourceError::Stalled { .. })) => {
+                        self.gaps.add();
+                        why = format!("the source is down: {down}");
+                    }
                     Some(SampleEvent::Down(down)) => return Err(unavailable(format!("the source is down: {down}"))),
                     Some(SampleEvent::Changed(_)) => {}
                     None => return Err(Failure::new(exit::SOFTWARE, "task acquisition ended by itself")),

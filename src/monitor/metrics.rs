@@ -15,11 +15,13 @@ use prometheus_client::registry::Registry;
 use rustix::time::{ClockId, clock_gettime};
 use trifacet_core::centering::lock::LockCause;
 use trifacet_core::telemetry::Counters;
+use trifacet_core::time::Clock;
 use trifacet_wire::{LockState, Status};
 
 use super::exposition::Exposition;
 use super::tally::{Second, Tally};
 use super::view::View;
+use crate::clock::SystemClock;
 use crate::publishing::udp::Kind;
 
 const PSDS: [&str; 3] = ["A", "B", "C"];
@@ -50,6 +52,7 @@ impl Collector for View {
             .map(|cause| (cause.label(), ConstCounter::new(counters.lock_cause(*cause).get())));
         page.each("lock_changes", "Changes of the lock state, by cause", "cause", causes)?;
         page.state(self)?;
+        page.commands(self)?;
         page.recording(self)?;
         let aggregates = self.aggregates();
         page.frames(&aggregates.tally)?;
@@ -138,6 +141,14 @@ impl Page<'_> {
         let of = |cause| LockCause::ALL.iter().map(move |each| (each.label(), flag(*each == cause)));
         let causes = view.lock().filter(|_| !silent).into_iter().flat_map(|now| of(now.cause));
         self.each("lock_cause", "1 for the cause of the current state of the loop", "cause", causes)
+    }
+
+    fn commands(&mut self, view: &View) -> fmt::Result {
+        let commands = &view.sources.commands;
+        let count = f64::from(commands.count());
+        self.gauge("commands_unanswered", "Steering commands without an acknowledgement", count)?;
+        let help = "Age of the oldest steering command without an acknowledgement, 0 if there is none";
+        self.gauge("command_age_seconds", help, commands.age_s(SystemClock.now()))
     }
 
     fn recording(&mut self, view: &View) -> fmt::Result {

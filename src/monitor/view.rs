@@ -9,8 +9,8 @@ use tokio::sync::{Semaphore, broadcast, mpsc, watch};
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 use trifacet_core::centering::lock::LockCondition;
-use trifacet_core::telemetry::Counters;
 use trifacet_core::telemetry::heartbeat::{Heartbeats, Task};
+use trifacet_core::telemetry::{CommandGauge, Counters};
 use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::PoseFrame;
 use trifacet_wire::stream::Descriptor;
@@ -58,6 +58,8 @@ pub struct Sources {
     pub heartbeats: Arc<Heartbeats>,
     /// State of the recorder.
     pub recording: Arc<State>,
+    /// The commands without an acknowledgement.
+    pub commands: Arc<CommandGauge>,
     /// Control from the page, if enabled.
     pub control: Option<PageControls>,
 }

@@ -2,10 +2,9 @@
 
 use std::time::Duration;
 
+use trifacet_core::pipeline::SilenceTimes;
 use trifacet_core::time::{Mono, NS_PER_S};
 
-/// The shortest silence that is reported, as for a source.
-const SILENCE: Duration = Duration::from_millis(20);
 /// A larger step back in time means another recording, or another boot of the machine.
 const BACK_NS: i64 = NS_PER_S;
 
@@ -52,10 +51,10 @@ impl Pace {
         Mono(recorded.0.saturating_add(((now - present) as f64 * self.speed) as i64))
     }
 
-    /// Present time without an entry that counts as silence, nanoseconds: 20 ms, or five periods if longer.
-    pub fn patience_ns(&self, rate_hz: f64) -> i64 {
-        let periods_ns = 5.0 * NS_PER_S as f64 / (rate_hz * self.speed);
-        (SILENCE.as_nanos() as i64).max(periods_ns as i64)
+    /// Present time without an entry that counts as silence, nanoseconds, for a recording with samples at
+    /// `rate_hz`: `shortest`, or five periods if longer.
+    pub fn patience_ns(&self, rate_hz: f64, shortest: Duration) -> i64 {
+        SilenceTimes::new(rate_hz * self.speed, shortest).first.as_nanos() as i64
     }
 }
 
@@ -89,7 +88,9 @@ mod tests {
 
     #[test]
     fn patience_is_in_present_time() {
-        let of = |speed, rate_hz| Pace::new(speed, Mono(0), Mono(0)).patience_ns(rate_hz);
+        let of = |speed, rate_hz| {
+            Pace::new(speed, Mono(0), Mono(0)).patience_ns(rate_hz, Duration::from_millis(20))
+        };
         assert_eq!([of(1.0, 1000.0), of(100.0, 1000.0), of(0.1, 1000.0)], [20 * MS, 20 * MS, 50 * MS]);
     }
 }

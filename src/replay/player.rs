@@ -1,6 +1,7 @@
 //! Processes the entries of a recording when they are due, and reports silence in between.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use trifacet_core::centering::{LoopRefusal, LoopState};
 use trifacet_core::estimation::{Estimation, PoseReport};
@@ -31,6 +32,8 @@ const LAPS_NS: i64 = 60 * NS_PER_S;
 pub struct Recording {
     /// File, speed and repetition.
     pub config: ReplayConfig,
+    /// The shortest silence that is reported.
+    pub silence: Duration,
     /// Beginning of the recording.
     pub header: RecordingHeader,
     /// Estimation with the first configuration. It makes the reports of silence.
@@ -52,6 +55,8 @@ pub(super) struct Player<C, Publish, Means> {
     comparison: Comparison,
     /// Makes the reports of silence.
     silence_estimation: Estimation,
+    /// The shortest silence that is reported.
+    silence: Duration,
     patience_ns: i64,
     steering: LoopState,
     context: Option<u32>,
@@ -65,7 +70,7 @@ pub(super) struct Player<C, Publish, Means> {
 
 impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> Player<C, Publish, Means> {
     pub(super) fn new(recording: Recording, clock: C, publish: Publish, means: Means) -> Self {
-        let Recording { config, header, estimation: mut silence_estimation, counters } = recording;
+        let Recording { config, silence, header, estimation: mut silence_estimation, counters } = recording;
         let (now, utc) = (clock.now(), header.first);
         let pace = Pace::new(config.speed, utc.0, now);
         silence_estimation.source(header.source.as_ref().is_some_and(|source| source.simulated));
@@ -83,7 +88,8 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
             engine: Engine::new(),
             comparison: Comparison::default(),
             silence_estimation,
-            patience_ns: pace.patience_ns(header.rate_hz()),
+            silence,
+            patience_ns: pace.patience_ns(header.rate_hz(), silence),
             steering: LoopState::default(),
             context: Some(header.context.id()),
             utc,
@@ -243,7 +249,7 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
         }
         let Some(Keyframe { source, .. }) = self.engine.now() else { return };
         let rate_hz = source.map_or(context.config.acquisition.rate_hz, |source| source.rate_hz);
-        self.patience_ns = self.pace.patience_ns(rate_hz);
+        self.patience_ns = self.pace.patience_ns(rate_hz, self.silence);
         if let Some(estimation) = self.engine.estimation() {
             self.silence_estimation = estimation.clone();
         }

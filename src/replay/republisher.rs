@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use trifacet_core::centering::{LoopMode, LoopState, LoopView};
+use trifacet_core::centering::{CommandBacklog, LoopMode, LoopState, LoopView};
 use trifacet_core::estimation::PoseReport;
 use trifacet_core::steering::BeamOffset;
 use trifacet_core::telemetry::Counters;
@@ -79,6 +79,7 @@ impl<C: Clock, Publish: FnMut(&Republished)> Republisher<C, Publish> {
     pub fn view(&self, steering: &LoopState) -> LoopView {
         let sampled = self.last.filter(|report| !report.status.has(Status::SOURCE_DOWN));
         LoopView {
+            backlog: CommandBacklog::default(),
             mode: LoopMode::Off,
             lock: self.last.map_or(steering.lock, |report| report.lock),
             offset: sampled.and_then(|report| report.offset).map(BeamOffset),

@@ -66,6 +66,8 @@ pub struct Emulator {
     stalled: bool,
     /// Bytes that wait to be written.
     out: Vec<u8>,
+    /// While the board sends in bursts: number of these bytes that belong to the last burst.
+    released: Option<usize>,
     start: Mono,
     state: BoardState,
 }
@@ -91,7 +93,17 @@ impl Emulator {
             commands_refused: 0,
         };
         let (deframer, out) = (Deframer::default(), Vec::new());
-        Ok(Self { twin, outputs, deframer, sequence: None, stalled: false, out, start, state })
+        Ok(Self {
+            twin,
+            outputs,
+            deframer,
+            sequence: None,
+            stalled: false,
+            out,
+            released: None,
+            start,
+            state,
+        })
     }
 
     /// The state of the board.
@@ -109,17 +121,19 @@ impl Emulator {
 
     /// The bytes to write next.
     pub fn output(&self) -> &[u8] {
-        &self.out
+        &self.out[..self.released.unwrap_or(self.out.len())]
     }
 
     /// Records that `bytes` bytes of the output have been written.
     pub fn written(&mut self, bytes: usize) {
         self.out.drain(..bytes);
+        self.released = self.released.map(|released| released - bytes);
     }
 
     /// No host is connected: discards the output.
     pub fn unheard(&mut self) {
         self.out.clear();
+        self.released = self.released.map(|_| 0);
     }
 
     /// Takes bytes that arrived at `now`. A stalled board ignores them.
@@ -132,11 +146,13 @@ impl Emulator {
             let answer = match frame.map(Request::decode) {
                 Ok(Ok(request)) => self.requested(request, now),
                 // From a board: the line echoes. An answer would be echoed too, without end.
-                Ok(Err(MessageError::Type(0x80..))) => continue,
-                Ok(Err(error)) => error.to_answer(),
-                Err(_) => Answer::Error { reason: ErrorReason::Corrupted, kind: 0 },
+                Ok(Err(MessageError::Type(0x80..))) => None,
+                Ok(Err(error)) => Some(error.to_answer()),
+                Err(_) => Some(Answer::Error { reason: ErrorReason::Corrupted, kind: 0 }),
             };
-            self.send(&answer);
+            if let Some(answer) = answer {
+                self.send(&answer);
+            }
         }
         self.deframer = deframer;
     }
@@ -145,6 +161,7 @@ impl Emulator {
     pub fn sample(&mut self, now: Mono) {
         self.expire(now);
         let scan = self.twin.next_scan();
+        self.release(&scan);
         self.state.time_s = scan.t_s;
         self.stalled = scan.fate == Fate::Stalled;
         let Some(sequence) = self.sequence else { return };
@@ -156,16 +173,32 @@ impl Emulator {
         }
     }
 
-    fn requested(&mut self, request: Request, now: Mono) -> Answer {
-        match request {
+    /// While the board sends in bursts, holds the output back until the next burst is due.
+    fn release(&mut self, scan: &TwinScan) {
+        let burst = |t_s: f64| (t_s / scan.burst_s).floor();
+        self.released = if scan.burst_s <= 0.0 {
+            None
+        } else if burst(scan.t_s) > burst(self.state.time_s) {
+            Some(self.out.len())
+        } else {
+            Some(self.released.unwrap_or(0))
+        };
+    }
+
+    /// The answer to a request; `None` if a fault suppresses it.
+    fn requested(&mut self, request: Request, now: Mono) -> Option<Answer> {
+        Some(match request {
             Request::Identify => Answer::Identity(self.identity()),
             Request::Start { rate_mhz, park } => self.start(rate_mhz, park),
             Request::Stop => {
                 self.set_started(None);
                 Answer::Reply(Reply { start: false, result: StartResult::Done, rate_mhz: 0 })
             }
-            Request::Steer(command) => Answer::Ack { id: command.id, result: self.steer(&command, now) },
-        }
+            Request::Steer(command) => {
+                let result = self.steer(&command, now);
+                Answer::Ack { id: self.twin.acknowledged(command.id)?, result }
+            }
+        })
     }
 
     fn start(&mut self, rate_mhz: u32, park: [i32; 2]) -> Answer {

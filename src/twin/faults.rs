@@ -5,6 +5,9 @@ use trifacet_wire::channel::SIGNALS;
 use super::TwinError;
 use crate::config::{Fault, FaultKind};
 
+/// The bits of an id that a wrong acknowledgement changes: no command of the last weeks has that id.
+const WRONG_ID: u32 = 0x8000_0000;
+
 /// The fate of a scan on its way to the host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Fate {
@@ -17,6 +20,18 @@ pub enum Fate {
     Corrupted,
     /// The board sends nothing at all.
     Stalled,
+}
+
+/// What the board acknowledges, in the order of severity.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Acks {
+    /// The commands.
+    #[default]
+    Right,
+    /// Other ids than those of the commands.
+    Wrong,
+    /// Nothing.
+    Missing,
 }
 
 /// All faults, configured and injected.
@@ -42,6 +57,10 @@ pub struct Active {
     pub corrupted: f64,
     /// The board sends nothing.
     pub stalled: bool,
+    /// The board sends in bursts at this interval, seconds; 0: at once.
+    pub burst_s: f64,
+    /// What the board acknowledges.
+    pub acks: Acks,
     /// The steering stage does not move.
     pub stuck: bool,
     /// The laser's power is multiplied by this.
@@ -95,6 +114,8 @@ impl Default for Active {
             dropped: 0.0,
             corrupted: 0.0,
             stalled: false,
+            burst_s: 0.0,
+            acks: Acks::Right,
             stuck: false,
             power: 1.0,
             noise: 1.0,
@@ -114,6 +135,15 @@ impl Active {
         }
     }
 
+    /// The id that is acknowledged for a command with this id; `None`: no acknowledgement is sent.
+    pub fn acknowledged(&self, id: u32) -> Option<u32> {
+        match self.acks {
+            Acks::Right => Some(id),
+            Acks::Wrong => Some(id ^ WRONG_ID),
+            Acks::Missing => None,
+        }
+    }
+
     fn add(&mut self, kind: FaultKind) {
         match kind {
             FaultKind::BeamBlocked => self.dark = [true; 3],
@@ -124,6 +154,9 @@ impl Active {
             FaultKind::Dropped { fraction } => self.dropped = either(self.dropped, fraction),
             FaultKind::Corrupted { fraction } => self.corrupted = either(self.corrupted, fraction),
             FaultKind::Stalled => self.stalled = true,
+            FaultKind::Bursts { interval_ms } => self.burst_s = self.burst_s.max(interval_ms * 1e-3),
+            FaultKind::MuteAcks => self.acks = Acks::Missing,
+            FaultKind::WrongAcks => self.acks = self.acks.max(Acks::Wrong),
             FaultKind::SteeringStuck => self.stuck = true,
             FaultKind::LaserPower { factor } => self.power *= factor,
             FaultKind::NoiseBurst { factor } => self.noise *= factor,
@@ -161,6 +194,9 @@ fn check(fault: &Fault) -> Result<(), (&'static str, &'static str)> {
             if !within(factor, f64::MAX) =>
         {
             Err(("factor", "must be a finite number, 0 or more"))
+        }
+        FaultKind::Bursts { interval_ms } if !within(interval_ms, f64::MAX) => {
+            Err(("interval_ms", "must be a finite number, 0 or more"))
         }
         FaultKind::LaserBump { shift_um } if !shift_um.iter().all(|um| um.is_finite()) => {
             Err(("shift_um", "must be two finite numbers"))
@@ -221,6 +257,7 @@ mod tests {
             (FaultKind::Corrupted { fraction: f64::NAN }, "fraction"),
             (FaultKind::LaserPower { factor: -1.0 }, "factor"),
             (FaultKind::NoiseBurst { factor: f64::INFINITY }, "factor"),
+            (FaultKind::Bursts { interval_ms: f64::NAN }, "interval_ms"),
             (FaultKind::LaserBump { shift_um: [0.0, f64::NAN] }, "shift_um"),
         ] {
             let error = Faults::new(&[fault(0.0, None, kind)]).unwrap_err();

@@ -73,6 +73,8 @@ pub struct TwinScan {
     pub codes: [i32; MAX_CHANNELS],
     /// Whether the scan arrives. The codes are valid also for a scan that does not arrive.
     pub fate: Fate,
+    /// The board sends in bursts at this interval, seconds; 0: at once.
+    pub burst_s: f64,
     /// The stage is at one of its limits.
     pub output_railed: bool,
     /// Mirror, laser and light at `t_s`, before faults of detection.
@@ -182,6 +184,11 @@ impl Twin {
         self.stage.command(self.outputs.metres(codes), t_s);
     }
 
+    /// The id that the board acknowledges for a command with this id; `None` if it sends no acknowledgement.
+    pub fn acknowledged(&self, id: u32) -> Option<u32> {
+        self.faults.active(self.next_s()).acknowledged(id)
+    }
+
     /// Injects a fault from the next scan on, for `for_s` seconds or, with `None`, without end.
     ///
     /// # Errors
@@ -219,7 +226,8 @@ impl Twin {
         }
         self.codes = codes;
         self.clock_ahead_s += (faults.clock - 1.0) / self.rate_hz;
-        TwinScan { index, t_s, clock_s, codes, fate, output_railed: self.stage.railed(), truth }
+        let (burst_s, output_railed) = (faults.burst_s, self.stage.railed());
+        TwinScan { index, t_s, clock_s, codes, fate, burst_s, output_railed, truth }
     }
 
     /// Mirror, laser and light at `t_s`, and the position of the stage.

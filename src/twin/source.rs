@@ -4,11 +4,13 @@ use std::collections::VecDeque;
 use std::io;
 use std::sync::Arc;
 
+use trifacet_core::pipeline::SilenceTimes;
 use trifacet_core::telemetry::Counters;
-use trifacet_core::time::{Mono, NS_PER_S};
+use trifacet_core::time::Mono;
 use trifacet_wire::actuator::{Ack, LeaseAction, OutputCommand};
 
 use super::{Fate, Outputs, Twin};
+use crate::acquisition::in_flight::InFlight;
 use crate::acquisition::{Source, SourceError, SourceEvent};
 use crate::clock::pace::{Pace, Waiting};
 
@@ -20,6 +22,7 @@ pub struct TwinSource<C: Waiting> {
     outputs: Outputs,
     pace: Pace<C>,
     counters: Arc<Counters>,
+    in_flight: InFlight,
     /// Events that have not been returned yet.
     events: VecDeque<SourceEvent>,
     /// Number of scans that are due and not yet taken.
@@ -35,24 +38,25 @@ pub struct TwinSource<C: Waiting> {
 }
 
 impl<C: Waiting> TwinSource<C> {
-    /// Starts the twin now. With the system clock, this must be called on the thread and in the tokio runtime
+    /// Starts the twin now. A stall is reported after the first time of `silence`. With the system clock, this must be called on the thread and in the tokio runtime
     /// that will read the events.
     ///
     /// # Errors
     /// The system provides no timer.
-    pub fn new(twin: Twin, clock: C, counters: Arc<Counters>) -> io::Result<Self> {
+    pub fn new(twin: Twin, clock: C, counters: Arc<Counters>, silence: SilenceTimes) -> io::Result<Self> {
         let rate_hz = twin.identity().rate_hz;
         let pace = Pace::new(clock, rate_hz)?;
         Ok(Self {
             events: VecDeque::from([SourceEvent::Up(twin.identity().clone())]),
             outputs: twin.outputs().clone(),
+            in_flight: InFlight::new(usize::MAX, Arc::clone(&counters)),
             counters,
             due: 0,
             lost: 0,
             last_scan: pace.schedule().time(0),
             down: false,
             stalled: false,
-            patience: MIN_SILENCE_NS.max((5.0 / rate_hz * NS_PER_S as f64) as i64),
+            patience: silence.first.as_nanos() as i64,
             pace,
             twin,
         })
@@ -127,17 +131,18 @@ impl<C: Waiting> Source for TwinSource<C> {
             let t_s = now.seconds_since(self.pace.schedule().time(0));
             self.twin.steer(command.codes, t_s);
         }
+        self.in_flight.expire(now);
+        self.in_flight.sent(&command, now);
         // A stalled board sends no acknowledgements either.
-        if !self.stalled {
+        if let Some(id) = self.twin.acknowledged(command.id).filter(|_| !self.stalled)
+            && self.in_flight.acknowledged(id)
+        {
             self.events.push_back(SourceEvent::Ack(Ack { id: command.id, accepted }));
         }
     }
 
     async fn close(self) {}
 }
-
-/// The shortest silence that counts as a stall, nanoseconds.
-const MIN_SILENCE_NS: i64 = 20_000_000;
 
 #[cfg(test)]
 mod tests {
@@ -163,7 +168,9 @@ mod tests {
         config.steering.park_um = [250.0, 0.0];
         let (clock, counters) = (ManualClock::new(), Arc::<Counters>::default());
         let twin = Twin::new(&config).unwrap();
-        let source = TwinSource::new(twin, clock.clone(), Arc::clone(&counters)).unwrap();
+        let source =
+            TwinSource::new(twin, clock.clone(), Arc::clone(&counters), config.acquisition.silence_times())
+                .unwrap();
         Bench { clock, counters, source }
     }
 

@@ -153,6 +153,7 @@ fn with_value(key: &str, value: f64, default: &str) -> String {
         ("twin.fault[]", "channel") => "at_s = 1\nkind = 'clipped'",
         ("twin.fault[]", "fraction") => "at_s = 1\nkind = 'dropped'",
         ("twin.fault[]", "factor") => "at_s = 1\nkind = 'laser-power'",
+        ("twin.fault[]", "interval_ms") => "at_s = 1\nkind = 'bursts'",
         ("twin.fault[]", "at_s") => "kind = 'stalled'",
         ("twin.fault[]", _) => "at_s = 1\nkind = 'stalled'",
         _ => "",

@@ -230,6 +230,41 @@ fn a_loss_of_light_ends_the_command_and_the_stage_returns() {
     assert!(lab.untouched());
 }
 
+#[test]
+fn a_gap_in_the_samples_costs_a_repeated_step_and_not_the_measurement() {
+    // During the first step of an axis, which is observed for a second, and during the steps after it.
+    let gap = |at_s: f64| format!("{{ at_s = {at_s}, for_s = 0.06, kind = 'stalled' }}");
+    let lab = Lab::new(&format!("twin.fault = [{}, {}]\n", gap(2.0), gap(5.0)));
+    let output = lab.tune(&["--steps", "40"]);
+    assert!(output.status.success(), "{}", said(&output));
+    assert!(said(&output).contains("steps were repeated"), "{}", said(&output));
+    tuned(&lab.after(), [[1.0, 0.0], [0.0, 1.0]], &said(&output));
+}
+
+#[test]
+fn gaps_in_every_attempt_at_a_step_end_the_command_and_the_stage_returns() {
+    let gap = |k: u32| format!("{{ at_s = {}, for_s = 0.03, kind = 'stalled' }}", 4.0 + 0.07 * f64::from(k));
+    let gaps: Vec<_> = (0..400).map(gap).collect();
+    let lab = Lab::new(&format!("twin.fault = [{}]\n", gaps.join(", ")));
+    let output = lab.tune(&[]);
+    assert_eq!(output.status.code(), Some(69), "{}", said(&output));
+    assert!(
+        said(&output).contains("samples stopped during each of 5 attempts at one step"),
+        "{}",
+        said(&output)
+    );
+    assert!(said(&output).contains("the stage is left at 0 0 um, acknowledged") && lab.untouched());
+}
+
+#[test]
+fn a_stage_that_parks_in_a_gap_is_not_moved_on() {
+    let fault = "twin.fault = [{ at_s = 2.5, for_s = 0.3, kind = 'stalled' }]\n";
+    let lab = Lab::new(&format!("steering.on_lease = 'park'\nsteering.park_um = [30, 0]\n{fault}"));
+    let output = lab.tune(&[]);
+    assert_eq!(output.status.code(), Some(69), "{}", said(&output));
+    assert!(said(&output).contains("the board has parked the stage") && lab.untouched(), "{}", said(&output));
+}
+
 /// Tunes on a board.
 fn on(board: &Board, more: &str) -> Lab {
     let port = board.link();

@@ -11,6 +11,8 @@
 //! [`Measurement`] is the pipeline without centering: it repeats a recording, in which the loop state is given.
 //!
 //! ```
+//! use std::time::Duration;
+//!
 //! use trifacet_core::centering::{Centering, LoopParams};
 //! use trifacet_core::channels::Channels;
 //! use trifacet_core::estimation::{Estimation, Settings};
@@ -22,7 +24,8 @@
 //! let optics = Optics::new(&Head::default());
 //! let estimation = Estimation::new(Settings::new(optics.clone(), Model::Gaussian));
 //! let measurement = Measurement { mapping: Mapping::new(Channels::default()), estimation };
-//! let mut pipeline = Pipeline::new(measurement, Centering::new(LoopParams::default(), optics));
+//! let (centering, silence) = (Centering::new(LoopParams::default(), optics), Duration::from_millis(20));
+//! let mut pipeline = Pipeline::new(measurement, centering, silence);
 //!
 //! let identity = Identity::example(); // a board with nine channels, +-10 V in 16 bits
 //! let time = Mono(0);
@@ -49,8 +52,6 @@ use crate::signals::{Identity, Sample, Scan};
 use crate::steering::Command;
 use crate::time::Mono;
 
-/// The shortest silence that is reported.
-const SHORTEST_SILENCE: Duration = Duration::from_millis(20);
 /// A silence is this many sampling periods at least.
 const PERIODS_OF_SILENCE: f64 = 5.0;
 /// Reports per second during a silence, at most.
@@ -66,10 +67,10 @@ pub struct SilenceTimes {
 }
 
 impl SilenceTimes {
-    /// The times for samples at `rate_hz`.
-    pub fn new(rate_hz: f64) -> Self {
+    /// The times for samples at `rate_hz`. `shortest` is the shortest silence that is reported.
+    pub fn new(rate_hz: f64, shortest: Duration) -> Self {
         Self {
-            first: SHORTEST_SILENCE.max(Duration::from_secs_f64(PERIODS_OF_SILENCE / rate_hz)),
+            first: shortest.max(Duration::from_secs_f64(PERIODS_OF_SILENCE / rate_hz)),
             repeat: Duration::from_secs_f64(1.0 / rate_hz.min(SILENCE_HZ)),
         }
     }
@@ -169,6 +170,8 @@ pub struct Pipeline {
     measurement: Measurement,
     centering: Centering,
     pose: Option<TimedPose>,
+    /// The shortest silence that is reported.
+    shortest: Duration,
     /// The times of silence of the source that is up.
     times: Option<SilenceTimes>,
     /// When the next silence is due, and since when it counts.
@@ -191,9 +194,9 @@ pub struct Step {
 }
 
 impl Pipeline {
-    /// A pipeline at rest, without a source.
-    pub fn new(measurement: Measurement, centering: Centering) -> Self {
-        Self { measurement, centering, pose: None, times: None, silence: None }
+    /// A pipeline at rest, without a source. `silence` is the shortest silence that is reported.
+    pub fn new(measurement: Measurement, centering: Centering, silence: Duration) -> Self {
+        Self { measurement, centering, pose: None, shortest: silence, times: None, silence: None }
     }
 
     /// The three parts, for three tasks.
@@ -207,7 +210,7 @@ impl Pipeline {
     /// # Errors
     /// The source lacks one of the nine signals.
     pub fn source(&mut self, identity: Arc<Identity>, now: Mono) -> Result<(), MissingSignal> {
-        let times = SilenceTimes::new(identity.rate_hz);
+        let times = SilenceTimes::new(identity.rate_hz, self.shortest);
         self.measurement.source(identity)?;
         self.times = Some(times);
         self.silence = self.due(now, |times| times.first);

@@ -7,6 +7,8 @@ mod compatibility;
 mod link_faults;
 mod sequence;
 mod session;
+mod settings;
 
 pub use sequence::{Arrival, Sequence};
-pub use session::{Session, Settings};
+pub use session::Session;
+pub use settings::Settings;

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
+use trifacet_core::pipeline::SilenceTimes;
 use trifacet_core::signals::Scan;
 use trifacet_core::telemetry::Counters;
 use trifacet_core::time::{Mono, NS_PER_S};
@@ -11,48 +12,16 @@ use trifacet_wire::board::message::{BoardScan, ErrorReason, Reply, StartResult};
 use trifacet_wire::board::{Answer, BoardIdentity, Deframer, MessageError, Request};
 
 use super::link_faults::{LinkFault, Tally};
-use super::{Arrival, Sequence, compatibility};
+use super::{Arrival, Sequence, Settings, compatibility};
+use crate::acquisition::in_flight::InFlight;
 use crate::acquisition::timebase::{ScanCounters, Timebase};
 use crate::acquisition::{SourceError, SourceEvent};
-use crate::config::{Config, SteeringKind};
 
 const MS: i64 = NS_PER_S / 1000;
 /// Time limit for an answer of the board, milliseconds.
 const ANSWER_MS: u32 = 500;
 /// Pause after a fault before the next request, nanoseconds.
 const REST_NS: i64 = NS_PER_S;
-/// Scans have stalled after this time ...
-const STALL_NS: i64 = 20 * MS;
-/// ... or after this many periods, whichever is longer.
-const STALL_PERIODS: f64 = 5.0;
-
-/// Settings of the session.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
-    /// Scans per second.
-    pub rate_hz: f64,
-    /// Baud rate of the port.
-    pub baud: u32,
-    /// Constant delay from a scan to its arrival, nanoseconds.
-    pub latency_ns: i64,
-    /// Parking position as a fraction of full scale.
-    pub park: [f64; 2],
-}
-
-impl From<&Config> for Settings {
-    fn from(config: &Config) -> Self {
-        let serial = &config.acquisition.serial;
-        Self {
-            rate_hz: config.acquisition.rate_hz,
-            baud: serial.baud,
-            latency_ns: (serial.latency_us * 1e3).round() as i64,
-            park: match config.steering.kind {
-                SteeringKind::Outputs => config.steering.park_um.map(|um| um / config.steering.full_scale_um),
-                SteeringKind::Gcs => [0.0; 2], // with another stage the outputs are never commanded
-            },
-        }
-    }
-}
 
 /// A board that cannot generate the configured rate uses the nearest one. A larger difference is logged.
 const RATE_TOLERANCE: f64 = 1e-3;
@@ -100,8 +69,10 @@ pub struct Session {
     reported: Option<SourceError>,
     /// Bytes that wait to be written.
     out: Vec<u8>,
-    /// The newest command, not yet encoded.
-    command: Option<OutputCommand>,
+    /// The newest command, not yet encoded, with its time.
+    command: Option<(OutputCommand, Mono)>,
+    in_flight: InFlight,
+    counters: Arc<Counters>,
     /// Number of corrupted frames while waiting for an answer.
     garbage: u32,
 }
@@ -110,11 +81,13 @@ impl Session {
     /// A session without a connection.
     pub fn new(settings: Settings, counters: Arc<Counters>) -> Self {
         Self {
+            in_flight: InFlight::new(settings.most_in_flight, Arc::clone(&counters)),
             settings,
             state: State::Unlinked,
             deframer: Deframer::default(),
             sequence: Sequence::default(),
-            tally: Tally::new(counters),
+            tally: Tally::new(Arc::clone(&counters)),
+            counters,
             last: None,
             events: VecDeque::new(),
             reported: None,
@@ -142,18 +115,20 @@ impl Session {
         self.events.pop_front()
     }
 
-    /// Takes a command, which replaces an older one that has not been sent. Without a running board the
+    /// Takes a command, which replaces an older one that has not been sent. The command waits while too many
+    /// commands have no acknowledgement: a slow board then gets the newest command, not old ones. Without a running board the
     /// command is dropped, because it would be outdated when the board is back. A stalled board may still
     /// receive, so that the last command of a loop that ends is sent to it.
-    pub fn steer(&mut self, command: OutputCommand) {
-        if self.scanning() {
-            self.command = Some(command);
+    pub fn steer(&mut self, command: OutputCommand, now: Mono) {
+        self.in_flight.expire(now);
+        if self.scanning() && self.command.replace((command, now)).is_some() {
+            self.counters.commands_replaced.inc();
         }
     }
 
     /// Requests the board to stop scanning, after the last command.
     pub fn stop(&mut self) {
-        if let Some(command) = self.command.take() {
+        if let Some((command, _)) = self.command.take() {
             Request::Steer(command).encode(&mut self.out);
         }
         Request::Stop.encode(&mut self.out);
@@ -162,8 +137,10 @@ impl Session {
     /// The bytes to write next.
     pub fn output(&mut self) -> &[u8] {
         if self.out.is_empty()
-            && let Some(command) = self.command.take()
+            && self.in_flight.has_room()
+            && let Some((command, now)) = self.command.take()
         {
+            self.in_flight.sent(&command, now);
             Request::Steer(command).encode(&mut self.out);
         }
         &self.out
@@ -239,7 +216,9 @@ impl Session {
                 self.scanned(&scan, now);
             }
             (Answer::Ack { id, result }, State::Running(_) | State::Resting { stalled: Some(_), .. }) => {
-                self.events.push_back(SourceEvent::Ack(result.ack(id)));
+                if self.in_flight.acknowledged(id) {
+                    self.events.push_back(SourceEvent::Ack(result.ack(id)));
+                }
             }
             (Answer::Identity(board), State::Identifying { .. }) => self.identified(board, now),
             (Answer::Reply(reply @ Reply { start: true, .. }), State::Starting { .. }) => {
@@ -284,10 +263,12 @@ impl Session {
         let missed = self.last.map_or(0.0, |last| now.seconds_since(last) * rate_hz);
         self.sequence.restart(missed.round() as u64);
         self.command = None;
+        self.in_flight.clear();
         self.state = State::Running(Running {
             channels: board.roles.len(),
-            timebase: Timebase::new(board.tick_hz, rate_hz, self.settings.latency_ns, self.last),
-            patience_ns: STALL_NS.max((STALL_PERIODS / rate_hz * NS_PER_S as f64) as i64),
+            timebase: Timebase::new(board.tick_hz, rate_hz, self.settings.latency_ns, self.last)
+                .with_bursts(self.settings.silence),
+            patience_ns: SilenceTimes::new(rate_hz, self.settings.silence).first.as_nanos() as i64,
             last_arrival: now,
             last_sequence: None,
             lease_expired: true, // a lease of the previous daemon is not counted

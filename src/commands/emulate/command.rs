@@ -16,6 +16,9 @@ S is a duration in seconds; without S, a fault is permanent:
   dropped 0..1 [S]          this fraction of the scans is not sent
   corrupted 0..1 [S]        this fraction of the scans is damaged in transit
   stalled [S]               the board stops sending
+  bursts MS [S]             the board sends every MS milliseconds only, all at once
+  mute-acks [S]             the board executes commands, but acknowledges none
+  wrong-acks [S]            the board executes commands, but acknowledges other ids
   steering-stuck [S]        the stage ignores commands
   laser-power FACTOR [S]    the power of the laser is multiplied
   noise-burst FACTOR [S]    the noise of spots and powers is multiplied
@@ -26,7 +29,7 @@ S is a duration in seconds; without S, a fault is permanent:
 /// The same list for error messages.
 const ALLOWED: &str = "allowed are: beam-blocked [S], psd-dark 0..2 [S], clipped 0..8 [S], frozen 0..8 [S], \
     clock-rate FACTOR [S], dropped 0..1 [S], \
-    corrupted 0..1 [S], stalled [S], steering-stuck [S], laser-power FACTOR [S], noise-burst FACTOR [S], \
+    corrupted 0..1 [S], stalled [S], bursts MS [S], mute-acks [S], wrong-acks [S], steering-stuck [S], laser-power FACTOR [S], noise-burst FACTOR [S], \
     laser-bump X Y [S], unplug S, status (S: duration in seconds)";
 
 /// Longest duration, seconds. A longer fault can be permanent.
@@ -74,6 +77,9 @@ fn parse<'a>(words: &mut impl Iterator<Item = &'a str>) -> Option<EmulatorComman
         "dropped" => FaultKind::Dropped { fraction: number(words.next()?)? },
         "corrupted" => FaultKind::Corrupted { fraction: number(words.next()?)? },
         "stalled" => FaultKind::Stalled,
+        "bursts" => FaultKind::Bursts { interval_ms: number(words.next()?)? },
+        "mute-acks" => FaultKind::MuteAcks,
+        "wrong-acks" => FaultKind::WrongAcks,
         "steering-stuck" => FaultKind::SteeringStuck,
         "laser-power" => FaultKind::LaserPower { factor: number(words.next()?)? },
         "noise-burst" => FaultKind::NoiseBurst { factor: number(words.next()?)? },
@@ -105,8 +111,13 @@ fn possible(kind: FaultKind) -> bool {
         FaultKind::LaserPower { factor }
         | FaultKind::NoiseBurst { factor }
         | FaultKind::ClockRate { factor } => (0.0..=1e3).contains(&factor),
+        FaultKind::Bursts { interval_ms } => (1.0..=1e4).contains(&interval_ms),
         FaultKind::LaserBump { shift_um } => shift_um.iter().all(|um| (-1e4..=1e4).contains(um)),
-        FaultKind::BeamBlocked | FaultKind::Stalled | FaultKind::SteeringStuck => true,
+        FaultKind::BeamBlocked
+        | FaultKind::Stalled
+        | FaultKind::MuteAcks
+        | FaultKind::WrongAcks
+        | FaultKind::SteeringStuck => true,
     }
 }
 
@@ -142,6 +153,8 @@ mod tests {
             "frozen 9",
             "clock-rate -1",
             "dropped 1.5",
+            "bursts",
+            "bursts 0",
             "corrupted nan",
             "stalled 1 2",
             "status now",

@@ -35,6 +35,7 @@ pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
     let [x, y] = frame.steering.map(|m| number(f64::from(m) * 1e6));
     let how = if frame.status.has(Status::STEERING_MEASURED) { "read back" } else { "as commanded" };
     lines.push(row("steering", &format!("x    {x} um          y     {y} um    {how}")));
+    lines.extend(commands(known.control.as_ref()));
     lines.push(row("losses", &losses(known)));
     lines.extend(receivers(known));
     lines.extend(known.unanswered.as_ref().map(|why| row("control", why)));
@@ -144,6 +145,19 @@ fn losses(known: &Known) -> String {
     if losses.is_empty() { "none".into() } else { losses.join("  ") }
 }
 
+/// The commands that the stage does not answer in time. Only the control socket tells them.
+fn commands(control: Option<&Value>) -> Option<String> {
+    let commands = control.map(|control| &control["loop"]["commands"])?;
+    let (count, age_s) = (commands["unanswered"].as_u64()?, commands["age_s"].as_f64()?);
+    let overdue = commands["overdue"].as_bool()? && count > 0;
+    overdue.then(|| {
+        row(
+            "commands",
+            &format!("{count} unanswered, the oldest for {age_s:.3} s: the stage does not answer"),
+        )
+    })
+}
+
 /// The receivers of datagrams that fail. Only the control socket tells them.
 fn receivers(known: &Known) -> Vec<String> {
     let all = known.control.as_ref().and_then(|control| control["receivers"].as_array());
@@ -203,7 +217,7 @@ pub(super) fn mood(line: &str) -> Option<&'static str> {
     Some(match name {
         "pose" if text == "valid" => "32",
         "pose" if text.starts_with("valid") => "33",
-        "pose" => "31",
+        "pose" | "commands" => "31",
         "lock" if is(LockState::Locked) => "32",
         "lock" if is(LockState::Lost) || is(LockState::Railed) => "31",
         "lock" | "cause" | "control" | "replay" | "receiver" => "33",

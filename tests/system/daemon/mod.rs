@@ -2,8 +2,10 @@
 //!
 //! Every frame that a test receives is also checked against the rules of `testkit::honest`.
 
+mod bursts;
 mod channels;
 mod clients;
+mod commands;
 mod doubts;
 mod ending;
 mod faults;

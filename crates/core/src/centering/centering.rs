@@ -10,7 +10,9 @@ use super::stage::{CommandStatus, StageModel};
 use crate::centering::apex_tracker::ApexTracker;
 use crate::centering::observation::BeamObservation;
 use crate::centering::open_loop::OpenLoopMove;
-use crate::centering::{LoopMode, LoopParams, LoopState, LoopView, OnExit, Outcome, TimedPose};
+use crate::centering::{
+    CommandBacklog, LoopMode, LoopParams, LoopState, LoopView, OnExit, Outcome, TimedPose,
+};
 use crate::signals::Sample;
 use crate::steering::{BeamOffset, BeamPoint, Command, StageMove, StagePosition};
 use crate::time::Mono;
@@ -32,12 +34,14 @@ pub struct Centering {
     good_place: Option<StagePosition>,
     /// Position of the stage for the apex that was computed when the loop gave up its searches.
     gave_up: Option<StagePosition>,
-    /// How long samples have been too old, seconds.
-    late_s: f64,
+    /// Since when samples have arrived too late.
+    late_since: Option<Mono>,
     last: Option<(u64, Mono)>,
     offset: Option<BeamOffset>,
     shadow: Option<(StagePosition, StagePosition)>,
     commands: u32,
+    /// Time of the last sample's arrival.
+    now: Mono,
 }
 
 impl Centering {
@@ -51,11 +55,12 @@ impl Centering {
             open_loop: OpenLoopMove::Still,
             good_place: None,
             gave_up: None,
-            late_s: 0.0,
+            late_since: None,
             last: None,
             offset: None,
             shadow: None,
             commands: 0,
+            now: Mono(0),
         }
     }
 
@@ -79,6 +84,7 @@ impl Centering {
             commanded: self.stage.commanded(),
             shadow: self.shadow,
             attempts: self.lock.attempts(),
+            backlog: self.stage.backlog(),
         }
     }
 
@@ -166,6 +172,11 @@ impl Centering {
         self.stage.answers(answer.id, answer.accepted);
     }
 
+    /// The commands that the stage has not acknowledged.
+    pub fn backlog(&self) -> CommandBacklog {
+        self.stage.backlog()
+    }
+
     /// Records the position that the stage reports, metres.
     pub fn stage_at(&mut self, position: StagePosition) {
         self.stage.set_reported(position);
@@ -182,10 +193,13 @@ impl Centering {
     /// it is recent.
     pub fn sample(&mut self, sample: &Sample, pose: Option<&TimedPose>, now: Mono) -> Outcome {
         let dt = self.seconds_since_last(sample);
+        self.now = now;
         if self.last.is_some_and(|(_, time)| sample.time.seconds_since(time) >= self.params.lease_s()) {
             self.released(); // the lease has expired, and the board has acted on its own
         }
+        self.note_lateness(sample, now);
         self.last = Some((sample.index, sample.time));
+        self.stage.check_answers(&self.params, now, dt);
         match self.params.mode {
             LoopMode::Off => Outcome::default(),
             LoopMode::Shadow => {
@@ -204,10 +218,19 @@ impl Centering {
         }
     }
 
+    /// Records whether samples arrive too late to act on them: this one, or, if samples arrive in bursts, those
+    /// since the last one. The controller accepts a few periods between two samples.
+    fn note_lateness(&mut self, sample: &Sample, now: Mono) {
+        let LoopParams { loop_delay_s, period_s, .. } = self.params;
+        let late = now.seconds_since(sample.time) > loop_delay_s;
+        let sparse = |last| now.seconds_since(last) > loop_delay_s + MOST_PERIODS * period_s;
+        let late = late || self.last.is_some_and(|(_, last)| sparse(last));
+        self.late_since = self.late_since.or(Some(now)).filter(|_| late);
+    }
+
     /// One step in mode on.
     fn act(&mut self, sample: &Sample, pose: Option<&TimedPose>, now: Mono, dt: f64) -> Outcome {
         let late = now.seconds_since(sample.time) > self.params.loop_delay_s;
-        self.late_s = if late { self.late_s + dt } else { 0.0 };
         self.take_over(sample, dt);
         let behind = self.stage.behind(sample, &self.params, dt);
         let stuck = self.stage.stuck_s() > self.params.limits.lost_s;
@@ -248,10 +271,11 @@ impl Centering {
         match self.stage.command_status() {
             CommandStatus::Gone => Some(LockCause::StageGone),
             CommandStatus::Refuses => Some(LockCause::StageRefuses),
-            CommandStatus::Obeys if self.late_s > self.params.limits.lost_s => {
-                Some(LockCause::SamplesTooLate)
+            CommandStatus::Obeys if self.stage.backlog().overdue => Some(LockCause::CommandsUnanswered),
+            CommandStatus::Obeys => {
+                let late_s = self.late_since.map_or(0.0, |since| self.now.seconds_since(since));
+                (late_s > self.params.limits.lost_s).then_some(LockCause::SamplesTooLate)
             }
-            CommandStatus::Obeys => None,
         }
     }
 
@@ -412,7 +436,7 @@ impl Centering {
     fn command(&mut self, position: StagePosition) -> Command {
         self.commands = self.commands.wrapping_add(1);
         let LoopParams { lease_ms, on_lease, .. } = self.params;
-        self.stage.commands(self.commands, position);
+        self.stage.commands(self.commands, position, self.now);
         Command { id: self.commands, position, lease_ms, on_expiry: on_lease }
     }
 }

@@ -5,6 +5,7 @@
 //! - [`state`]: inputs besides samples, and outputs.
 //! - [`observation`], [`apex_tracker`]: what a sample shows, and where the apex is.
 //! - [`stage`], [`command_history`]: the commanded position of the stage, and whether the stage follows.
+//! - [`unanswered`]: commands that the stage has not acknowledged.
 //! - [`lock`]: the lock state and the next action.
 //! - [`controller`], [`tracking`]: the PI controller with its limits, and the feed-forward.
 //! - [`open_loop`], [`search`]: moves while the offset is unknown.
@@ -27,8 +28,10 @@ pub mod state;
 #[cfg(test)]
 mod tests;
 pub mod tracking;
+pub mod unanswered;
 
 pub use centering::Centering;
 pub use modes::{LoopMode, OnExit, Target};
 pub use params::LoopParams;
 pub use state::{LoopRefusal, LoopState, LoopView, Outcome, TimedPose};
+pub use unanswered::CommandBacklog;

@@ -14,6 +14,9 @@ const SETTLED: f64 = 5.0;
 /// free.
 const FOLLOWING: f64 = 0.05;
 
+/// A command is late if it has no acknowledgement after this many loop delays.
+const ANSWER_DELAYS: f64 = 4.0;
+
 /// Parameters of the loop. The default suits a nominal head with a piezo stage, sampled at 1 kHz.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LoopParams {
@@ -85,6 +88,12 @@ impl LoopParams {
     /// Age up to which a command may still move the stage, seconds.
     pub(super) fn span_s(&self) -> f64 {
         self.loop_delay_s + self.settling_s()
+    }
+
+    /// Age at which a command without an acknowledgement is late, seconds. With the default gains, a loop is
+    /// unstable if its delay is more than three times the configured one.
+    pub(super) fn answer_s(&self) -> f64 {
+        ANSWER_DELAYS * self.loop_delay_s + 2.0 * self.period_s
     }
 
     /// Largest distance between stage and command at which the stage counts as following, metres.

@@ -1,15 +1,12 @@
 //! Model of the stage in the loop: commanded position, actual position, and whether the stage follows.
 
-use std::collections::VecDeque;
-
 use super::controller::ControllerState;
 use crate::centering::LoopParams;
 use crate::centering::command_history::CommandHistory;
+use crate::centering::unanswered::{CommandBacklog, UnansweredCommands};
 use crate::signals::Sample;
 use crate::steering::{StageMove, StagePosition};
-
-/// Largest number of commands that wait for an acknowledgement.
-const MOST_UNANSWERED: usize = 1024;
+use crate::time::Mono;
 
 /// How the stage treats commands.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -34,8 +31,7 @@ pub struct StageModel {
     /// Nothing but the loop has moved the stage since the loop took over.
     ours: bool,
     command_status: CommandStatus,
-    /// Ids and positions of the commands without an acknowledgement.
-    unanswered: VecDeque<(u32, StagePosition)>,
+    unanswered: UnansweredCommands,
     accepted: Option<StagePosition>,
     /// Position that the stage reports outside the samples.
     reported: Option<StagePosition>,
@@ -51,7 +47,7 @@ impl Default for StageModel {
             detached: true,
             ours: false,
             command_status: CommandStatus::default(),
-            unanswered: VecDeque::new(),
+            unanswered: UnansweredCommands::default(),
             accepted: None,
             reported: None,
             history: CommandHistory::default(),
@@ -87,20 +83,15 @@ impl StageModel {
         self.command_status
     }
 
-    /// Records a command that goes out with this id.
-    pub fn commands(&mut self, id: u32, position: StagePosition) {
-        if self.unanswered.len() >= MOST_UNANSWERED {
-            self.unanswered.pop_front(); // the stage acknowledges none, or only the newest
-        }
-        self.unanswered.push_back((id, position));
+    /// Records a command that goes out with this id at `now`.
+    pub fn commands(&mut self, id: u32, position: StagePosition, now: Mono) {
+        self.unanswered.sent(id, position, now);
     }
 
     /// Records an acknowledgement of the command with this id. After a rejected command, the control
     /// continues from the last accepted one.
     pub fn answers(&mut self, id: u32, accepted: bool) {
-        let Some(place) = self.unanswered.iter().position(|(sent, _)| *sent == id) else { return };
-        let position = self.unanswered[place].1;
-        self.unanswered.drain(..=place);
+        let Some(position) = self.unanswered.answered(id) else { return };
         if self.command_status != CommandStatus::Gone {
             self.command_status = if accepted { CommandStatus::Obeys } else { CommandStatus::Refuses };
         }
@@ -109,6 +100,21 @@ impl StageModel {
         } else if let (Some(accepted), false) = (self.accepted, self.detached) {
             self.memory = Some(ControllerState::at(accepted));
         }
+    }
+
+    /// Checks at `now`, `dt` seconds after the previous check, whether the stage answers in time.
+    pub fn check_answers(&mut self, params: &LoopParams, now: Mono, dt: f64) {
+        if self.memory().is_some() {
+            self.unanswered.check(now, params.answer_s(), params.limits.lost_s, dt);
+        }
+    }
+
+    /// The commands without an acknowledgement; none unless the loop controls the stage and the stage takes
+    /// commands.
+    pub fn backlog(&self) -> CommandBacklog {
+        let backlog = self.unanswered.backlog();
+        let overdue = backlog.overdue;
+        self.memory().map_or(CommandBacklog { overdue, ..CommandBacklog::default() }, |_| backlog)
     }
 
     /// Records the position that the stage reports, metres.
@@ -140,7 +146,7 @@ impl StageModel {
         if self.command_status == CommandStatus::Refuses {
             self.command_status = CommandStatus::Obeys;
         }
-        self.unanswered.clear();
+        self.unanswered.forget();
     }
 
     /// Takes over the stage at its actual position, unless the loop already controls the stage. Returns true

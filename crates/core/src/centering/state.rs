@@ -4,7 +4,7 @@ use trifacet_optics::Pose;
 use trifacet_wire::LockState;
 
 use super::lock::Transition;
-use crate::centering::LoopMode;
+use crate::centering::{CommandBacklog, LoopMode};
 use crate::steering::{BeamOffset, Command, StagePosition};
 use crate::time::Mono;
 
@@ -44,6 +44,8 @@ pub struct LoopView {
     pub shadow: Option<(StagePosition, StagePosition)>,
     /// Failed searches since the last lock.
     pub attempts: u32,
+    /// The commands that the stage has not acknowledged.
+    pub backlog: CommandBacklog,
 }
 
 /// Result of one sample.

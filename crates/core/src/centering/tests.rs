@@ -78,6 +78,7 @@ impl Bench {
         }
         self.stage_um = to;
         self.expiry = Some(command.on_expiry);
+        self.centering.stage_answers(Ack { id: command.id, accepted: true });
         true
     }
 
@@ -277,6 +278,7 @@ fn a_source_that_is_always_late_is_reported() {
                 && outcome.command.is_some_and(|command| command.position == StagePosition([0.0; 2]))
         );
         transitions.extend(outcome.transition.map(|t| (t.to, t.cause)));
+        bench.obey(outcome);
     }
     assert_eq!(
         transitions,
@@ -285,6 +287,31 @@ fn a_source_that_is_always_late_is_reported() {
     let sample = bench.beside_the_point();
     bench.centering.sample(&sample, None, sample.time);
     assert_eq!(bench.centering.state().lock, LockState::Acquiring);
+}
+
+/// Runs for `bursts` bursts of `length` samples that arrive together: the loop gets the last one of each.
+fn run_in_bursts(bench: &mut Bench, bursts: usize, length: u64) -> Vec<(LockState, LockCause)> {
+    let mut transitions = Vec::new();
+    for _ in 0..bursts {
+        bench.index += length - 1;
+        let sample = bench.sample();
+        let outcome = bench.centering.sample(&sample, None, sample.time);
+        transitions.extend(outcome.transition.map(|t| (t.to, t.cause)));
+        bench.obey(outcome);
+    }
+    transitions
+}
+
+#[test]
+fn samples_in_bursts_are_too_late_although_the_last_of_a_burst_is_fresh() {
+    let mut bench = Bench::new(|_| {});
+    bench.run(500);
+    assert_eq!(run_in_bursts(&mut bench, 100, 5), [], "a few periods");
+    let held = run_in_bursts(&mut bench, 100, 100);
+    assert_eq!(held[0], (LockState::Held, LockCause::SamplesTooLate), "{held:?}");
+    assert!(held.iter().all(|(_, cause)| *cause == LockCause::SamplesTooLate), "{held:?}");
+    bench.run(200);
+    assert_eq!(bench.lock(), LockState::Locked);
 }
 
 #[test]
@@ -302,6 +329,29 @@ fn a_refusing_stage_is_held_at_its_last_accepted_position() {
         assert_ne!(bench.lock(), LockState::Locked);
     }
     assert!(matches!(bench.lock(), LockState::Held | LockState::Lost | LockState::Acquiring));
+}
+
+#[test]
+fn a_stage_that_does_not_answer_is_held_until_it_answers_again() {
+    let mut bench = Bench::new(|_| {});
+    bench.run(500);
+    assert_eq!(bench.lock(), LockState::Locked);
+    let mut transitions = Vec::new();
+    for k in 0..200 {
+        let sample = bench.sample();
+        let outcome = bench.centering.sample(&sample, None, sample.time);
+        assert!(outcome.command.is_some(), "commands renew the lease");
+        transitions.extend(outcome.transition.map(|t| (k, t.to, t.cause)));
+    }
+    let cause = LockCause::CommandsUnanswered;
+    let [(held, LockState::Held, first), (_, LockState::Lost, second)] = transitions[..] else {
+        panic!("{transitions:?}")
+    };
+    assert_eq!([first, second], [cause; 2]);
+    assert!((60..70).contains(&held), "12 ms of age for 50 ms: {held}");
+    assert!(bench.centering.backlog().overdue && bench.centering.backlog().count == 200);
+    bench.run(200);
+    assert_eq!((bench.lock(), bench.centering.backlog().overdue), (LockState::Locked, false));
 }
 
 #[test]

@@ -83,6 +83,10 @@ counters! {
     Event commands_sent,
     /// Steering commands that the board refused.
     Loss commands_refused,
+    /// Steering commands that a newer one replaced before they were sent to the board.
+    Event commands_replaced,
+    /// Acknowledgements of commands that do not wait for one: of an unknown id, twice, or too late.
+    Event acks_unknown,
     /// Samples dropped because estimation lagged behind.
     Loss estimation_overflows,
     /// Samples that the controller did not act on: a newer one was available, or they arrived later than the

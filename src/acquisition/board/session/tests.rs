@@ -1,3 +1,5 @@
+use std::time::Duration;
+
 use trifacet_wire::actuator::{Ack, LeaseAction};
 use trifacet_wire::board::message::SteerResult;
 use trifacet_wire::channel::{Converter, Role, SIGNALS};
@@ -29,7 +31,14 @@ struct Bench {
 impl Bench {
     fn new() -> Self {
         let counters = Arc::new(Counters::default());
-        let settings = Settings { rate_hz: 1000.0, baud: 921_600, latency_ns: 0, park: [0.2, -0.2] };
+        let settings = Settings {
+            rate_hz: 1000.0,
+            baud: 921_600,
+            latency_ns: 0,
+            park: [0.2, -0.2],
+            silence: Duration::from_millis(20),
+            most_in_flight: 3,
+        };
         let session = Session::new(settings, Arc::clone(&counters));
         Self { session, counters, now: START }
     }
@@ -47,6 +56,20 @@ impl Bench {
         self.answer(&Answer::Identity(board.clone()));
         self.requests();
         self.answer(&Answer::Reply(Reply { start: true, result: StartResult::Done, rate_mhz: 1_000_000 }));
+    }
+
+    fn steer(&mut self, id: u32) {
+        let command = OutputCommand { id, codes: [1, 1], lease_ms: 200, on_expiry: LeaseAction::Hold };
+        self.session.steer(command, self.now);
+    }
+
+    /// The ids of the commands that the session sends now.
+    fn steered(&mut self) -> Vec<u32> {
+        let id = |request| match request {
+            Request::Steer(command) => command.id,
+            other => panic!("{other:?}"),
+        };
+        self.requests().into_iter().map(id).collect()
     }
 
     /// The requests that the session wrote.
@@ -140,7 +163,7 @@ fn a_stall_is_reported_and_scans_may_resume_by_themselves() {
     bench.wait(MS);
     assert_eq!(bench.session.event(), Some(SourceEvent::Down(SourceError::Stalled { silence_ms: 20 })));
     let command = OutputCommand { id: 1, codes: [1, 1], lease_ms: 200, on_expiry: LeaseAction::Hold };
-    bench.session.steer(command);
+    bench.session.steer(command, bench.now);
     assert_eq!(bench.requests(), [Request::Steer(command)], "a stalled board may still receive");
     bench.answer(&Answer::Ack { id: 1, result: SteerResult::Accepted });
     assert_eq!(bench.session.event(), Some(SourceEvent::Ack(Ack { id: 1, accepted: true })));
@@ -156,7 +179,7 @@ fn a_board_is_restarted_after_a_power_failure_and_the_index_continues() {
     (0..100).for_each(|k| drop(bench.scan(k)));
     bench.wait(20 * MS);
     assert!(matches!(bench.session.event(), Some(SourceEvent::Down(SourceError::Stalled { .. }))));
-    bench.session.steer(OutputCommand { id: 1, codes: [1, 1], lease_ms: 200, on_expiry: LeaseAction::Hold });
+    bench.steer(1);
     bench.wait(NS_PER_S);
     assert_eq!(bench.requests(), [Request::Identify], "an old command is dropped");
     bench.wait(500 * MS);
@@ -193,13 +216,40 @@ fn scans_after_a_reconnect_are_later_than_those_before() {
 fn only_the_newest_command_is_sent_and_its_answer_is_reported() {
     let mut bench = Bench::running();
     let command = |id| OutputCommand { id, codes: [-5, 5], lease_ms: 200, on_expiry: LeaseAction::Park };
-    (1..=3).for_each(|id| bench.session.steer(command(id)));
+    (1..=3).for_each(|id| bench.session.steer(command(id), bench.now));
     assert_eq!(bench.requests(), [Request::Steer(command(3))]);
     bench.answer(&Answer::Ack { id: 3, result: SteerResult::OutOfRange });
     assert_eq!(bench.session.event(), Some(SourceEvent::Ack(Ack { id: 3, accepted: false })));
-    bench.session.steer(command(4));
+    bench.session.steer(command(4), bench.now);
     bench.session.stop();
     assert_eq!(bench.requests(), [Request::Steer(command(4)), Request::Stop]);
+}
+
+#[test]
+fn a_board_that_does_not_answer_gets_few_commands_and_then_the_newest() {
+    let mut bench = Bench::running();
+    let mut sent = Vec::new();
+    for id in 1..=90 {
+        bench.steer(id);
+        sent.extend(bench.steered());
+        bench.now = bench.now + MS;
+    }
+    assert_eq!(sent, [1, 2, 3], "the limit of the bench");
+    assert_eq!(bench.counters.commands_replaced.get(), 86);
+    bench.answer(&Answer::Ack { id: 77, result: SteerResult::Accepted });
+    bench.answer(&Answer::Ack { id: 2, result: SteerResult::Accepted });
+    bench.answer(&Answer::Ack { id: 1, result: SteerResult::Accepted });
+    assert_eq!(bench.session.event(), Some(SourceEvent::Ack(Ack { id: 2, accepted: true })));
+    assert_eq!(bench.session.event(), None);
+    assert_eq!(bench.counters.acks_unknown.get(), 2);
+    assert_eq!(bench.steered(), [90], "the newest");
+    // After half of its lease a command counts as lost.
+    for id in 91..=400 {
+        bench.steer(id);
+        sent.extend(bench.steered());
+        bench.now = bench.now + MS;
+    }
+    assert!((10..20).contains(&sent.len()), "{sent:?}");
 }
 
 #[test]

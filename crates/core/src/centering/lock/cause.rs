@@ -78,6 +78,8 @@ causes! {
     StageStuck = "stage_stuck", "the stage does not follow its commands";
     /// The stage has refused a command.
     StageRefuses = "stage_refuses", "the stage refuses its commands";
+    /// The stage acknowledges commands too late, or not at all.
+    CommandsUnanswered = "commands_unanswered", "the stage does not answer commands";
     /// The stage takes no commands.
     StageGone = "stage_gone", "the stage takes no commands";
 }
