@@ -154,12 +154,6 @@ bool tf_board_next_scan(const tf_board *board, uint64_t *tick)
     return board->started;
 }
 
-static void consume_number(tf_board *board)
-{
-    board->sequence++;
-    board->next_scan += board->period;
-}
-
 void tf_board_scan(tf_board *board, uint64_t tick, const int32_t *codes, uint8_t status)
 {
     uint8_t message[TF_MAX_BODY];
@@ -173,17 +167,8 @@ void tf_board_scan(tf_board *board, uint64_t tick, const int32_t *codes, uint8_t
     if (!send(board, message, length, RESERVE)) {
         board->omitted++;
     }
-    consume_number(board);
-}
-
-uint32_t tf_board_skip_missed(tf_board *board, uint64_t now)
-{
-    uint32_t skipped = 0;
-    while (board->started && board->next_scan + board->period <= now) {
-        consume_number(board);
-        skipped++;
-    }
-    return skipped;
+    board->sequence++;
+    board->next_scan += board->period;
 }
 
 void tf_board_check_lease(tf_board *board, uint64_t now)

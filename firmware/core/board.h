@@ -51,9 +51,6 @@ bool tf_board_next_scan(const tf_board *board, uint64_t *tick);
  * TF_AT_LIMIT and TF_OVERRUN. If the ring is full, the scan is omitted and its number is consumed. */
 void tf_board_scan(tf_board *board, uint64_t tick, const int32_t *codes, uint8_t status);
 
-/* Counts scans that could not be taken in time: their numbers are consumed. Returns how many. */
-uint32_t tf_board_skip_missed(tf_board *board, uint64_t now);
-
 /* Lets the lease expire when its time has come. */
 void tf_board_check_lease(tf_board *board, uint64_t now);
 
