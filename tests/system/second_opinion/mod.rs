@@ -3,4 +3,5 @@
 //! shows nothing; this board does.
 
 mod board;
+mod codec;
 mod healthy;
