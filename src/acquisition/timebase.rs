@@ -102,6 +102,7 @@ impl Timebase {
         let held_back = (time - estimate) as f64;
         let tick_ns = state.clock.tick_ns();
         let known = state.filter.variance[0].max(tick_ns * tick_ns / 12.0).sqrt();
+        let known = known.max(state.filter.doubt_ns);
         let sigma_ns = known.max(sigma_ns.unwrap_or(ARRIVAL_ONLY_NS)).max(held_back).max(excluded_ns);
         Moment { time, sigma_ns, fault }
     }

@@ -155,6 +155,12 @@ fn an_oscillator_of_one_percent_is_followed_and_named() {
     for drift in [0.01, -0.01] {
         let outcomes =
             Board::with_tick(move |_, ticks| (ticks as f64 * (1.0 + drift)).round() as u64).run(20_000);
+        // Until the first block that disagrees is complete, nothing shows such a drift.
+        for outcome in &outcomes {
+            let unseen_ns = drift.abs() * (outcome.k as f64 * 1e6).clamp(32e6, 250e6);
+            let allowed = 5.0 * outcome.moment.sigma_ns + unseen_ns + 100e3;
+            assert!(outcome.error_ns.abs() <= allowed, "{outcome:?}");
+        }
         let named = faults(&outcomes).into_iter().find_map(|(k, fault)| match fault {
             TickFault::Rate { measured_hz, .. } => Some((k, measured_hz)),
             _ => None,
