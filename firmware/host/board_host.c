@@ -2,9 +2,10 @@
  *
  *     board LINK [KEY=VALUE ...]
  *
- * LINK becomes a symbolic link to the terminal. For each scan the program prints its number, the true pose (tx, ty,
- * tz in metres, roll, pitch, yaw in radians) and the true time of the scan (nanoseconds of the system clock). It ends
- * when its standard input is closed.
+ * LINK becomes a symbolic link to the terminal. For each scan the program prints a line: its number; the true pose
+ * (tx, ty, tz in metres, roll, pitch, yaw in radians); the true time of the scan (nanoseconds of the system clock);
+ * how much later this program took it, because it had no processor (nanoseconds); the codes of the outputs x, y; 1 if
+ * the lease has expired. The program ends when its standard input is closed.
  */
 #define _XOPEN_SOURCE 600
 #include <errno.h>
@@ -33,7 +34,8 @@ typedef struct {
     tf_board board;
     sensor sensor;
     int line;              /* master side of the terminal */
-    int64_t power_up_ns;   /* monotonic */
+    int64_t power_up_ns;   /* by the monotonic clock */
+    int64_t system_ns;     /* system clock minus monotonic clock */
     uint64_t stopped_tick; /* at the begin of the faults */
     uint8_t pending[4096]; /* bytes for the line */
     size_t pending_length;
@@ -165,13 +167,29 @@ static void transmit_scan(host *h, bool faulty)
     flush(h);
 }
 
+/* Difference of the two clocks; of several readings, the one with the least time between them. */
+static int64_t system_minus_monotonic(void)
+{
+    int64_t difference = 0, shortest = INT64_MAX;
+    for (int i = 0; i < 20; i++) {
+        int64_t before = clock_ns(CLOCK_MONOTONIC), system = clock_ns(CLOCK_REALTIME);
+        int64_t span = clock_ns(CLOCK_MONOTONIC) - before;
+        if (span < shortest) {
+            shortest = span;
+            difference = system - before - span / 2;
+        }
+    }
+    return difference;
+}
+
 static void print_truth(const host *h, uint32_t sequence, double period_s, uint64_t tick)
 {
     head_pose p = sensor_pose(&h->o, sequence * period_s);
-    int64_t since_ns = clock_ns(CLOCK_MONOTONIC) - (h->power_up_ns + (int64_t)((double)tick * tick_ns(h)));
-    long long time_ns = (long long)(clock_ns(CLOCK_REALTIME) - since_ns);
-    printf("%lu %.12g %.12g %.12g %.12g %.12g %.12g %lld\n", (unsigned long)sequence, p.t[0], p.t[1], p.t[2], p.roll,
-           p.pitch, p.yaw, time_ns);
+    int64_t taken_ns = h->power_up_ns + (int64_t)((double)tick * tick_ns(h));
+    long long time_ns = (long long)(taken_ns + h->system_ns), late_ns = (long long)(clock_ns(CLOCK_MONOTONIC) - taken_ns);
+    printf("%lu %.12g %.12g %.12g %.12g %.12g %.12g %lld %lld %ld %ld %d\n", (unsigned long)sequence, p.t[0], p.t[1],
+           p.t[2], p.roll, p.pitch, p.yaw, time_ns, late_ns, (long)h->board.outputs[0], (long)h->board.outputs[1],
+           h->board.lease_expired);
     fflush(stdout);
 }
 
@@ -235,6 +253,7 @@ int main(int count, char **arguments)
         return 64;
     }
     host h = {.o = options_read(count - 2, arguments + 2), .power_up_ns = clock_ns(CLOCK_MONOTONIC)};
+    h.system_ns = system_minus_monotonic();
     h.identity = identity_of(&h.o);
     h.sensor.random = (uint64_t)h.o.seed;
     tf_board_init(&h.board, &h.identity);

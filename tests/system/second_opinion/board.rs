@@ -41,6 +41,12 @@ pub(crate) struct Truth {
     pub(crate) pose: [f64; 6],
     /// Time of the scan by the system clock, nanoseconds of UTC since 1970.
     pub(crate) time_ns: i64,
+    /// How much later the program sampled and sent it, because it had no processor, nanoseconds.
+    pub(crate) late_ns: i64,
+    /// Codes of the steering outputs.
+    pub(crate) outputs: [i64; 2],
+    /// The lease of the last command has expired.
+    pub(crate) expired: bool,
 }
 
 /// A running board. It ends when its standard input is closed, at the latest with this object.
@@ -81,19 +87,29 @@ impl Board {
     pub(crate) fn truth(&mut self, frame: &Frame) -> Truth {
         let place = frame.sample_index as usize;
         while self.truth.len() <= place {
-            let line = self.lines.recv_timeout(PATIENCE).expect("the board prints every scan");
-            self.learn(&line);
+            self.next();
         }
         self.truth[place].unwrap_or_else(|| panic!("the board has not taken scan {place}: {frame:?}"))
     }
 
-    fn learn(&mut self, line: &str) {
+    /// The next scan that the board takes.
+    pub(crate) fn next(&mut self) -> Truth {
+        let line = self.lines.recv_timeout(PATIENCE).expect("the board prints every scan");
         let mut words = line.split(' ');
         let place: usize = words.next().unwrap().parse().unwrap();
         assert!(place >= self.truth.len(), "the daemon has started the board again: {line}");
         let pose = std::array::from_fn(|_| words.next().unwrap().parse().unwrap());
-        let time_ns = words.next().unwrap().parse().unwrap();
+        let mut number = || words.next().unwrap().parse::<i64>().unwrap();
+        let (time_ns, late_ns) = (number(), number());
+        let truth = Truth { pose, time_ns, late_ns, outputs: [number(), number()], expired: number() == 1 };
         self.truth.resize(place, None);
-        self.truth.push(Some(Truth { pose, time_ns }));
+        self.truth.push(Some(truth));
+        truth
+    }
+
+    /// How late the program was at most in the scans so far, nanoseconds. On a busy machine the daemon cannot know
+    /// the time of a scan better than this.
+    pub(crate) fn latest_ns(&self) -> i64 {
+        self.truth.iter().flatten().map(|truth| truth.late_ns).max().unwrap_or(0)
     }
 }

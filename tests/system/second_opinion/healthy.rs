@@ -1,4 +1,4 @@
-//! A healthy board: the daemon and the model in C agree.
+//! A healthy board: the daemon and the model in C agree, and the board keeps the stage safe without the daemon.
 
 use super::board::{Board, Program};
 use crate::testkit::Frame;
@@ -40,4 +40,21 @@ fn poses_of_a_moving_mirror_agree_with_the_model_in_c() {
     let limit = 7.0 / (frames.len() as f64).sqrt();
     assert!(mean.iter().all(|mean| mean.abs() < limit), "systematic: {mean:?}");
     assert!(square.iter().all(|square| (0.85..1.15).contains(square)), "uncertainties as stated: {square:?}");
+}
+
+#[test]
+fn the_board_parks_the_stage_when_the_daemon_is_gone() {
+    let program = Program::board();
+    let mut board = Board::start(&program, "");
+    let mut daemon = board.daemon("steering.on_lease = \"park\"\nsteering.park_um = [-50, 100]");
+    let mut client = daemon.client();
+    let locked = client.locked();
+    let truth = board.truth(&locked);
+    assert!(!truth.expired && truth.outputs != [0, 0], "{truth:?}");
+    daemon.kill();
+    let before = board.next();
+    assert!(!before.expired, "{before:?}");
+    let parked = std::iter::repeat_with(|| board.next()).find(|truth| truth.expired).unwrap();
+    // 500 um at code 32768.
+    assert_eq!(parked.outputs, [-3277, 6554], "{parked:?}");
 }

@@ -5,3 +5,6 @@
 mod board;
 mod codec;
 mod healthy;
+mod observation;
+mod situations;
+mod table;
