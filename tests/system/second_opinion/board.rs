@@ -14,11 +14,12 @@ use crate::testkit::{Daemon, Folder, Frame, Killed, PATIENCE};
 pub(crate) struct Program(#[expect(dead_code, reason = "keeps the folder")] TempDir, PathBuf);
 
 impl Program {
-    /// Compiles a program of `firmware/host` with the core of the firmware.
+    /// Compiles a program of `firmware/host` with the core of the firmware. Undefined behaviour ends it.
     pub(crate) fn compile(main: &str, parts: &[&str]) -> Self {
         let core = ["core/frame.c", "core/message.c", "core/board.c"];
         let sources = parts.iter().chain(&core).map(|part| root("firmware").join(part).display().to_string());
-        let more: Vec<String> = sources.chain(["-lm".into()]).collect();
+        let options = ["-lm", "-fsanitize=undefined", "-fsanitize-undefined-trap-on-error"];
+        let more: Vec<String> = sources.chain(options.map(Into::into)).collect();
         let more: Vec<&str> = more.iter().map(String::as_str).collect();
         let (place, program) = compile(main, &more);
         Self(place, program)

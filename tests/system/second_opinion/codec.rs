@@ -36,7 +36,7 @@ fn compare(questions: &[Question]) {
     let mut child =
         Command::new(program.path()).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
     let mut input = child.stdin.take().unwrap();
-    let text: String = questions.iter().map(|question| format!("{}\n", question.line)).collect();
+    let text: String = questions.iter().flat_map(|question| [&question.line, "\n"]).collect();
     let writer = std::thread::spawn(move || input.write_all(text.as_bytes()).unwrap());
     let output = child.wait_with_output().unwrap();
     writer.join().unwrap();

@@ -37,7 +37,7 @@ pub(crate) struct Observation {
     /// The counters of the daemon that the situation has increased.
     pub(crate) counters: BTreeMap<String, u64>,
     /// The log of the daemon.
-    pub(crate) log: String,
+    pub(crate) log: Vec<String>,
 }
 
 /// Where the faults begin and where the observation ends, sequence numbers.
@@ -66,7 +66,7 @@ pub(crate) fn observe(program: &Program, arguments: &str, config: &str, window: 
         bits: BTreeMap::new(),
         always: Status(frames.iter().fold(u32::MAX, |all, frame| all & frame.status.0)),
         counters: counters.counters.into_iter().filter(|(_, n)| *n > 0).collect(),
-        log: daemon.log.iter().map(|line| format!("{line}\n")).collect(),
+        log: daemon.log.iter().map(ToString::to_string).collect(),
     };
     for frame in &frames {
         for name in Status(frame.status.0 & !USUAL.0).names() {

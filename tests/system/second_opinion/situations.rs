@@ -96,7 +96,7 @@ impl Sign {
             Sign::Bit(name, scans) => seen.bits.get(name).is_some_and(|after| after <= scans),
             Sign::Always(name) => seen.always.names().any(|bit| bit == *name),
             Sign::Counter(name) => seen.counters.contains_key(*name),
-            Sign::Log(text) => seen.log.contains(text),
+            Sign::Log(text) => seen.log.iter().any(|line| line.contains(text)),
         }
     }
 }
