@@ -20,8 +20,10 @@ const BLOCK_NS: f64 = 0.25e9;
 const BLOCK_PART: f64 = 0.25;
 /// A block whose fastest arrival is later than predicted by this many standard uncertainties is rejected.
 const GATE: f64 = 5.0;
-/// After this many rejections in a row, the delay itself has become longer.
+/// After this many rejections in a row, and after this time, the delay itself has become longer. Early blocks are short:
+/// all of them can lie within one pause of the host.
 const REJECTED_IN_A_ROW: u32 = 8;
+const REJECTED_NS: f64 = 2e9;
 
 /// Offset and drift with their covariance.
 #[derive(Clone, Debug)]
@@ -73,7 +75,8 @@ impl Filter {
         let expected_ns = (self.variance[0] + sigma_ns * sigma_ns).sqrt();
         if late_ns.abs() > GATE * expected_ns {
             self.refused += 1;
-            if late_ns > 0.0 && self.refused < REJECTED_IN_A_ROW {
+            let persists = self.refused >= REJECTED_IN_A_ROW && self.since_ns >= REJECTED_NS;
+            if late_ns > 0.0 && !persists {
                 self.doubt_ns = late_ns;
                 return;
             }
