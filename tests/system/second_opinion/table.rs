@@ -45,8 +45,8 @@ pub(super) const SITUATIONS: &[Situation] = &[
         arguments: "clock_ppm=10000",
         at: 0,
         error: AsStated,
-        signs: &[Counter("clock_faults"), Log("the tick runs at 9.")],
-        silent: "for 2 to 4 s after START, whether the clock is slow or the host busy: times are up to 20 ms early, which `clock_quality` contains",
+        signs: &[Bit("CLOCK_UNSYNCED", 100), Counter("clock_faults"), Log("the tick runs at 9.")],
+        silent: "for 2 s after START, whether the clock is slow or the host busy: the times are flagged for so long, once they are 5 ms early",
     },
     Situation {
         name: "u of PSD A is frozen",
