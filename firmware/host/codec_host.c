@@ -5,6 +5,8 @@
  *     receive HEX       bytes of the line -> the messages in them (hex), or "damaged", separated by spaces
  *     request HEX       a message of the host -> its name and its fields, or "error REASON"
  *     frame HEX         a message -> its frame
+ *     board TIME HEX    a board receives bytes at this time (microseconds since power-up): its frames, outputs x and y, 1
+ *                       if the lease has expired; from line to line the same board, of one sample rate (1 kHz)
  *     identity TICK BITS OUTPUT_BITS RANGE SLOWEST FASTEST SIMULATED COUNT (ROLE SKEW)... NAME
  *     reply REQUEST RESULT RATE
  *     ack ID RESULT
@@ -72,6 +74,13 @@ static void request(const uint8_t *bytes, size_t length)
     }
 }
 
+/* The bytes of the last word of the line. */
+static size_t rest(uint8_t *bytes)
+{
+    const char *text = strtok(NULL, " \n");
+    return text == NULL ? 0 : read_hex(text, bytes);
+}
+
 /* The next number of the line. */
 static int64_t number(void)
 {
@@ -110,6 +119,18 @@ static size_t scan(uint8_t *message)
     return tf_write_scan(message, sequence, tick, status, codes, count);
 }
 
+static void converse(tf_board *board, uint8_t *bytes)
+{
+    uint64_t now = (uint64_t)number();
+    tf_board_check_lease(board, now);
+    size_t length = rest(bytes);
+    for (size_t i = 0; i < length; i++) {
+        tf_board_receive(board, bytes[i], now);
+    }
+    print_hex(bytes, tf_board_transmit(board, bytes, LONGEST));
+    printf(" %" PRId32 " %" PRId32 " %d", board->outputs[0], board->outputs[1], board->lease_expired);
+}
+
 /* Writes the answer of the board that a command describes. */
 static size_t answer(const char *command, uint8_t *message)
 {
@@ -137,25 +158,26 @@ int main(void)
 {
     static char line[LONGEST];
     static uint8_t bytes[LONGEST];
+    static tf_board board;
+    const tf_identity one_rate = {.tick_hz = 1000000, .output_bits = 16, .slowest_mhz = 1000000,
+                                  .fastest_mhz = 1000000, .name = ""};
+    tf_board_init(&board, &one_rate);
     while (fgets(line, sizeof line, stdin) != NULL) {
         const char *command = strtok(line, " \n");
         if (command == NULL) {
             continue;
         }
-        bool hex = strcmp(command, "receive") == 0 || strcmp(command, "request") == 0 || strcmp(command, "frame") == 0;
-        if (!hex) {
-            uint8_t message[TF_MAX_BODY];
-            print_frame(message, answer(command, message));
+        uint8_t message[TF_MAX_BODY];
+        if (strcmp(command, "board") == 0) {
+            converse(&board, bytes);
+        } else if (strcmp(command, "receive") == 0) {
+            receive(bytes, rest(bytes));
+        } else if (strcmp(command, "request") == 0) {
+            request(bytes, rest(bytes));
+        } else if (strcmp(command, "frame") == 0) {
+            print_frame(bytes, rest(bytes));
         } else {
-            const char *text = strtok(NULL, " \n");
-            size_t length = text == NULL ? 0 : read_hex(text, bytes);
-            if (command[0] == 'f') {
-                print_frame(bytes, length);
-            } else if (strcmp(command, "receive") == 0) {
-                receive(bytes, length);
-            } else {
-                request(bytes, length);
-            }
+            print_frame(message, answer(command, message));
         }
         putchar('\n');
     }

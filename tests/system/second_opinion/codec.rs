@@ -18,12 +18,12 @@ const DOCUMENT: &str = include_str!("../../../docs/board-protocol.md");
 const INPUTS: usize = 4000;
 
 /// A question to the codec in C, with the answer of the codec in Rust.
-struct Question {
-    line: String,
-    expected: String,
+pub(super) struct Question {
+    pub(super) line: String,
+    pub(super) expected: String,
 }
 
-fn hex(bytes: &[u8]) -> String {
+pub(super) fn hex(bytes: &[u8]) -> String {
     bytes.iter().fold(String::new(), |mut text, byte| {
         write!(text, "{byte:02x}").unwrap();
         text
@@ -31,7 +31,7 @@ fn hex(bytes: &[u8]) -> String {
 }
 
 /// Asks all questions; the answers must be the expected ones.
-fn compare(questions: &[Question]) {
+pub(super) fn compare(questions: &[Question]) {
     let program = Program::compile("firmware/host/codec_host.c", &[]);
     let mut child =
         Command::new(program.path()).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();

@@ -4,6 +4,7 @@
 
 mod board;
 mod codec;
+mod conversation;
 mod healthy;
 mod observation;
 mod situations;
