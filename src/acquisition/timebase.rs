@@ -7,7 +7,7 @@
 //! remains is the constant part of the delay, which must be configured (`latency_us`).
 //!
 //! The clock of the board is not trusted: its tick is compared with its sequence numbers
-//! ([`DeviceClock`]), and no time is returned that the arrival excludes.
+//! (`DeviceClock`), and no time is returned that the arrival excludes.
 
 mod device_clock;
 #[cfg(test)]
