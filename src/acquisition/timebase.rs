@@ -7,7 +7,7 @@
 //! remains is the constant part of the delay, which must be configured (`latency_us`).
 //!
 //! The clock of the board is not trusted: its tick is compared with its sequence numbers
-//! ([`DeviceClock`]), and no time is returned that the arrival excludes.
+//! (`DeviceClock`), and no time is returned that the arrival excludes.
 
 mod device_clock;
 #[cfg(test)]
@@ -113,6 +113,7 @@ impl Timebase {
         let held_back = (time - estimate) as f64;
         let tick_ns = state.clock.tick_ns();
         let known = state.filter.variance[0].max(tick_ns * tick_ns / 12.0).sqrt();
+        let known = known.max(state.filter.doubt_ns);
         let sigma_ns =
             known.max(sigma_ns.unwrap_or(max_delay_ns as f64 * ARRIVAL_ONLY)).max(held_back).max(excluded_ns);
         Moment { time, sigma_ns, fault }

@@ -62,14 +62,12 @@ const TO_MAIN: usize = 16 * 1024;
 /// The daemon cannot start (configuration, port, device or file), or a task ended by itself or stalled.
 pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::Result<()> {
     let started = SystemClock.now();
-    let counters = Arc::new(Counters::default());
+    let (counters, commands) = <(Arc<Counters>, Arc<CommandGauge>)>::default();
     let (heartbeats, glance) = <(Arc<Heartbeats>, Arc<LatestStatus>)>::default();
     let service = Service::new(&config.realtime, Arc::clone(&heartbeats), Arc::clone(&glance));
     let (config, context, header) = &holding(config)?;
     let pipeline = config.pipeline(&context.tables, context.id())?;
-    warn_of_unverified_origin(config);
-    let id = StreamId::new(context.id());
-    let facts = StreamFacts::new(id, config, context.calibrated());
+    let facts = StreamFacts::new(StreamId::new(context.id()), config, context.calibrated());
     let main = Builder::new_current_thread().enable_all().build().context("cannot start a runtime")?;
     let terminal = Terminal::of_process(started);
     // First of all: without a handler SIGHUP would end the process.
@@ -87,9 +85,8 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let (records, recording, recorder) =
         recording::recorder::start(&config.recording, &counters).context("cannot start the recorder")?;
     let (subscription_server, supervisor, datagrams) = main.block_on(datagrams(&config.publishing))?;
-    let receivers = supervisor.states();
     let publisher = Publisher::new(
-        id,
+        facts.id,
         SystemClock,
         Utc::system(),
         Arc::clone(&counters),
@@ -101,7 +98,6 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
             descriptor: descriptor.clone(),
         },
     );
-    let commands = Arc::<CommandGauge>::default();
     let parts = Parts {
         commands: Arc::clone(&commands),
         pipeline,
@@ -135,7 +131,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         counters: Arc::clone(&counters),
         heartbeats: Arc::clone(&heartbeats),
         recording: recording.clone(),
-        receivers: receivers.clone(),
+        receivers: supervisor.states(),
         lock: lock_now.clone(),
         started,
     }));
@@ -143,7 +139,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         counters: Arc::clone(&counters),
         descriptor: descriptor_now.clone(),
         config: config_now,
-        receivers,
+        receivers: supervisor.states(),
         lock: lock_now.clone(),
         heartbeats,
         control: PageControls::of(&config.monitor, &live),
@@ -196,6 +192,7 @@ async fn datagrams(
 
 /// The configuration in force with its context; for a replay, those at the beginning of the recording.
 fn holding(config: &Config) -> anyhow::Result<(Config, Arc<CalibrationContext>, Option<RecordingHeader>)> {
+    warn_of_unverified_origin(config);
     Ok(match RecordingHeader::of_source(config)? {
         None => (config.clone(), Arc::new(CalibrationContext::read(config.clone())?), None),
         Some(then) => (then.holding(config), Arc::clone(&then.context), Some(then)),

@@ -24,6 +24,7 @@ mod page;
 mod recording;
 mod replay;
 mod rewriting;
+mod second_opinion;
 mod serial_board;
 mod shipped_files;
 mod simulate;

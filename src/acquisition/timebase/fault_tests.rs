@@ -164,6 +164,12 @@ fn an_oscillator_of_one_percent_is_followed_and_named() {
     for drift in [0.01, -0.01] {
         let outcomes =
             Board::with_tick(move |_, ticks| (ticks as f64 * (1.0 + drift)).round() as u64).run(20_000);
+        // Until the first block that disagrees is complete, nothing shows such a drift.
+        for outcome in &outcomes {
+            let unseen_ns = drift.abs() * (outcome.k as f64 * 1e6).clamp(32e6, 250e6);
+            let allowed = 5.0 * outcome.moment.sigma_ns + unseen_ns + 100e3;
+            assert!(outcome.error_ns.abs() <= allowed, "{outcome:?}");
+        }
         let named = faults(&outcomes).into_iter().find_map(|(k, fault)| match fault {
             TickFault::Rate { measured_hz, .. } => Some((k, measured_hz)),
             _ => None,
@@ -185,6 +191,40 @@ fn a_wrong_sequence_number_does_not_move_the_time() {
         assert!(outcomes.iter().all(|o| o.error_ns.abs() < 5e6 || o.flagged()), "{jump}");
         assert!(outcomes.last().unwrap().error_ns.abs() < 1e6, "{jump}: {:?}", outcomes.last());
         assert_eq!(faults(&outcomes).len(), 1, "{jump}");
+    }
+}
+
+/// When the scans of a healthy board arrive at a host that pauses again and again in the first two seconds: in bursts.
+fn arrivals_with_pauses(seed: u64) -> Vec<Mono> {
+    let mut random = Pcg64Mcg::seed_from_u64(seed);
+    let (mut pause_s, mut last) = (0.0..0.0, START);
+    let arrival = |k: u64| {
+        let t_s = k as f64 * 1e-3;
+        if t_s >= pause_s.end && t_s < 2.0 {
+            let [until, length]: [f64; 2] = std::array::from_fn(|_| Exp1.sample(&mut random));
+            let begin_s = t_s + 0.03 * until;
+            pause_s = begin_s..begin_s + (0.15 * length).min(0.45);
+        }
+        let late: f64 = Exp1.sample(&mut random);
+        let held_s = if pause_s.contains(&t_s) { pause_s.end } else { t_s };
+        last = last.max(START + (held_s * 1e9 + late * 100e3) as i64);
+        last
+    };
+    (0..5000).map(arrival).collect()
+}
+
+#[test]
+fn pauses_of_the_host_do_not_accuse_the_clock_of_the_board() {
+    for seed in 0..1000 {
+        let mut timebase = Timebase::new(1_000_000, 1000.0, 0, None);
+        for (k, arrival) in (0..).zip(arrivals_with_pauses(seed)) {
+            let moment = timebase.moment(ScanCounters { tick: 1000 * k as u32, periods: 1 }, arrival);
+            let error_ns = (moment.time - START) as f64 - k as f64 * 1e6;
+            // Nothing shows how late the first arrival of a burst was: 30 ms are the mean time between pauses.
+            let honest = error_ns.abs() < 5.0 * moment.sigma_ns + 30e6;
+            let outcome = Outcome { k, error_ns, moment };
+            assert!(honest && outcome.moment.fault.is_none(), "seed {seed}: {outcome:?}");
+        }
     }
 }
 

@@ -20,8 +20,10 @@ const BLOCK_NS: f64 = 0.25e9;
 const BLOCK_PART: f64 = 0.25;
 /// A block whose fastest arrival is later than predicted by this many standard uncertainties is rejected.
 const GATE: f64 = 5.0;
-/// After this many rejections in a row, the delay itself has become longer.
+/// After this many rejections in a row, and after this time, the delay itself has become longer. Early blocks are short:
+/// all of them can lie within one pause of the host.
 const REJECTED_IN_A_ROW: u32 = 8;
+const REJECTED_NS: f64 = 2e9;
 
 /// Offset and drift with their covariance.
 #[derive(Clone, Debug)]
@@ -33,6 +35,9 @@ pub(super) struct Filter {
     /// Variance of the offset, covariance, variance of the drift.
     pub variance: [f64; 3],
     refused: u32,
+    /// Delay of the last block if it was refused, nanoseconds: either the host was busy and the offset is right,
+    /// or the clock of the board is slow and the offset is wrong by this.
+    pub doubt_ns: f64,
     /// Device time since the last accepted block, nanoseconds.
     since_ns: f64,
 }
@@ -40,7 +45,7 @@ pub(super) struct Filter {
 impl Default for Filter {
     fn default() -> Self {
         let variance = [FIRST_SIGMA_NS * FIRST_SIGMA_NS, 0.0, DRIFT_SIGMA * DRIFT_SIGMA];
-        Self { offset_ns: 0.0, drift: 0.0, variance, refused: 0, since_ns: 0.0 }
+        Self { offset_ns: 0.0, drift: 0.0, variance, refused: 0, doubt_ns: 0.0, since_ns: 0.0 }
     }
 }
 
@@ -70,7 +75,9 @@ impl Filter {
         let expected_ns = (self.variance[0] + sigma_ns * sigma_ns).sqrt();
         if late_ns.abs() > GATE * expected_ns {
             self.refused += 1;
-            if late_ns > 0.0 && self.refused < REJECTED_IN_A_ROW {
+            let persists = self.refused >= REJECTED_IN_A_ROW && self.since_ns >= REJECTED_NS;
+            if late_ns > 0.0 && !persists {
+                self.doubt_ns = late_ns;
                 return;
             }
             // Either the delay has changed, or the drift is larger than assumed.
@@ -78,7 +85,7 @@ impl Filter {
             self.variance[0] += late_ns * late_ns;
             self.variance[2] += drift * drift;
         }
-        (self.refused, self.since_ns) = (0, 0.0);
+        (self.refused, self.doubt_ns, self.since_ns) = (0, 0.0, 0.0);
         let [offset, mixed, drift] = self.variance;
         let gain = [offset, mixed].map(|v| v / (offset + sigma_ns * sigma_ns));
         self.offset_ns += gain[0] * late_ns;

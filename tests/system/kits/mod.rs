@@ -7,6 +7,6 @@ mod fixture;
 mod linuxcnc;
 mod receiving;
 mod tables;
-mod tools;
+pub(crate) mod tools;
 mod twincat;
 mod usability;

@@ -49,14 +49,15 @@ pub(crate) fn python_with_packages() -> Command {
     command
 }
 
-/// Compiles a C program with the strictest warnings that its users may choose.
+/// Compiles a C program with the strictest warnings that its users may choose. `more` are options, libraries and
+/// further sources.
 pub(crate) fn compile(source: &str, more: &[&str]) -> (TempDir, PathBuf) {
     need("cc", "it compiles the C kit");
     let place = tempfile::tempdir().unwrap();
     let program = place.path().join("program");
     let strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-O2", "-I"];
     let mut command = Command::new("cc");
-    command.args(strict).arg(root("clients/c")).args(more).arg("-o").arg(&program).arg(root(source));
+    command.args(strict).arg(root("clients/c")).arg("-o").arg(&program).arg(root(source)).args(more);
     succeeded(&mut command, source);
     (place, program)
 }

@@ -84,6 +84,12 @@ impl<'a> Reader<'a> {
         self.array().map(u8::from_le_bytes)
     }
 
+    /// The last field of a message: a wrong length has precedence over its value.
+    pub(super) fn last_u8(&mut self) -> Result<u8, MessageError> {
+        let value = self.u8()?;
+        if self.rest.is_empty() { Ok(value) } else { Err(self.wrong_length()) }
+    }
+
     pub(super) fn u16(&mut self) -> Result<u16, MessageError> {
         self.array().map(u16::from_le_bytes)
     }

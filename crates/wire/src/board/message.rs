@@ -196,7 +196,7 @@ impl Request {
                 id: body.u32()?,
                 codes: [body.i32()?, body.i32()?],
                 lease_ms: body.u16()?,
-                on_expiry: match body.u8()? {
+                on_expiry: match body.last_u8()? {
                     0 => LeaseAction::Hold,
                     1 => LeaseAction::Park,
                     _ => return Err(body.meaningless("action on expiry")),

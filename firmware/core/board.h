@@ -1,0 +1,60 @@
+/* The board of docs/board-protocol.md without its hardware: conversation, schedule of the scans, steering, lease.
+ *
+ * The firmware around it has five duties:
+ *   - it passes each byte of the line to tf_board_receive, and sends the bytes of tf_board_transmit;
+ *   - it takes a scan when the clock reaches tf_board_next_scan, and passes the codes to tf_board_scan;
+ *   - it calls tf_board_check_lease at least once per millisecond, independent of the line;
+ *   - it sets the outputs to `outputs` after each of these calls;
+ *   - it has a clock of 64 bits that counts ticks from power-up, latched by the hardware at the conversion.
+ *
+ * All functions take the time as an argument, finish in bounded time, and allocate nothing. They must not be
+ * interrupted by each other.
+ */
+#ifndef TF_BOARD_H
+#define TF_BOARD_H
+
+#include "message.h"
+
+/* Bytes that wait for the line. */
+#define TF_TRANSMIT 2048u
+
+/* The state of a board. The firmware reads `started` and `outputs`, and writes nothing. */
+typedef struct {
+    const tf_identity *identity;
+    tf_receiver receiver;
+
+    bool started;
+    uint32_t sequence;     /* of the next scan */
+    uint64_t next_scan;    /* tick of the next scan */
+    uint32_t period;       /* ticks from scan to scan */
+
+    int32_t outputs[2];    /* codes of the steering outputs */
+    int32_t park[2];
+    bool lease_running, lease_expired, park_on_expiry;
+    uint64_t lease_end;    /* tick */
+
+    uint8_t transmit[TF_TRANSMIT]; /* ring */
+    size_t waiting_from, waiting;
+    uint32_t omitted;      /* scans that found no room in the ring */
+} tf_board;
+
+/* The state after power-up. `identity` must exist as long as the board. */
+void tf_board_init(tf_board *board, const tf_identity *identity);
+
+/* Takes a byte of the line at this time. */
+void tf_board_receive(tf_board *board, uint8_t byte, uint64_t now);
+
+/* Whether a scan has to be taken, and at which tick. */
+bool tf_board_next_scan(const tf_board *board, uint64_t *tick);
+
+/* Sends the scan that was taken at `tick`; `codes` in the order of the channels of the identity, `status` of
+ * TF_AT_LIMIT and TF_OVERRUN. If the ring is full, the scan is omitted and its number is consumed. */
+void tf_board_scan(tf_board *board, uint64_t tick, const int32_t *codes, uint8_t status);
+
+/* Lets the lease expire when its time has come. */
+void tf_board_check_lease(tf_board *board, uint64_t now);
+
+/* Moves up to `room` waiting bytes to `bytes`; returns their number. */
+size_t tf_board_transmit(tf_board *board, uint8_t *bytes, size_t room);
+
+#endif

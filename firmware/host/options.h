@@ -1,0 +1,47 @@
+/* The arguments of the board: `key=value`, with the defaults of a healthy one. */
+#ifndef TF_OPTIONS_H
+#define TF_OPTIONS_H
+
+/* Key, default, meaning. Faults act from the scan `at` on unless their text says otherwise. */
+#define OPTIONS(X)                                                                                                     \
+    X(seed, 1, "of the noise")                                                                                         \
+    X(bits, 18, "resolution of the converter")                                                                         \
+    X(range_mv, 10000, "range of the converter, millivolts")                                                           \
+    X(spot_um, 1.08, "noise of each spot coordinate, standard deviation")                                              \
+    X(power_noise, 0.001, "noise of each power, relative standard deviation")                                          \
+    X(readback_um, 0.1, "noise of the readback, standard deviation")                                                   \
+    X(motion, 1, "factor of the motion of the mirror; 0: at rest")                                                     \
+    X(skew_us, 0, "time from one channel of the converter to the next")                                                \
+    X(at, 0, "sequence number of the first scan with faults")                                                          \
+    X(until, 4294967296.0, "sequence number of the first scan without faults")                                         \
+    X(tick_step, 0, "error of the tick of scan `at` only, ticks")                                                      \
+    X(tick_bits, 32, "width of the tick")                                                                              \
+    X(tick_factor, 1, "the tick advances by this multiple of the clock; 0: it stops")                                  \
+    X(clock_ppm, 0, "the clock of the board is too slow by this part; from power-up on")                               \
+    X(freeze, 0, "channels that repeat their code: sum of 1 for channel 0, 2 for 1, 4 for 2 ...")                      \
+    X(sequence_jump, 0, "numbers that are omitted before scan `at`")                                                   \
+    X(psd_um, 0, "PSD A is displaced by this distance against its u-axis")                                             \
+    X(ambient, 0, "ambient light on each PSD, part of a third of the laser power")                                     \
+    X(power, 1, "factor of the laser power")                                                                           \
+    X(fade_s, 0, "time in which the power changes to this factor, seconds")                                            \
+    X(flicker, 0, "amplitude of a sine of the laser power, relative")                                                  \
+    X(flicker_hz, 100, "its frequency")                                                                                \
+    X(polarity, 1, "the stage moves by this multiple of the command")                                                  \
+    X(readback_stuck, 0, "1: the readback keeps its value")                                                            \
+    X(laser_um, 0, "the laser is displaced by this distance along x")                                                  \
+    X(chip_um, 0, "no light comes from the mirror within this distance of the apex")                                   \
+    X(duplicate, 0, "part of the scans that is sent twice")                                                            \
+    X(swap, 0, "part of the scans that is sent after its successor")                                                   \
+    X(damage, 0, "part of the scans with a wrong bit")
+
+/* The values of all keys. */
+typedef struct {
+#define FIELD(name, value, text) double name;
+    OPTIONS(FIELD)
+#undef FIELD
+} options;
+
+/* Reads the arguments. Ends the program with a message if one of them is not allowed. */
+options options_read(int count, char **arguments);
+
+#endif
