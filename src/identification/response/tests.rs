@@ -53,6 +53,12 @@ fn near(found: f64, sigma: f64, truth: f64) {
     assert!((found - truth).abs() < 4.5 * sigma, "{found} +- {sigma}, truly {truth}");
 }
 
+/// Where a delay ends within some microseconds of a sample, the fit cannot see on which side: half a percent of the
+/// sample period of 1 ms is not part of the stated uncertainty.
+fn near_in_time(found: f64, sigma: f64, truth: f64) {
+    assert!((found - truth).abs() < 4.5 * sigma + 10e-6, "{found} +- {sigma}, truly {truth}");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
     #[test]
@@ -63,8 +69,8 @@ proptest! {
         let found = fit(&recorded(&truth)).unwrap();
         near(found.gain[0], found.gain_sigma[0], x);
         near(found.gain[1], found.gain_sigma[1], y);
-        near(found.delay, found.delay_sigma, truth.delay);
-        near(found.lag, found.lag_sigma, truth.lag);
+        near_in_time(found.delay, found.delay_sigma, truth.delay);
+        near_in_time(found.lag, found.lag_sigma, truth.lag);
         prop_assert!(found.gain_sigma[0] < 2e-3 && found.delay_sigma < 0.1e-3 && found.lag_sigma < 0.2e-3, "{found:?}");
         prop_assert!(found.misfit < 0.02 && found.used >= 55, "{} {}", found.misfit, found.used);
     }

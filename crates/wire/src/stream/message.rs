@@ -192,7 +192,10 @@ mod tests {
         bytes[at..].copy_from_slice(&crc.to_le_bytes());
         let mut decoder = Decoder::default();
         decoder.push(&bytes);
-        assert!(matches!(decoder.next_message(), Some(Err(MessageError::Version { major: 9, minor: 0 }))));
+        assert!(matches!(
+            decoder.next_message(),
+            Some(Err(MessageError::Version { major: 9, minor: crate::message::MINOR }))
+        ));
     }
 
     #[test]
