@@ -112,7 +112,7 @@ fn another_version_another_program_and_a_clock_error_are_distinguished() {
     other[4] = 9;
     let crc = crc32fast::hash(&other[..188]);
     other[188..].copy_from_slice(&crc.to_le_bytes());
-    wrong(&[&serve(other.to_vec())], &["version 9.0", "same version"]);
+    wrong(&[&serve(other.to_vec())], &["version 9.1", "same version"]);
     wrong(&[&serve(b"220 mail ready\r\n".to_vec())], &["do not belong to this stream", "another program"]);
     wrong(&[&serve(Vec::new())], &["sends nothing"]);
     // Frames with times of 1970 still contain valid poses.
