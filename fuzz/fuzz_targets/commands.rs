@@ -6,8 +6,11 @@
 use std::net::SocketAddr;
 
 use libfuzzer_sys::fuzz_target;
+use tokio::sync::watch;
 use trifacet::core::time::Mono;
 use trifacet::config::Network;
+use trifacet::publishing::StreamId;
+use trifacet::publishing::descriptor::StreamFacts;
 use trifacet::publishing::subscription::Subscriptions;
 use trifacet_wire::stream::{ClientCommand, SubscriptionRequest};
 use trifacet_wire::stream::lines::Lines;
@@ -53,7 +56,9 @@ fn subscribe(bytes: &[u8]) {
         assert_eq!(SubscriptionRequest::parse(ask.to_string().as_bytes()), Some(Ok(ask)));
     }
     let client = SocketAddr::from(([127, 0, 0, 1], 1));
-    let mut subscriptions = Subscriptions::new(1, 1, Network::loopback());
+    let facts = StreamFacts::example(StreamId { session: 1, config: 0 });
+    let (_, descriptor) = watch::channel(facts.descriptor());
+    let mut subscriptions = Subscriptions::new(descriptor, 1, Network::loopback());
     for datagram in bytes.split(|byte| *byte == 0) {
         let outcome = subscriptions.datagram(client, datagram, Mono(0));
         assert!(!outcome.changed);
