@@ -124,7 +124,7 @@ fn keep(
         )
         .into());
     }
-    if let Some(doubt) = report.origin_doubt()?.filter(|_| !accept_origin) {
+    if !accept_origin && let Some(doubt) = report.origin_doubt()? {
         return Err(Failure::new(exit::DATA, format!("nothing is written: {doubt}")).into());
     }
     let edits = report.edits()?;

@@ -147,7 +147,7 @@ impl Page<'_> {
         let commands = &view.sources.commands;
         let count = f64::from(commands.count());
         self.gauge("commands_unanswered", "Steering commands without an acknowledgement", count)?;
-        let help = "Age of the oldest steering command without an acknowledgement, 0 if there is none";
+        let help = "Age of the oldest steering command without an acknowledgement, 0 if all are acknowledged";
         self.gauge("command_age_seconds", help, commands.age_s(SystemClock.now()))
     }
 

@@ -11,7 +11,7 @@ const QUIET_NS: i64 = 5 * NS_PER_S;
 /// The present state of a receiver.
 #[derive(Clone, Debug, Default)]
 pub struct Observation {
-    /// Why there is no socket, if there is none.
+    /// Why there is no socket; `None` while a socket is open.
     pub absent: Option<Cause>,
     /// What prevents accepted datagrams from leaving.
     pub obstacle: Option<Cause>,

@@ -222,15 +222,19 @@ impl Centering {
     /// since the last one. The controller accepts a few periods between two samples.
     fn note_lateness(&mut self, sample: &Sample, now: Mono) {
         let LoopParams { loop_delay_s, period_s, .. } = self.params;
-        let late = now.seconds_since(sample.time) > loop_delay_s;
         let sparse = |last| now.seconds_since(last) > loop_delay_s + MOST_PERIODS * period_s;
-        let late = late || self.last.is_some_and(|(_, last)| sparse(last));
+        let late = self.is_late(sample, now) || self.last.is_some_and(|(_, last)| sparse(last));
         self.late_since = self.late_since.or(Some(now)).filter(|_| late);
+    }
+
+    /// Whether a sample arrives too late to act on it.
+    fn is_late(&self, sample: &Sample, now: Mono) -> bool {
+        now.seconds_since(sample.time) > self.params.loop_delay_s
     }
 
     /// One step in mode on.
     fn act(&mut self, sample: &Sample, pose: Option<&TimedPose>, now: Mono, dt: f64) -> Outcome {
-        let late = now.seconds_since(sample.time) > self.params.loop_delay_s;
+        let late = self.is_late(sample, now);
         self.take_over(sample, dt);
         let behind = self.stage.behind(sample, &self.params, dt);
         let stuck = self.stage.stuck_s() > self.params.limits.lost_s;

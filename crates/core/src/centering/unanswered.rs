@@ -20,7 +20,7 @@ pub struct CommandBacklog {
 }
 
 impl CommandBacklog {
-    /// Age of the oldest command without an acknowledgement, seconds; 0 if there is none.
+    /// Age of the oldest command without an acknowledgement, seconds; 0 if all are acknowledged.
     pub fn age_s(&self, now: Mono) -> f64 {
         self.oldest.map_or(0.0, |oldest| now.seconds_since(oldest).max(0.0))
     }

@@ -1,7 +1,7 @@
 //! The channel map: raw codes to spots and powers.
 
 use serde::{Deserialize, Serialize};
-use trifacet_wire::channel::{Converter, MAX_CHANNELS, Role};
+use trifacet_wire::channel::{Converter, MAX_CHANNELS, Role, SIGNALS};
 
 use crate::signals::{Identity, PsdState, Sample, Scan};
 
@@ -199,22 +199,16 @@ impl ChannelMap {
             for (k, place) in self.places[i].into_iter().enumerate() {
                 self.frozen.push(3 * i + k, scan.codes[place], *state == PsdState::Good);
             }
-            if self.frozen_of(i).any(|frozen| frozen) {
+            if (0..3).any(|k| self.frozen.frozen(3 * i + k)) {
                 *state = PsdState::Frozen;
             }
         }
         psds
     }
 
-    /// Whether u, v and sum of this PSD are frozen.
-    fn frozen_of(&self, psd: usize) -> impl Iterator<Item = bool> {
-        (0..3).map(move |k| self.frozen.frozen(3 * psd + k))
-    }
-
     /// The signals whose channels repeat the same code although they have noise.
     pub fn frozen(&self) -> impl Iterator<Item = Role> {
-        let roles = (0..3).flat_map(|psd| [Role::U(psd), Role::V(psd), Role::Sum(psd)]);
-        roles.enumerate().filter(|(i, _)| self.frozen.frozen(*i)).map(|(_, role)| role)
+        SIGNALS.into_iter().enumerate().filter(|(i, _)| self.frozen.frozen(*i)).map(|(_, role)| role)
     }
 
     fn state(&self, psd: usize, scan: &Scan, volts: &[f64; MAX_CHANNELS]) -> PsdState {

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicI64, AtomicU32};
 use crate::centering::CommandBacklog;
 use crate::time::Mono;
 
-/// Time of the oldest command while there is none.
+/// Stands for the time of the oldest command while all commands are acknowledged.
 const NONE: i64 = i64::MAX;
 
 /// Written by the centering task, read on demand. Number and time are not read in one step: either may be newer.
@@ -34,7 +34,7 @@ impl CommandGauge {
         self.count.load(Relaxed)
     }
 
-    /// Age of the oldest of them, seconds; 0 if there is none. It grows also while the centering task stalls.
+    /// Age of the oldest of them, seconds; 0 if all are acknowledged. It grows also while the centering task stalls.
     pub fn age_s(&self, now: Mono) -> f64 {
         match self.oldest.load(Relaxed) {
             NONE => 0.0,
