@@ -34,6 +34,8 @@ const N: usize = SIGNALS.len();
 #[derive(Clone, Debug)]
 pub struct FrozenChannels {
     channels: [Channel; N],
+    /// Which of them are frozen.
+    frozen: [bool; N],
     /// The bits that have changed in any channel. The lowest one is the true step of the converter, also where
     /// the low bits are dead.
     changed: i32,
@@ -45,7 +47,6 @@ struct Channel {
     last: Option<[i32; 2]>,
     /// Number of repeats of the last code.
     repeats: u32,
-    frozen: bool,
     /// Sum of the squares of all second differences; wraps.
     squares: u64,
     /// The sums of all channels after two repeats.
@@ -59,7 +60,7 @@ struct Channel {
 impl FrozenChannels {
     /// Nothing is known yet.
     pub fn new() -> Self {
-        Self { channels: Default::default(), changed: 0 }
+        Self { channels: Default::default(), frozen: [false; N], changed: 0 }
     }
 
     /// Scans were lost: differences across the gap have no meaning.
@@ -69,29 +70,38 @@ impl FrozenChannels {
         }
     }
 
-    /// Takes the code of one channel. `usable` is false while its PSD is dark or clipped: its code may then
-    /// repeat.
-    pub fn push(&mut self, channel: usize, code: i32, usable: bool) {
-        let this = &mut self.channels[channel];
-        if !usable {
-            this.interrupt();
-            (this.repeats, this.frozen) = (0, false);
-            return;
+    /// Takes the codes of a scan; returns whether any channel is frozen. `usable` is false while a PSD is dark or
+    /// clipped: its codes may then repeat.
+    pub fn push(&mut self, codes: impl Iterator<Item = i32>, usable: [bool; 3]) -> bool {
+        for (i, code) in codes.enumerate() {
+            if usable[i / 3] {
+                self.push_one(i, code);
+            } else {
+                self.channels[i].interrupt();
+                (self.channels[i].repeats, self.frozen[i]) = (0, false);
+            }
         }
-        self.changed |= this.push(code);
-        let repeats = this.repeats;
-        if repeats == 2 {
-            self.channels[channel].squares_then = std::array::from_fn(|i| self.channels[i].squares);
+        self.frozen.contains(&true)
+    }
+
+    fn push_one(&mut self, i: usize, code: i32) {
+        self.changed |= self.channels[i].push(code);
+        let repeats = self.channels[i].repeats;
+        if repeats == 0 {
+            self.frozen[i] = false;
+        } else if repeats == 2 {
+            self.channels[i].squares_then = std::array::from_fn(|k| self.channels[k].squares);
+        } else if repeats >= FEWEST && !self.frozen[i] {
+            self.frozen[i] = f64::from(repeats) * self.log_of_repeat(i) < LIKELY.ln();
         }
-        if repeats >= FEWEST && !self.channels[channel].frozen {
-            let frozen = f64::from(repeats) * self.log_of_repeat(channel) < LIKELY.ln();
-            self.channels[channel].freeze(frozen);
+        if self.frozen[i] {
+            self.channels[i].begin_block(); // a block with a frozen code says nothing about the noise
         }
     }
 
     /// Whether this channel is frozen.
     pub fn frozen(&self, channel: usize) -> bool {
-        self.channels[channel].frozen
+        self.frozen[channel]
     }
 
     /// Logarithm of the probability that the code repeats once, at most: with the signal in the middle of a
@@ -136,7 +146,7 @@ impl Channel {
         if code == last {
             self.repeats = self.repeats.saturating_add(1);
         } else {
-            (self.repeats, self.frozen) = (0, false);
+            self.repeats = 0;
         }
         // The second difference removes the position and the velocity of the signal.
         let second = i64::from(code) - 2 * i64::from(last) + i64::from(before);
@@ -152,14 +162,6 @@ impl Channel {
 
     fn begin_block(&mut self) {
         self.block = (0, self.squares);
-    }
-
-    /// A block with a frozen code says nothing about the noise.
-    fn freeze(&mut self, frozen: bool) {
-        self.frozen = frozen;
-        if frozen {
-            self.begin_block();
-        }
     }
 
     /// Begins a new block. A run of repeats goes on: also across a gap, noise would have changed the code.
@@ -215,9 +217,7 @@ mod tests {
                 codes[4] = held;
             }
             held = codes[4];
-            for (i, code) in codes.into_iter().enumerate() {
-                detector.push(i, code, true);
-            }
+            detector.push(codes.into_iter(), [true; 3]);
             assert!(frozen(&detector).iter().all(|i| *i == 4), "{:?} in scan {n}", frozen(&detector));
             if detector.frozen(4) {
                 return Some(n - from + 1);
@@ -262,9 +262,8 @@ mod tests {
         let (mut detector, mut signals) = (FrozenChannels::new(), Signals::new(20.0));
         for n in 0..5000 {
             let dark = (2000..4000).contains(&n);
-            for (i, code) in signals.next().into_iter().enumerate() {
-                detector.push(i, if dark { 0 } else { code }, !dark);
-            }
+            let codes = signals.next().into_iter();
+            detector.push(codes.map(|code| if dark { 0 } else { code }), [!dark; 3]);
             assert_eq!(frozen(&detector), [0; 0], "scan {n}");
         }
     }
@@ -283,9 +282,7 @@ mod tests {
                 let (mut detector, mut signals) =
                     (FrozenChannels::new(), Signals { motion, ..Signals::new(noise) });
                 for n in 0..200_000 {
-                    for (i, code) in signals.next().into_iter().enumerate() {
-                        detector.push(i, code, true);
-                    }
+                    detector.push(signals.next().into_iter(), [true; 3]);
                     assert_eq!(frozen(&detector), [0; 0], "noise {noise}, scan {n}");
                 }
             }

@@ -1,7 +1,7 @@
 //! The channel map: raw codes to spots and powers.
 
 use serde::{Deserialize, Serialize};
-use trifacet_wire::channel::{Converter, MAX_CHANNELS, Role, SIGNALS};
+use trifacet_wire::channel::{MAX_CHANNELS, Role, SIGNALS};
 
 use crate::signals::{Identity, PsdState, Sample, Scan};
 
@@ -58,7 +58,10 @@ pub enum Amplifier {
 #[derive(Clone, Debug)]
 pub struct ChannelMap {
     channels: Channels,
-    converter: Converter,
+    /// Volts of one step of the converter.
+    step_v: f64,
+    /// The largest code of the converter.
+    largest: i32,
     /// Indices of u, v, sum of each PSD in a scan.
     places: [[usize; 3]; 3],
     steering: Option<[usize; 2]>,
@@ -76,8 +79,8 @@ pub struct MissingSignal(pub Role);
 /// The previous scan.
 #[derive(Clone, Copy, Debug)]
 struct Last {
-    scan: Scan,
-    volts: [f64; MAX_CHANNELS],
+    index: u64,
+    codes: [i32; MAX_CHANNELS],
     psds: [PsdState; 3],
 }
 
@@ -125,7 +128,8 @@ impl Channels {
         }
         Ok(ChannelMap {
             channels: self.clone(),
-            converter: identity.converter,
+            step_v: identity.converter.step_v(),
+            largest: identity.converter.full_scale() - 1,
             places,
             steering: find(Role::Steering(0)).zip(find(Role::Steering(1))).map(|(x, y)| [x, y]),
             skew,
@@ -139,28 +143,25 @@ impl ChannelMap {
     /// Continues with other parameters of the same channels, without interrupting the series of scans.
     pub fn retune(&mut self, channels: Channels) {
         self.channels = channels;
-        if let Some(Last { scan, .. }) = self.last.take() {
-            self.follow(&scan);
+        if let Some(Last { index, codes, .. }) = self.last.take() {
+            self.last = Some(self.predecessor(index, &codes));
         }
     }
 
     /// Takes a scan as the predecessor of the next one.
     pub fn follow(&mut self, scan: &Scan) {
-        let volts = self.volts(scan);
-        let psds = [0, 1, 2].map(|i| self.state(i, scan, &volts));
-        self.last = Some(Last { scan: *scan, volts, psds });
+        self.last = Some(self.predecessor(scan.index, &scan.codes));
     }
 
-    fn volts(&self, scan: &Scan) -> [f64; MAX_CHANNELS] {
-        scan.codes.map(|code| f64::from(code) * self.converter.step_v())
+    fn predecessor(&self, index: u64, codes: &[i32; MAX_CHANNELS]) -> Last {
+        Last { index, codes: *codes, psds: [0, 1, 2].map(|i| self.state(i, codes)) }
     }
 
     /// The sample of a scan.
     pub fn sample(&mut self, scan: &Scan) -> Sample {
-        let last = self.last.filter(|last| last.scan.index + 1 == scan.index);
-        self.follow(scan);
-        let Some(Last { volts, psds, .. }) = self.last else { unreachable!("it follows the scan") };
-        let psds = self.without_frozen(scan, psds);
+        let this = self.predecessor(scan.index, &scan.codes);
+        let last = self.last.replace(this).filter(|last| last.index + 1 == scan.index);
+        let psds = self.without_frozen(scan, this.psds);
         let mut sample = Sample {
             index: scan.index,
             time: scan.time,
@@ -174,10 +175,10 @@ impl ChannelMap {
         };
         for (i, psd) in self.channels.psds.iter().enumerate() {
             // A channel that was dark or clipped in the last scan must not enter the interpolation.
-            let last = last.filter(|last| last.psds[i] == PsdState::Good && psds[i] == PsdState::Good);
+            let last =
+                last.as_ref().filter(|last| last.psds[i] == PsdState::Good && psds[i] == PsdState::Good);
             let dark = psd.dark_v;
-            let [u, v, sum] =
-                [0, 1, 2].map(|k| self.at_scan(self.places[i][k], &volts, last.as_ref()) - dark[k]);
+            let [u, v, sum] = [0, 1, 2].map(|k| self.at_scan(self.places[i][k], scan, last) - dark[k]);
             sample.powers[i] = sum * psd.gain[2] * self.channels.watts_per_volt;
             if psds[i] == PsdState::Good {
                 [sample.spots[2 * i], sample.spots[2 * i + 1]] = psd.spot([u, v], sum);
@@ -185,7 +186,7 @@ impl ChannelMap {
         }
         let steering = self.steering.filter(|place| !place.iter().any(|k| self.clipped(scan.codes[*k])));
         sample.steering = steering.map(|place| {
-            place.map(|k| self.at_scan(k, &volts, last.as_ref()) * self.channels.readback_per_volt)
+            place.map(|k| self.at_scan(k, scan, last.as_ref()) * self.channels.readback_per_volt)
         });
         sample
     }
@@ -195,12 +196,13 @@ impl ChannelMap {
         if scan.lost > 0 {
             self.frozen.gap();
         }
-        for (i, state) in psds.iter_mut().enumerate() {
-            for (k, place) in self.places[i].into_iter().enumerate() {
-                self.frozen.push(3 * i + k, scan.codes[place], *state == PsdState::Good);
-            }
-            if (0..3).any(|k| self.frozen.frozen(3 * i + k)) {
-                *state = PsdState::Frozen;
+        let codes = self.places.as_flattened().iter().map(|place| scan.codes[*place]);
+        let usable = psds.map(|state| state == PsdState::Good);
+        if self.frozen.push(codes, usable) {
+            for (i, state) in psds.iter_mut().enumerate() {
+                if (0..3).any(|k| self.frozen.frozen(3 * i + k)) {
+                    *state = PsdState::Frozen;
+                }
             }
         }
         psds
@@ -211,10 +213,10 @@ impl ChannelMap {
         SIGNALS.into_iter().enumerate().filter(|(i, _)| self.frozen.frozen(*i)).map(|(_, role)| role)
     }
 
-    fn state(&self, psd: usize, scan: &Scan, volts: &[f64; MAX_CHANNELS]) -> PsdState {
+    fn state(&self, psd: usize, codes: &[i32; MAX_CHANNELS]) -> PsdState {
         let places = self.places[psd];
-        let sum = volts[places[2]] - self.channels.psds[psd].dark_v[2];
-        if places.iter().any(|k| self.clipped(scan.codes[*k])) {
+        let sum = self.volts(codes[places[2]]) - self.channels.psds[psd].dark_v[2];
+        if places.iter().any(|k| self.clipped(codes[*k])) {
             PsdState::Clipped
         } else if sum < self.channels.sum_threshold_v {
             PsdState::Low
@@ -225,15 +227,18 @@ impl ChannelMap {
 
     /// Volts of a channel at the time of the scan. A channel that is sampled later is interpolated between
     /// the last scan and this one, unless there is a gap in between.
-    fn at_scan(&self, channel: usize, volts: &[f64; MAX_CHANNELS], last: Option<&Last>) -> f64 {
-        let now = volts[channel];
-        last.map_or(now, |last| now - self.skew[channel] * (now - last.volts[channel]))
+    fn at_scan(&self, channel: usize, scan: &Scan, last: Option<&Last>) -> f64 {
+        let now = self.volts(scan.codes[channel]);
+        last.map_or(now, |last| now - self.skew[channel] * (now - self.volts(last.codes[channel])))
+    }
+
+    fn volts(&self, code: i32) -> f64 {
+        f64::from(code) * self.step_v
     }
 
     /// Whether a code is at or near a rail of the converter.
     fn clipped(&self, code: i32) -> bool {
-        let largest = self.converter.full_scale() - 1;
-        f64::from(code.abs()) >= self.channels.clip_limit * f64::from(largest)
+        f64::from(code.abs()) >= self.channels.clip_limit * f64::from(self.largest)
     }
 }
 
