@@ -60,9 +60,12 @@ impl LiveNoise {
         let n = if signal < SPOTS { self.count.min(COMMON_WINDOW) * SPOTS as f64 } else { 0.0 };
         let mut sigma = configured;
         for (variance, n) in own.chain([(&self.common, n)]) {
-            let live = variance.sqrt();
-            if n > 0.0 && live > configured * (1.0 + SIGNIFICANT / n.sqrt()) {
-                sigma = sigma.max(live);
+            // Nearly always false; the roots take longer.
+            if n > 0.0 && *variance > configured * configured {
+                let live = variance.sqrt();
+                if live > configured * (1.0 + SIGNIFICANT / n.sqrt()) {
+                    sigma = sigma.max(live);
+                }
             }
         }
         sigma
