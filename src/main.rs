@@ -35,7 +35,7 @@ enum Command {
     Emulate(commands::EmulateArgs),
     /// Measure the dark offsets with the laser off, and write them into the configuration
     Dark(commands::DarkArgs),
-    /// Measure the loop with small steps of the stage, and write it into the configuration
+    /// Measure the loop with small steps of the stage, and write the result into the configuration
     Tune(commands::TuneArgs),
     /// Compute signals from poses: CSV in, CSV out
     Trace(commands::TableArgs),
@@ -53,7 +53,7 @@ enum Command {
     Status(commands::StatusArgs),
     /// Send the stage to its parking position while no daemon runs
     Park(commands::ParkArgs),
-    /// Recompute recorded poses, and compare
+    /// Recompute recorded poses, and compare them with the recorded ones
     Replay(commands::ReplayArgs),
     /// Show the contents of recordings, and whether they are complete
     Info(commands::InfoArgs),

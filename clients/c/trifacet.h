@@ -78,7 +78,7 @@ struct trifacet_frame {
     uint8_t major;
     uint8_t minor;
     uint16_t size;
-    uint32_t session;           /* a different number: the daemon was restarted */
+    uint32_t session;           /* a different number: the daemon was restarted, or its clock was set */
     uint32_t config;            /* a different number: other geometry or calibration */
     uint64_t sequence;          /* a gap is a loss */
     uint64_t sample_index;
@@ -283,7 +283,7 @@ static inline int trifacet_in_order(struct trifacet_losses *losses, const struct
         losses->missed += number - losses->last - 1;
     }
     losses->started = 1;
-    losses->session = frame->session; /* a different number: the daemon was restarted */
+    losses->session = frame->session; /* a different number: a new sequence */
     losses->last = number;
     return 1;
 }

@@ -65,7 +65,7 @@ enum CtlCommand {
     Search,
     /// Simulate a failure of a task, to test your supervision; with the twin only
     Drill {
-        /// Kind of the failure
+        /// Failure of the task
         #[arg(value_enum)]
         what: What,
         /// Task that fails
@@ -84,7 +84,7 @@ enum CtlCommand {
 
 #[derive(Debug, Args)]
 struct TareArgs {
-    /// Remove the tare
+    /// `clear` removes the tare
     #[arg(value_enum)]
     what: Option<Clear>,
     /// Also write the tare into the configuration file; otherwise it is lost when the daemon ends
@@ -110,11 +110,11 @@ enum Mode {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum What {
-    /// Stall: wait for ever while the other tasks run
+    /// The task waits for ever; the other tasks continue
     Stall,
-    /// Block the thread, so that the other tasks on it wait too
+    /// The task does not return, so that all tasks of the thread wait
     Block,
-    /// End
+    /// The task ends
     End,
 }
 
@@ -124,9 +124,9 @@ enum Recording {
     Start,
     /// End the recording
     Stop,
-    /// Treat this as a fault: with [recording] mode = "on-fault"
+    /// Record as after a fault; only with [recording] mode = "on-fault"
     Trigger,
-    /// Print what is recorded, and where
+    /// Print the state of the recording, and its file
     Status,
 }
 

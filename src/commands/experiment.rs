@@ -62,7 +62,7 @@ pub(crate) struct ExperimentArgs {
     /// Number of readings at each point
     #[arg(long, value_name = "N", default_value_t = protocol::READINGS, value_parser = clap::value_parser!(u32).range(2..=100_000))]
     readings: u32,
-    /// Number averaged into each reading: samples on the twin, poses with --connect
+    /// Number of values averaged in each reading: samples on the twin, poses with --connect
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=10_000))]
     average: Option<u16>,
     /// Duration of the record at rest, for the Allan deviation, in seconds; 0: no record

@@ -49,8 +49,8 @@ pub(crate) struct TuneArgs {
     /// Number of steps of each axis, back and forth
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(10..=10_000))]
     steps: u32,
-    /// Time that the stage rests after each step; by default ten times the configured delay and lag, at
-    /// least 50 ms
+    /// Time that the stage rests after each step; by default ten times the sum of the configured delay and
+    /// lag, at least 50 ms
     #[arg(long, value_name = "MS", value_parser = positive)]
     dwell: Option<f64>,
     /// Position of a stage without readback; the stage is sent there first

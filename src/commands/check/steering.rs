@@ -57,9 +57,9 @@ fn search(config: &Config) -> String {
     let spiral =
         Spiral::of(&config.loop_params(), StagePosition([0.0; 2]), config.head.beam_diameter_mm * 0.5e-3);
     format!(
-        "a search after the light is lost, within the limits: {:.2} s from their middle, at most {} times",
-        spiral.duration(1.0 / config.acquisition.rate_hz),
-        centering.search_attempts
+        "at most {} searches after the light is lost; one takes {:.2} s from the middle to the limits",
+        centering.search_attempts,
+        spiral.duration(1.0 / config.acquisition.rate_hz)
     )
 }
 
@@ -81,13 +81,14 @@ pub(super) fn stage(config: &Config, lines: &mut Lines) {
             };
             lines.say("steering", format!("{source}, full scale +-{full_scale_um} um, {limits}"));
             let on_lease = does(steering.on_lease);
-            lines
-                .say("", format!("{at_the_end}; {on_lease} {} ms after the last command", steering.lease_ms));
+            lines.say(
+                "",
+                format!("{at_the_end}; {on_lease} if no command arrives for {} ms", steering.lease_ms),
+            );
         }
         SteeringKind::Gcs => {
             lines.say("steering", format!("{}, {limits}", gcs(&steering.gcs)));
-            lines
-                .say("", format!("{at_the_end}; holds its position after the last command: it has no lease"));
+            lines.say("", format!("{at_the_end}; holds if no command arrives: it has no lease"));
         }
     }
 }
