@@ -8,7 +8,6 @@ use rustix::net::{
     AddressFamily, SocketAddrUnix, SocketFlags, SocketType, bind, connect, listen, socket_with,
 };
 use rustix::process::Signal;
-use serde_json::Value;
 use trifacet::exit;
 
 use super::fixture::{AT_REST, Lab, say};
@@ -141,19 +140,24 @@ fn ctl_distinguishes_wrong_arguments_from_a_missing_daemon() {
 fn a_stopped_daemon_is_reported_and_a_busy_one_is_awaited() {
     let daemon = Lab::start(AT_REST);
     daemon.signal(Signal::STOP);
-    for args in [&["status"][..], &["loop", "off"], &["tare", "--poses", "5000"]] {
-        let (code, answer, errors) = daemon.ctl(args);
-        assert_eq!((code, answer), (i32::from(exit::UNAVAILABLE), Value::Null), "{args:?}: {errors}");
+    let socket = daemon.socket();
+    let start = |args: &[&str]| {
+        let mut ctl = trifacet(&["ctl", "--socket", socket.to_str().unwrap()]);
+        ctl.args(args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
+    };
+    // Each of them waits for some seconds.
+    for command in [&["status"][..], &["loop", "off"], &["tare", "--poses", "5000"]].map(start) {
+        let told = command.wait_with_output().unwrap();
+        let [answer, errors] = [told.stdout, told.stderr].map(|text| String::from_utf8(text).unwrap());
+        assert_eq!(told.status.code(), Some(i32::from(exit::UNAVAILABLE)), "{errors}");
+        assert_eq!(answer, "", "{errors}");
         for part in ["does not answer", "is stopped", &format!("kill -CONT {}", daemon.pid())] {
             assert!(errors.contains(part), "{errors}");
         }
     }
     daemon.signal(Signal::CONT);
     // Commands wait for their turn behind one that takes longer than a daemon may be silent.
-    let tare = trifacet(&["ctl", "--socket", daemon.socket().to_str().unwrap(), "tare", "--poses", "9000"])
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
+    let tare = start(&["tare", "--poses", "9000"]);
     wait_for("answers", || if daemon.ctl(&["status"]).0 == 0 { Ok(()) } else { Err("none".into()) });
     let told = tare.wait_with_output().unwrap();
     assert!(told.status.success(), "{told:?}");

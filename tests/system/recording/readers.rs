@@ -18,26 +18,30 @@ fn python() -> std::path::PathBuf {
 
 #[test]
 fn mcap_and_rosbags_read_the_frames_and_poses_of_the_stream() {
-    for compression in ["lz4", "zstd", "none"] {
-        let mut daemon = Recorder::start(&format!(
-            "acquisition.rate_hz = 500\nrecording.mode = \"always\"\nrecording.compression = \"{compression}\"\n\
-             twin.fault = [{{ at_s = 1.0, for_s = 0.2, kind = \"beam-blocked\" }}]"
-        ));
-        daemon.waits("without light", |frame| frame.status.has(Status::PSD_A_LOW));
-        daemon.runs_for(1.5);
-        let stream = daemon.stop();
-        let files = recordings(&daemon.folder());
-        let [file] = files.as_slice() else { panic!("{files:?}") };
-        assert_eq!(file.extension().unwrap(), "mcap", "finished at the end");
-        let content = Content::read(file);
-        assert!(content.whole);
-        same(&content.frames(), &stream);
-        let read = venv::succeeded(
-            Command::new(python()).arg("tests/system/recording/read.py").arg(file),
-            "read.py",
-        );
-        compare(&String::from_utf8(read.stdout).unwrap(), &content.frames());
-    }
+    std::thread::scope(|scope| {
+        for compression in ["lz4", "zstd", "none"] {
+            scope.spawn(move || readers_agree(compression));
+        }
+    });
+}
+
+fn readers_agree(compression: &str) {
+    let mut daemon = Recorder::start(&format!(
+        "acquisition.rate_hz = 500\nrecording.mode = \"always\"\nrecording.compression = \"{compression}\"\n\
+         twin.fault = [{{ at_s = 1.0, for_s = 0.2, kind = \"beam-blocked\" }}]"
+    ));
+    daemon.waits("without light", |frame| frame.status.has(Status::PSD_A_LOW));
+    daemon.runs_for(1.5);
+    let stream = daemon.stop();
+    let files = recordings(&daemon.folder());
+    let [file] = files.as_slice() else { panic!("{files:?}") };
+    assert_eq!(file.extension().unwrap(), "mcap", "finished at the end");
+    let content = Content::read(file);
+    assert!(content.whole);
+    same(&content.frames(), &stream);
+    let read =
+        venv::succeeded(Command::new(python()).arg("tests/system/recording/read.py").arg(file), "read.py");
+    compare(&String::from_utf8(read.stdout).unwrap(), &content.frames());
 }
 
 fn compare(told: &str, recorded: &[PoseFrame]) {

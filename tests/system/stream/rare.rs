@@ -68,9 +68,7 @@ async fn a_client_keeps_a_link_with_rare_frames() {
     let mut daemon = start("udp = []\nsubscribe = '127.0.0.1:0'");
     // The daemon confirms a long lease less often than it sends frames.
     let options = Options { reconnect: Some(Backoff::default()), lease_s: 60, ..Options::default() };
-    for endpoint in
-        [Endpoint::Subscribe(daemon.subscriptions().to_string()), Endpoint::Tcp(daemon.address().to_string())]
-    {
+    let keeps = async |endpoint: Endpoint| {
         let mut client = Client::connect_with(&endpoint, options.clone()).await.unwrap();
         let tcp = matches!(endpoint, Endpoint::Tcp(_));
         let mut frames = 0;
@@ -82,5 +80,7 @@ async fn a_client_keeps_a_link_with_rare_frames() {
         let period = client.frame_period().expect("known after two frames");
         let described = Duration::from_millis(AVERAGE);
         assert!(if tcp { period == described } else { period > described / 2 }, "{period:?}");
-    }
+    };
+    let subscriber = Endpoint::Subscribe(daemon.subscriptions().to_string());
+    tokio::join!(keeps(subscriber), keeps(Endpoint::Tcp(daemon.address().to_string())));
 }

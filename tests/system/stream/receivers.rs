@@ -9,6 +9,8 @@ use crate::testkit::{Daemon, Network, Receiver, run, trifacet, wait_for};
 /// Frames per second: low enough for a receiver that waits for a CPU, high enough to fill a send buffer within
 /// the three seconds in which the kernel looks for a host.
 const RATE: u64 = 200;
+/// More frames than can wait in the buffers of a socket: 208 KiB, in which each takes 768 bytes or more.
+const AWAITED: u64 = 300;
 const FAILS: &str = "cannot send datagrams";
 const WORKS: &str = "sending datagrams again";
 
@@ -170,7 +172,7 @@ impl Lab {
         for target in Self::TARGETS {
             works(&self.daemon, target);
         }
-        self.subscriber.goes_on(5 * RATE); // more than can wait in a buffer
+        self.subscriber.goes_on(AWAITED);
     }
 
     /// Disturbs the network until this target fails for this cause, and then restores it.
@@ -281,6 +283,6 @@ fn listeners_are_reached_whenever_an_interface_has_their_address() {
     fails(&daemon, "10.9.0.2");
     network.near("ip addr add 10.9.0.1/24 dev v0");
     for receiver in &mut receivers {
-        receiver.goes_on(5 * RATE);
+        receiver.goes_on(AWAITED);
     }
 }
