@@ -67,7 +67,7 @@ pub use realtime::RealtimeConfig;
 pub use recording::{Compression, RecordingConfig, RecordingMode};
 pub use replay::ReplayConfig;
 use serde::{Deserialize, Serialize};
-pub use steering::{NO_TILT, SteeringConfig, SteeringKind, SteeringKindError};
+pub use steering::{NO_TILT, POINTING_UM, SteeringConfig, SteeringKind, SteeringKindError};
 pub use tune::TuneConfig;
 pub use twin::{TwinConfig, TwinSteering};
 
