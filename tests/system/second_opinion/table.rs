@@ -11,6 +11,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "the tick of one scan is 65 536 too small",
         arguments: "tick_step=-65536",
+        config: "",
         at: AT,
         error: AsStated,
         signs: &[Counter("clock_faults"), Log("the tick went back by")],
@@ -19,6 +20,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "the tick has 16 bits",
         arguments: "tick_bits=16",
+        config: "",
         at: AT,
         error: AsStated,
         signs: &[Counter("clock_faults"), Log("the tick starts again at 2^16")],
@@ -27,6 +29,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "the tick runs ten times too fast",
         arguments: "tick_factor=10",
+        config: "",
         at: AT,
         error: AsStated,
         signs: &[Bit("CLOCK_UNSYNCED", 2), Counter("clock_faults"), Log("the tick advanced by 10000")],
@@ -35,6 +38,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "the tick stands still",
         arguments: "tick_factor=0",
+        config: "",
         at: AT,
         error: AsStated,
         signs: &[Bit("CLOCK_UNSYNCED", 2), Counter("clock_faults"), Log("the tick stands still")],
@@ -43,6 +47,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "the clock of the board is 1 % too slow",
         arguments: "clock_ppm=10000",
+        config: "",
         at: 0,
         error: AsStated,
         signs: &[Bit("CLOCK_UNSYNCED", 100), Counter("clock_faults"), Log("the tick runs at 9.")],
@@ -51,6 +56,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "u of PSD A is frozen",
         arguments: "freeze=1",
+        config: "",
         at: AT,
         error: AsStated,
         signs: &[Bit("CHANNEL_FROZEN", 10), Log("u of PSD A")],
@@ -59,6 +65,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "the sum of PSD A is frozen",
         arguments: "freeze=4",
+        config: "",
         at: AT,
         error: AsStated,
         signs: &[Bit("CHANNEL_FROZEN", 10), Log("the sum of PSD A")],
@@ -67,6 +74,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "the laser fades by 10 % while the sum of PSD A is frozen",
         arguments: "freeze=4 power=0.9 fade_s=0.5",
+        config: "",
         at: AT,
         error: AsStated,
         signs: &[Bit("CHANNEL_FROZEN", 10), Log("the sum of PSD A")],
@@ -75,6 +83,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "the whole scan is repeated",
         arguments: "freeze=2047",
+        config: "",
         at: AT,
         error: Wrong { um: [1.0, 30.0], urad: [1.0, 50.0] },
         signs: &[Bit("CHANNEL_FROZEN", 201)],
@@ -83,14 +92,16 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "the readback of the stage is stuck",
         arguments: "readback_stuck=1",
+        config: "",
         at: AT,
         error: AsStated,
         signs: &[Bit("INCONSISTENT", 1000), Log("contradict each other")],
-        silent: "as long as the stage has moved by less than 7.5 um (five standard uncertainties)",
+        silent: "as long as the stage has moved by less than 5 um (five standard uncertainties)",
     },
     Situation {
         name: "the sequence numbers jump by 50, but no scan is lost",
         arguments: "sequence_jump=50",
+        config: "",
         at: AT,
         error: AsStated,
         signs: &[Bit("SAMPLE_GAP", 50), Counter("scans_lost"), Counter("clock_faults")],
@@ -99,6 +110,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "PSD A is displaced by 0.5 mm",
         arguments: "psd_um=500",
+        config: "",
         at: AT,
         error: Wrong { um: [300.0, 360.0], urad: [600.0, 720.0] },
         signs: &[Bit("INCONSISTENT", 20), Log("contradict each other")],
@@ -107,22 +119,70 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "PSD A is displaced by 10 um",
         arguments: "psd_um=10",
+        config: "",
         at: AT,
         error: Wrong { um: [5.0, 8.5], urad: [10.0, 16.0] },
+        signs: &[Bit("INCONSISTENT", 1000), Log("contradict each other constantly")],
+        silent: "the first second; a displacement of less than 8.7 um, whose residual is below 5.8 um; and which part has moved",
+    },
+    Situation {
+        name: "PSD A is displaced by 5 um",
+        arguments: "psd_um=5",
+        config: "",
+        at: AT,
+        error: Wrong { um: [2.0, 4.5], urad: [4.0, 8.5] },
         signs: &[],
-        silent: "a displacement of less than 11 um: its residual is below 7.5 um",
+        silent: "the displacement: with `pointing_um = 1.0`, the laser may have drifted as far",
+    },
+    Situation {
+        name: "the same with a stable laser",
+        arguments: "psd_um=5",
+        config: "steering.pointing_um = 0.1",
+        at: AT,
+        error: Wrong { um: [2.0, 4.5], urad: [4.0, 8.5] },
+        signs: &[Bit("INCONSISTENT", 1000), Log("contradict each other constantly")],
+        silent: "the first second; a displacement of less than 1.3 um; and which part has moved",
     },
     Situation {
         name: "1 % of ambient light",
         arguments: "ambient=0.01",
+        config: "",
         at: 0,
         error: Wrong { um: [0.5, 2.5], urad: [0.1, 3.0] },
         signs: &[],
         silent: "the light: amplifiers that divide by the sum divide by that of all light; with `\"difference\"` amplifiers `trifacet dark` removes it",
     },
     Situation {
+        name: "the same, with the mirror turned by 2 mrad (spots 1 mm out)",
+        arguments: "ambient=0.01 pitch_urad=2000",
+        config: "steering.pointing_um = 0.1",
+        at: 0,
+        error: Wrong { um: [0.5, 2.5], urad: [18.0, 23.0] },
+        signs: &[],
+        silent: "the light: all spots move towards the middle by 1 % of their distance, as if the mirror were turned less",
+    },
+    Situation {
+        name: "1 % of ambient light on PSD A only, with the mirror turned by 2 mrad",
+        arguments: "ambient_a=0.01 pitch_urad=2000",
+        config: "",
+        at: 0,
+        error: Wrong { um: [3.0, 6.0], urad: [12.0, 20.0] },
+        signs: &[],
+        silent: "the light: its residual may be the drift of the laser",
+    },
+    Situation {
+        name: "the same with a stable laser",
+        arguments: "ambient_a=0.01 pitch_urad=2000",
+        config: "steering.pointing_um = 0.1",
+        at: 0,
+        error: AsStated,
+        signs: &[Bit("INCONSISTENT", 1200), Log("contradict each other constantly")],
+        silent: "",
+    },
+    Situation {
         name: "no light comes from within 20 um of the apex (chipped)",
         arguments: "chip_um=20",
+        config: "",
         at: 0,
         error: Wrong { um: [1.0, 3.0], urad: [0.0, 2.0] },
         signs: &[],
@@ -131,6 +191,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "no light comes from within 60 um of the apex (chipped)",
         arguments: "chip_um=60",
+        config: "",
         at: 0,
         error: Wrong { um: [10.0, 16.0], urad: [0.0, 3.0] },
         signs: &[],
@@ -139,6 +200,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "the power of the laser flickers by 5 % at 100 Hz",
         arguments: "flicker=0.05",
+        config: "",
         at: AT,
         error: AsStated,
         signs: &[Bit("POWER_STEP", 10)],
@@ -147,6 +209,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "the same with a converter that samples one channel after the other",
         arguments: "flicker=0.05 skew_us=20",
+        config: "",
         at: AT,
         error: AsStated,
         signs: &[Bit("POWER_STEP", 10)],
@@ -155,6 +218,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "the same by 1 %",
         arguments: "flicker=0.01 skew_us=20",
+        config: "",
         at: AT,
         error: AsStated,
         signs: &[],
@@ -163,6 +227,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "the polarity of the stage is reversed",
         arguments: "polarity=-1",
+        config: "",
         at: 0,
         error: AsStated,
         signs: &[Always("NOT_LOCKED")],
@@ -171,14 +236,25 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "the laser is displaced by 20 um",
         arguments: "laser_um=20",
+        config: "",
         at: AT,
         error: AsStated,
         signs: &[Bit("INCONSISTENT", 20), Log("contradict each other")],
         silent: "which part has moved",
     },
     Situation {
+        name: "the laser is displaced by 7 um",
+        arguments: "laser_um=7",
+        config: "",
+        at: AT,
+        error: AsStated,
+        signs: &[Bit("INCONSISTENT", 1000), Log("contradict each other")],
+        silent: "which part has moved; a displacement of less than 5.8 um",
+    },
+    Situation {
         name: "2 % of the scans arrive twice",
         arguments: "duplicate=0.02",
+        config: "",
         at: AT,
         error: AsStated,
         signs: &[Counter("scans_repeated")],
@@ -187,6 +263,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "2 % of the scans arrive after their successor",
         arguments: "swap=0.02",
+        config: "",
         at: AT,
         error: AsStated,
         signs: &[Bit("SAMPLE_GAP", 1000), Counter("scans_late")],
@@ -195,6 +272,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
     Situation {
         name: "2 % of the scans have a wrong bit",
         arguments: "damage=0.02",
+        config: "",
         at: AT,
         error: AsStated,
         signs: &[Bit("SAMPLE_GAP", 1000), Counter("frames_corrupted")],
