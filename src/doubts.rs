@@ -19,16 +19,22 @@ use crate::publishing::columns::rfc3339;
 pub enum Subject {
     /// The agreement of readback and pose (`INCONSISTENT`).
     Residual,
+    /// The total power, which differs from its reference.
+    Power,
+    /// What the PSDs read without the laser.
+    AmbientLight,
 }
 
 impl Subject {
     /// All subjects.
-    pub const ALL: [Subject; 1] = [Subject::Residual];
+    pub const ALL: [Subject; 3] = [Subject::Residual, Subject::Power, Subject::AmbientLight];
 
     /// Name of the subject, as on all outputs.
     pub fn name(self) -> &'static str {
         match self {
             Subject::Residual => "residual",
+            Subject::Power => "power",
+            Subject::AmbientLight => "ambient_light",
         }
     }
 
@@ -36,6 +42,8 @@ impl Subject {
     fn end(self) -> &'static str {
         match self {
             Subject::Residual => "steering and pose agree again",
+            Subject::Power => "the total power is no longer doubted",
+            Subject::AmbientLight => "the readings without light are no longer doubted",
         }
     }
 }
@@ -116,6 +124,14 @@ impl Doubter {
                 doubts.push(Doubt { subject, since: now, text });
             }
         });
+    }
+
+    /// Begins a doubt with this text, or ends it without one.
+    pub fn set(&self, subject: Subject, now: Mono, text: Option<String>) {
+        match text {
+            Some(text) => self.begin(subject, now, text),
+            None => self.end(subject),
+        }
     }
 
     /// Ends a doubt, if it stands.

@@ -203,6 +203,7 @@ impl RunningConfig {
         if next.frames != self.running.frames
             || next.estimation != self.running.estimation
             || next.steering != self.running.steering
+            || next.laser != self.running.laser
             || channels.is_some()
         {
             self.change_meaning(&next, channels).await?;

@@ -190,7 +190,7 @@ async fn fast<S: Source + 'static>(
                 newest: poses_in,
                 publish,
                 recorder,
-                warnings: Warnings::new(doubter),
+                warnings: Warnings::new(&config, doubter),
             },
         ),
         &heartbeats,

@@ -1,5 +1,6 @@
 //! The estimation task: publishes a report for each sample or block, and for silence.
 
+pub mod light;
 pub mod loop_liveness;
 pub mod warnings;
 
@@ -88,13 +89,14 @@ pub async fn run<C: Clock>(
                 }
                 Some(SampleEvent::Sample(sample, scan)) => {
                     silence_timer.restart();
+                    warnings.sample(&sample);
                     let steering = steering.now();
                     recorder.sample(&sample, scan, &steering, estimation.memory());
                     estimation.sample(&sample, &steering)
                 }
                 Some(SampleEvent::Changed(change)) => {
                     estimation.retune(change.settings);
-                    warnings.fusion(estimation.fuses());
+                    warnings.retune(&change.context.config, estimation.fuses());
                     recorder.context(change.context);
                     let _ = change.done.send(());
                     None

@@ -1,21 +1,24 @@
-//! Warnings about the steering position, logged once per change.
+//! Warnings about the steering position and the light, logged once per change.
 
 use trifacet_core::estimation::PoseReport;
 use trifacet_core::estimation::integrity::MeanResidual;
-use trifacet_core::signals::Identity;
+use trifacet_core::signals::{Identity, Sample};
 use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_wire::Status;
 use trifacet_wire::channel::Role;
 
+use super::light::LightWatch;
+use crate::config::Config;
 use crate::doubts::{Doubter, Subject};
 
 /// A contradiction is over after this time without one: near the limit it comes and goes.
 const CALM_NS: i64 = NS_PER_S / 2;
 
-/// Watches the reports.
+/// Watches samples and reports.
 #[derive(Debug)]
 pub struct Warnings {
     doubter: Doubter,
+    light: LightWatch,
     no_readback: bool,
     /// Time of the last contradiction, while it is doubted.
     contradicted: Option<Mono>,
@@ -23,18 +26,29 @@ pub struct Warnings {
 
 impl Warnings {
     /// Without a source.
-    pub fn new(doubter: Doubter) -> Self {
-        Self { doubter, no_readback: false, contradicted: None }
+    pub fn new(config: &Config, doubter: Doubter) -> Self {
+        Self { doubter, light: LightWatch::new(config), no_readback: false, contradicted: None }
     }
 
     /// A source is up.
     pub fn source(&mut self, identity: &Identity, fuses: bool) {
+        self.light.source();
         self.no_readback = ![0, 1].iter().all(|axis| identity.roles.contains(&Role::Steering(*axis)));
         self.fusion(fuses);
     }
 
     /// The settings have changed.
-    pub fn fusion(&self, fuses: bool) {
+    pub fn retune(&mut self, config: &Config, fuses: bool) {
+        self.light.retune(config, &self.doubter);
+        self.fusion(fuses);
+    }
+
+    /// Takes every sample.
+    pub fn sample(&mut self, sample: &Sample) {
+        self.light.sample(sample, &self.doubter);
+    }
+
+    fn fusion(&self, fuses: bool) {
         if fuses && self.no_readback {
             tracing::warn!(
                 "estimation.fuse_steering: the source has no steering readback, so there is nothing to fuse"
