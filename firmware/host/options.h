@@ -21,7 +21,11 @@
     X(freeze, 0, "channels that repeat their code: sum of 1 for channel 0, 2 for 1, 4 for 2 ...")                      \
     X(sequence_jump, 0, "numbers that are omitted before scan `at`")                                                   \
     X(psd_um, 0, "PSD A is displaced by this distance against its u-axis")                                             \
+    X(pitch_urad, 0, "constant rotation of the mirror about y; from power-up on")                                      \
+    X(block_at, 4294967296.0, "sequence number of the first scan in which the laser is blocked")                       \
+    X(block_until, 4294967296.0, "sequence number of the first scan in which it is free again")                        \
     X(ambient, 0, "ambient light on each PSD, part of a third of the laser power")                                     \
+    X(ambient_a, 0, "more of it on PSD A only")                                                                        \
     X(power, 1, "factor of the laser power")                                                                           \
     X(fade_s, 0, "time in which the power changes to this factor, seconds")                                            \
     X(flicker, 0, "amplitude of a sine of the laser power, relative")                                                  \

@@ -34,7 +34,7 @@ head_pose sensor_pose(const options *o, double t)
     head_pose p = {{60e-6 * m * sin(2 * PI * 0.31 * t), 45e-6 * m * sin(2 * PI * 0.23 * t + 1),
                     25e-6 * m * sin(2 * PI * 0.41 * t + 2)},
                    90e-6 * m * sin(2 * PI * 0.27 * t + 3),
-                   70e-6 * m * sin(2 * PI * 0.37 * t + 4),
+                   70e-6 * m * sin(2 * PI * 0.37 * t + 4) + o->pitch_urad * 1e-6,
                    120e-6 * m * sin(2 * PI * 0.19 * t + 5)};
     return p;
 }
@@ -55,7 +55,7 @@ static int32_t code(const options *o, double volts)
 /* The scan before its faults in the electronics. */
 typedef struct {
     double t, from_s; /* of the channel and of the begin of the faults, seconds */
-    bool faulty;
+    bool faulty, blocked;
     double beam[2];
     head_spot spots[3];
 } moment;
@@ -63,15 +63,16 @@ typedef struct {
 static double volts_of_light(sensor *s, const options *o, int channel, const moment *m)
 {
     int i = channel / 3, part = channel % 3;
-    double light = LASER_V * m->spots[i].power * (m->faulty ? power(o, m->t, m->from_s) : 1);
-    double ambient = m->faulty ? LASER_V / 3 * o->ambient : 0;
+    double factor = m->blocked ? 0 : m->faulty ? power(o, m->t, m->from_s) : 1;
+    double light = LASER_V * m->spots[i].power * factor;
+    double ambient = m->faulty ? LASER_V / 3 * (o->ambient + (i == 0 ? o->ambient_a : 0)) : 0;
     if (part == 2) {
         return light * (1 + o->power_noise * normal(s)) + ambient;
     }
     double displaced = m->faulty && i == 0 && part == 0 ? o->psd_um * 1e-6 : 0;
     double spot = m->spots[i].at[part] + displaced + o->spot_um * 1e-6 * normal(s);
     /* Ambient light is uniform: its centroid is the middle of the PSD. */
-    return FULL_SCALE_V / HALF_SIZE * spot * light / (light + ambient);
+    return light > 0 ? FULL_SCALE_V / HALF_SIZE * spot * light / (light + ambient) : 0;
 }
 
 static void move_stage(sensor *s, const options *o, bool faulty, double period_s, const double command[2])
@@ -90,7 +91,8 @@ const int32_t *sensor_scan(sensor *s, const options *o, uint32_t sequence, doubl
 {
     bool faulty = sensor_faulty(o, sequence);
     move_stage(s, o, faulty, period_s, command);
-    moment m = {.from_s = o->at * period_s, .faulty = faulty,
+    bool blocked = sequence >= o->block_at && sequence < o->block_until;
+    moment m = {.from_s = o->at * period_s, .faulty = faulty, .blocked = blocked,
                 .beam = {s->stage[0] + (faulty ? o->laser_um * 1e-6 : 0), s->stage[1]}};
     for (int channel = 0; channel < SENSOR_CHANNELS; channel++) {
         m.t = sequence * period_s + channel * o->skew_us * 1e-6;

@@ -167,11 +167,12 @@ impl Config {
         fixed.set(Status::UNCALIBRATED, !calibrated);
         Ok(Settings {
             estimator: Estimator::new(self.optics()?, estimation.model.into()),
+            rate_hz: self.acquisition.rate_hz,
             average: estimation.average,
             spot_noise: estimation.spot_noise_um * 1e-6,
             power_noise: estimation.power_noise,
             systematic: estimation.systematic(),
-            readback: Readback::new(self.steering.beam_map(), self.steering.deviation_um * 1e-6),
+            readback: Readback::new(self.steering.beam_map(), self.steering.beam_sigma_um() * 1e-6),
             fuse: estimation.fuse_steering,
             edge_margin: estimation.edge_margin_mm * 1e-3,
             balance_limit: estimation.balance_limit,

@@ -26,6 +26,7 @@ mod frames;
 mod gcs;
 mod head;
 mod id;
+mod laser;
 mod load;
 mod locate;
 mod log;
@@ -56,6 +57,7 @@ pub use fault::{Fault, FaultKeyError, FaultKind};
 pub use frames::{FramesConfig, TransformConfig};
 pub use gcs::GcsConfig;
 pub use head::{FacetConfig, HeadConfig};
+pub use laser::LaserConfig;
 pub use load::{load, load_again, parse};
 pub use locate::Place;
 pub use log::{LogConfig, LogFormat};
@@ -67,7 +69,7 @@ pub use realtime::RealtimeConfig;
 pub use recording::{Compression, RecordingConfig, RecordingMode};
 pub use replay::ReplayConfig;
 use serde::{Deserialize, Serialize};
-pub use steering::{NO_TILT, SteeringConfig, SteeringKind, SteeringKindError};
+pub use steering::{NO_TILT, POINTING_UM, SteeringConfig, SteeringKind, SteeringKindError};
 pub use tune::TuneConfig;
 pub use twin::{TwinConfig, TwinSteering};
 
@@ -85,6 +87,8 @@ pub struct Config {
     pub centering: CenteringConfig,
     /// The laser's steering stage.
     pub steering: SteeringConfig,
+    /// The light that is expected.
+    pub laser: LaserConfig,
     /// Limits of `trifacet tune`.
     pub tune: TuneConfig,
     /// Computation of poses.
@@ -117,6 +121,7 @@ impl Config {
         self.channels.check(at.section("channels"));
         self.centering.check(at.section("centering"));
         self.steering.check(at.section("steering"));
+        self.laser.check(at.section("laser"));
         self.tune.check(at.section("tune"));
         self.estimation.check(at.section("estimation"));
         self.frames.check(at.section("frames"));

@@ -39,6 +39,8 @@ live! {
     steering.matrix,
     steering.origin_um,
     steering.origin_verified,
+    steering.readback_um,
+    steering.pointing_um,
     steering.deviation_um,
     steering.limit_um,
     steering.slew_mm_per_s,
@@ -46,6 +48,7 @@ live! {
     steering.on_exit,
     steering.lease_ms,
     steering.on_lease,
+    laser,
     estimation.spot_noise_um,
     estimation.power_noise,
     estimation.systematic_um,
@@ -199,13 +202,16 @@ mod tests {
             "[channels]\nsum_threshold_v = 0.06\n\
              [centering]\nmode = 'off'\ntarget = 'balance'\nsetpoint_um = [1, 2]\nloop_delay_ms = 3\nlag_ms = 1\n\
              kp = 1\nki_per_s = 1\nfeed_forward = false\ntracking_hz = 5\nsearch = false\nsearch_attempts = 9\nlock_limit_um = 4\nlock_time_ms = 1\nlost_time_ms = 1\n\
-             [steering]\nmatrix = [[1, 0], [0, -1]]\norigin_um = [1, 0]\norigin_verified = false\ndeviation_um = 2\nlimit_um = 300\nslew_mm_per_s = 1\npark_um = [1, 1]\non_exit = 'park'\nlease_ms = 100\n\
-             on_lease = 'park'\n[estimation]\nspot_noise_um = 2\npower_noise = 0.1\nsystematic_um = [1, 1, 1]\nsystematic_urad = [1, 1, 1]\nfuse_steering = true\nedge_margin_mm = 1\n\
+             [steering]\nmatrix = [[1, 0], [0, -1]]\norigin_um = [1, 0]\norigin_verified = false\nreadback_um = 0.2\npointing_um = 2\nlimit_um = 300\nslew_mm_per_s = 1\npark_um = [1, 1]\non_exit = 'park'\nlease_ms = 100\n\
+             on_lease = 'park'\n[laser]\npower_uw = 600\n[estimation]\nspot_noise_um = 2\npower_noise = 0.1\nsystematic_um = [1, 1, 1]\nsystematic_urad = [1, 1, 1]\nfuse_steering = true\nedge_margin_mm = 1\n\
              balance_limit = 0.1\n[frames.tare]\nrotation_deg = [1, 0, 0]\n[log]\nlevel = 'warn'\n",
         );
-        let reload = reload(&old, &old, &file).unwrap();
-        assert_eq!(reload.running, file);
-        assert_eq!((reload.changed.len(), reload.refused.len()), (LIVE.len(), 0));
+        let all = reload(&old, &old, &file).unwrap();
+        assert_eq!(all.running, file);
+        // All but deviation_um, which takes the place of pointing_um.
+        assert_eq!((all.changed.len(), all.refused.len()), (LIVE.len() - 1, 0));
+        let earlier = config("steering.deviation_um = 2");
+        assert_eq!(reload(&old, &old, &earlier).unwrap().changed, ["steering.deviation_um"]);
     }
 
     #[test]

@@ -21,6 +21,9 @@ pub const NO_TILT: &str = "the model assumes a laser that is translated; a tilti
                            (100 um over 1 m are 100 urad, which would appear as 12.5 um and 50 urad of pose); \
                            until the model includes the beam's direction, such stages are not supported";
 
+/// Slow pointing of a laser without other information: 8 urad over 125 mm, micrometres.
+pub const POINTING_UM: f64 = 1.0;
+
 /// A kind of stage that is not supported.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SteeringKindError {
@@ -58,9 +61,13 @@ pub struct SteeringConfig {
     pub origin_um: [f64; 2],
     /// Whether `origin_um` is known to be that of the laser. `tune --accept-origin` sets it to false.
     pub origin_verified: bool,
-    /// Standard uncertainty of the beam position derived from the readback, including pointing drift,
-    /// micrometres.
-    pub deviation_um: f64,
+    /// Standard uncertainty of the readback itself, on each axis, micrometres.
+    pub readback_um: f64,
+    /// Slow pointing of the laser: standard uncertainty of the beam position at the apex, on each axis,
+    /// micrometres. `None`: [`POINTING_UM`], or what [`deviation_um`](Self::deviation_um) leaves.
+    pub pointing_um: Option<f64>,
+    /// Both together, micrometres: the only key of earlier versions. It takes the place of both.
+    pub deviation_um: Option<f64>,
     /// Position at the full-scale output code, micrometres.
     pub full_scale_um: f64,
     /// Limit of the command, plus and minus, micrometres.
@@ -86,7 +93,9 @@ impl Default for SteeringConfig {
             matrix: [[1.0, 0.0], [0.0, 1.0]],
             origin_um: [0.0; 2],
             origin_verified: true,
-            deviation_um: 1.5,
+            readback_um: 0.1,
+            pointing_um: None,
+            deviation_um: None,
             full_scale_um: 500.0,
             limit_um: 400.0,
             slew_mm_per_s: 50.0,
@@ -100,10 +109,32 @@ impl Default for SteeringConfig {
 }
 
 impl SteeringConfig {
+    /// Standard uncertainty of the beam position derived from the readback, on each axis, micrometres.
+    /// Averaging does not reduce it.
+    pub fn beam_sigma_um(&self) -> f64 {
+        self.deviation_um.unwrap_or_else(|| self.readback_um.hypot(self.pointing_um.unwrap_or(POINTING_UM)))
+    }
+
+    /// The parts of [`beam_sigma_um`](Self::beam_sigma_um): readback and pointing, micrometres.
+    pub fn beam_sigma_parts_um(&self) -> [f64; 2] {
+        let whole = self.beam_sigma_um();
+        let readback = self.readback_um.min(whole);
+        [readback, (whole * whole - readback * readback).sqrt()]
+    }
+
     pub(super) fn check(&self, mut at: Checker<'_>) {
         self.check_matrix(&mut at);
         at.numbers("origin_um", &self.origin_um, -100_000.0..=100_000.0);
-        at.number("deviation_um", self.deviation_um, above_zero(1000.0));
+        at.number("readback_um", self.readback_um, above_zero(1000.0));
+        at.optional("pointing_um", self.pointing_um, 0.0..=1000.0);
+        at.optional("deviation_um", self.deviation_um, above_zero(1000.0));
+        at.agree(
+            self.deviation_um.is_none() || self.pointing_um.is_none(),
+            "deviation_um",
+            &["pointing_um"],
+            format!("{:?}", self.deviation_um.unwrap_or_default()),
+            "either steering.pointing_um, or steering.deviation_um, which includes readback and pointing",
+        );
         at.number("full_scale_um", self.full_scale_um, 1.0..=100_000.0);
         at.number("limit_um", self.limit_um, 1.0..=100_000.0);
         at.number("slew_mm_per_s", self.slew_mm_per_s, above_zero(10_000.0));
@@ -144,5 +175,36 @@ impl SteeringConfig {
         let independent = (a * d - b * c).abs() >= 0.1 * size && size >= 1e-6;
         let allowed = "columns that are neither zero nor nearly parallel: the axes must move the beam in two directions";
         at.demand(independent || size.is_nan(), "matrix", format!("{:?}", self.matrix), allowed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::config::parse;
+
+    fn parts(text: &str) -> [f64; 2] {
+        parse(text, None).unwrap().steering.beam_sigma_parts_um()
+    }
+
+    #[test]
+    fn deviation_takes_the_place_of_readback_and_pointing() {
+        let close = |[a, b]: [f64; 2], [c, d]: [f64; 2]| (a - c).abs() + (b - d).abs() < 1e-9;
+        assert!(close(parts(""), [0.1, 1.0]));
+        assert!(close(parts("steering = { readback_um = 0.3, pointing_um = 0 }"), [0.3, 0.0]));
+        for (deviation, pointing) in [(1.5, (1.5_f64 * 1.5 - 0.01).sqrt()), (0.1, 0.0), (0.05, 0.0)] {
+            let steering = parse(&format!("steering.deviation_um = {deviation}"), None).unwrap().steering;
+            assert_eq!(steering.beam_sigma_um(), deviation);
+            let [readback, rest] = steering.beam_sigma_parts_um();
+            assert!(readback <= deviation && (rest - pointing).abs() < 1e-9, "{readback} {rest}");
+        }
+    }
+
+    #[test]
+    fn deviation_and_pointing_together_are_refused() {
+        let error = parse("[steering]\npointing_um = 1\ndeviation_um = 1.5", None).unwrap_err().to_string();
+        assert!(
+            error.contains("steering.deviation_um = 1.5") && error.contains("steering.pointing_um"),
+            "{error}"
+        );
     }
 }

@@ -19,6 +19,11 @@ pub struct TwinConfig {
     pub laser_mw: f64,
     /// Position of the beam at rest, world x and y, before steering, micrometres.
     pub laser_offset_um: [f64; 2],
+    /// Slow pointing of the laser: standard deviation of the beam position at the apex on each axis, which the
+    /// readback does not show, micrometres.
+    pub pointing_um: f64,
+    /// Correlation time of this drift, seconds.
+    pub pointing_s: f64,
     /// Standard deviation of the noise of each spot coordinate, micrometres.
     pub spot_noise_um: f64,
     /// Relative standard deviation of the noise of each power.
@@ -66,6 +71,8 @@ impl Default for TwinConfig {
             mirror_radius_mm: 5.0,
             laser_mw: 0.6,
             laser_offset_um: [0.0; 2],
+            pointing_um: 0.0,
+            pointing_s: 60.0,
             spot_noise_um: 1.08,
             power_noise: 1e-3,
             converter_bits: 18,
@@ -130,6 +137,8 @@ impl TwinConfig {
         at.number("mirror_radius_mm", self.mirror_radius_mm, 0.01..=1000.0);
         at.number("laser_mw", self.laser_mw, 0.0..=1e6);
         at.numbers("laser_offset_um", &self.laser_offset_um, -100_000.0..=100_000.0);
+        at.number("pointing_um", self.pointing_um, 0.0..=1000.0);
+        at.number("pointing_s", self.pointing_s, 0.001..=1e6);
         at.number("spot_noise_um", self.spot_noise_um, 0.0..=1000.0);
         at.number("power_noise", self.power_noise, 0.0..=1.0);
         at.number("converter_bits", self.converter_bits, 8.0..=24.0);

@@ -26,6 +26,7 @@ use crate::config::reload::changes;
 use crate::config::{
     CalibrationContext, Config, SourceKind, SteeringConfig, SteeringKind, Tables, TransformConfig,
 };
+use crate::doubts::Doubts;
 use crate::estimation::EstimationRequest;
 use crate::exit::{self, Failure};
 use crate::logging::Logging;
@@ -73,6 +74,8 @@ pub struct RunningConfig {
     pub receivers: watch::Receiver<Arc<[ReceiverState]>>,
     /// The lock state and its cause; `None` in a replay.
     pub lock: watch::Receiver<Option<LockCondition>>,
+    /// The doubts that stand.
+    pub doubts: Doubts,
     /// Time of the daemon's start.
     pub started: Mono,
 }
@@ -200,6 +203,7 @@ impl RunningConfig {
         if next.frames != self.running.frames
             || next.estimation != self.running.estimation
             || next.steering != self.running.steering
+            || next.laser != self.running.laser
             || channels.is_some()
         {
             self.change_meaning(&next, channels).await?;
@@ -287,6 +291,7 @@ impl RunningConfig {
             "replay": replay,
             "loop": self.loop_now().await?,
             "pose": pose,
+            "doubts": self.doubts.shown(),
             "frames": self.running.frames,
             "recording": self.recording.state.tell(),
             "receivers": &**self.receivers.borrow(),

@@ -20,6 +20,8 @@ use crate::acquisition::{SerialSource, Source};
 use crate::clock::SystemClock;
 use crate::config::{CalibrationContext, Config, RealtimeConfig, SourceKind};
 use crate::control::FastLink;
+use crate::doubts::Doubter;
+use crate::estimation::warnings::Warnings;
 use crate::exit::{self, Failure};
 use crate::publishing::Publisher;
 use crate::recording::{Entry, EstimationRecorder, RecordSender};
@@ -50,6 +52,7 @@ pub(super) struct Parts {
     pub(super) descriptor: watch::Sender<Descriptor>,
     pub(super) records: RecordSender,
     pub(super) commands: Arc<CommandGauge>,
+    pub(super) doubter: Doubter,
     pub(super) stop: CancellationToken,
 }
 
@@ -102,7 +105,17 @@ async fn fast<S: Source + 'static>(
 ) -> anyhow::Result<()> {
     let Parts { config, pipeline, gcs, mut publisher, .. } = parts;
     let Parts {
-        counters, heartbeats, glance, lock, control, stop, context, records, commands: gauge, ..
+        counters,
+        heartbeats,
+        glance,
+        lock,
+        control,
+        stop,
+        context,
+        records,
+        commands: gauge,
+        doubter,
+        ..
     } = parts;
     let FastLink { changes, questions, orders } = control;
     let source = source().context("cannot start the source")?;
@@ -118,7 +131,7 @@ async fn fast<S: Source + 'static>(
     let (poses_in, poses) = watch::channel(None);
     let stop_acquisition = CancellationToken::new();
 
-    let mut acquisition = spawn(
+    let acquisition = spawn(
         acquisition::task::run(
             source,
             mapping,
@@ -136,7 +149,7 @@ async fn fast<S: Source + 'static>(
         &heartbeats,
         Task::Acquisition,
     );
-    let mut centering = spawn(
+    let centering = spawn(
         centering::run(
             centering,
             driver,
@@ -164,18 +177,35 @@ async fn fast<S: Source + 'static>(
         records.put(|| Entry::Frame { frame, time, covariance });
         glance.at(report);
     };
-    let mut estimation = spawn(
+    let estimation = spawn(
         estimation::run(
             estimation,
             config.acquisition.rate_hz,
             config.acquisition.silence(),
             SystemClock,
-            estimation::EstimationLinks { samples, questions, steering, newest: poses_in, publish, recorder },
+            estimation::EstimationLinks {
+                samples,
+                questions,
+                steering,
+                newest: poses_in,
+                publish,
+                recorder,
+                warnings: Warnings::new(&config, doubter),
+            },
         ),
         &heartbeats,
         Task::Estimation,
     );
 
+    until_stopped([acquisition, centering, estimation], &stop, &stop_acquisition).await
+}
+
+/// Waits for `stop`, then for the tasks: acquisition, centering, estimation. Fails when one of them ends by itself.
+async fn until_stopped(
+    [mut acquisition, mut centering, mut estimation]: [task::JoinHandle<()>; 3],
+    stop: &CancellationToken,
+    stop_acquisition: &CancellationToken,
+) -> anyhow::Result<()> {
     let ended = tokio::select! {
         biased;
         () = stop.cancelled() => None,

@@ -39,6 +39,7 @@ use crate::clock::utc::Utc;
 use crate::config::{CalibrationContext, Config, PublishingConfig};
 use crate::control::server::Socket;
 use crate::control::{self, ConfigFile, PageControls, RunningConfig};
+use crate::doubts;
 use crate::exit::Failure;
 use crate::logging::Logging;
 use crate::monitor::view::{self, View};
@@ -63,6 +64,7 @@ const TO_MAIN: usize = 16 * 1024;
 pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::Result<()> {
     let started = SystemClock.now();
     let (counters, commands) = <(Arc<Counters>, Arc<CommandGauge>)>::default();
+    let (doubter, doubts) = doubts::pair();
     let (heartbeats, glance) = <(Arc<Heartbeats>, Arc<LatestStatus>)>::default();
     let service = Service::new(&config.realtime, Arc::clone(&heartbeats), Arc::clone(&glance));
     let (config, context, header) = &holding(config)?;
@@ -85,21 +87,17 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let (records, recording, recorder) =
         recording::recorder::start(&config.recording, &counters).context("cannot start the recorder")?;
     let (subscription_server, supervisor, datagrams) = main.block_on(datagrams(&config.publishing))?;
-    let publisher = Publisher::new(
-        facts.id,
-        SystemClock,
-        Utc::system(),
-        Arc::clone(&counters),
-        Outlets {
-            datagrams,
-            tcp: server.is_some().then_some(to_tcp),
-            monitor: monitor.is_some().then_some(to_monitor),
-            recording_fault: Arc::clone(&recording.state.fault),
-            descriptor: descriptor.clone(),
-        },
-    );
+    let outlets = Outlets {
+        datagrams,
+        tcp: server.is_some().then_some(to_tcp),
+        monitor: monitor.is_some().then_some(to_monitor),
+        recording_fault: Arc::clone(&recording.state.fault),
+        descriptor: descriptor.clone(),
+    };
+    let publisher = Publisher::new(facts.id, SystemClock, Utc::system(), Arc::clone(&counters), outlets);
     let parts = Parts {
         commands: Arc::clone(&commands),
+        doubter,
         pipeline,
         gcs,
         publisher,
@@ -133,6 +131,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         recording: recording.clone(),
         receivers: supervisor.states(),
         lock: lock_now.clone(),
+        doubts: doubts.clone(),
         started,
     }));
     let view = View::new(view::Sources {
@@ -145,6 +144,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         control: PageControls::of(&config.monitor, &live),
         recording: recording.state,
         commands,
+        doubts,
     });
     let sources = tcp::Sources { descriptor: descriptor_now.clone(), lock: lock_now };
     let slow = Slow {

@@ -1,6 +1,8 @@
 //! The estimation task: publishes a report for each sample or block, and for silence.
 
+pub mod light;
 pub mod loop_liveness;
+pub mod warnings;
 
 use std::time::Duration;
 
@@ -14,10 +16,10 @@ use trifacet_core::telemetry::heartbeat::HEARTBEAT;
 use trifacet_core::time::Clock;
 use trifacet_optics::Pose;
 use trifacet_wire::Status;
-use trifacet_wire::channel::Role;
 
 use crate::acquisition::task::SampleEvent;
 use crate::estimation::loop_liveness::LoopLiveness;
+use crate::estimation::warnings::Warnings;
 use crate::recording::EstimationRecorder;
 
 /// Channels of the task.
@@ -35,6 +37,8 @@ pub struct EstimationLinks<Publish> {
     pub publish: Publish,
     /// Inputs of estimation, for the recorder.
     pub recorder: EstimationRecorder,
+    /// Warnings and doubts.
+    pub warnings: Warnings,
 }
 
 /// Requests to estimation.
@@ -56,12 +60,11 @@ pub async fn run<C: Clock>(
     clock: C,
     links: EstimationLinks<impl FnMut(&PoseReport)>,
 ) {
-    let EstimationLinks { mut samples, mut questions, mut steering, newest, mut publish, mut recorder } =
-        links;
+    let EstimationLinks { mut samples, mut questions, mut steering, newest, .. } = links;
+    let EstimationLinks { mut publish, mut recorder, mut warnings, .. } = links;
     let mut silence_timer = SilenceTimer::new(rate_hz, silence);
     let mut last = None;
     let mut mean: Option<PoseMean> = None;
-    let mut warnings = WarningLatch::default();
     let mut heartbeat = interval(HEARTBEAT);
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay); // one check after the thread was suspended
     loop {
@@ -86,13 +89,14 @@ pub async fn run<C: Clock>(
                 }
                 Some(SampleEvent::Sample(sample, scan)) => {
                     silence_timer.restart();
+                    warnings.sample(&sample);
                     let steering = steering.now();
                     recorder.sample(&sample, scan, &steering, estimation.memory());
                     estimation.sample(&sample, &steering)
                 }
                 Some(SampleEvent::Changed(change)) => {
                     estimation.retune(change.settings);
-                    warnings.fusion(estimation.fuses());
+                    warnings.retune(&change.context.config, estimation.fuses());
                     recorder.context(change.context);
                     let _ = change.done.send(());
                     None
@@ -130,47 +134,6 @@ pub async fn run<C: Clock>(
             last = Some(published);
             mean = mean.and_then(|mean| mean.push(&report));
             newest.send_replace(Some(report));
-        }
-    }
-}
-
-/// Warnings about the steering position, logged once per change.
-#[derive(Default)]
-struct WarningLatch {
-    no_readback: bool,
-    inconsistent: bool,
-}
-
-impl WarningLatch {
-    fn source(&mut self, identity: &Identity, fuses: bool) {
-        self.no_readback = ![0, 1].iter().all(|axis| identity.roles.contains(&Role::Steering(*axis)));
-        self.fusion(fuses);
-    }
-
-    fn fusion(&self, fuses: bool) {
-        if fuses && self.no_readback {
-            tracing::warn!(
-                "estimation.fuse_steering: the source has no steering readback, so there is nothing to fuse"
-            );
-        }
-    }
-
-    /// A report without a residual changes nothing.
-    fn report(&mut self, report: &PoseReport) {
-        let Some(residual) = report.steering_residual else { return };
-        let inconsistent = report.status.has(Status::INCONSISTENT);
-        if inconsistent == self.inconsistent {
-            return;
-        }
-        self.inconsistent = inconsistent;
-        let residual_um = residual * 1e6;
-        if inconsistent {
-            tracing::warn!(
-                residual_um,
-                "steering and pose contradict each other: was the laser or the stage bumped?"
-            );
-        } else {
-            tracing::info!(residual_um, "steering and pose agree again");
         }
     }
 }

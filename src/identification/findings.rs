@@ -62,6 +62,8 @@ pub struct Findings {
     pub computed: [f64; 2],
     /// Standard deviation of the white noise of the offset at rest, metres.
     pub noise: BeamOffset,
+    /// Mean total power at rest, watts.
+    pub power: f64,
     /// Readback per axis, if the stage has one.
     pub readback: Option<[Readback; 2]>,
     /// Response to each axis.
@@ -106,6 +108,7 @@ impl Findings {
             jitter: responses[0].jitter.max(responses[1].jitter),
             computed: [median(computed()), computed().fold(0.0, f64::max)],
             noise: recording.plan.noise,
+            power: rest_power(recording),
             readback: readback(recording),
             responses,
             doubts: Vec::new(),
@@ -193,6 +196,12 @@ impl Findings {
             }
         }
     }
+}
+
+/// Mean total power before the first movement, watts.
+fn rest_power(recording: &Recording) -> f64 {
+    let rest = &recording.looks[..recording.rest];
+    rest.iter().map(|look| look.power).sum::<f64>() / rest.len().max(1) as f64
 }
 
 /// Reasons to distrust the response to an axis. `read`: movement of its readback per commanded movement.

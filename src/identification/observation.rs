@@ -19,6 +19,8 @@ pub struct Observation {
     /// Position of the beam in the world, perpendicular to itself, metres. The mirror's movement has no
     /// effect on it.
     pub beam: BeamPoint,
+    /// Total power, watts.
+    pub power: f64,
     /// Position of the stage by its readback, metres.
     pub readback: Option<StagePosition>,
 }
@@ -107,6 +109,7 @@ impl Observer {
             time: sample.time,
             offset: offset.into(),
             beam: beam.into(),
+            power: sample.powers.iter().sum(),
             readback: sample.steering.filter(|at| at.iter().all(|p| p.is_finite())).map(StagePosition),
         })
     }

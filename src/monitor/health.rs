@@ -5,6 +5,8 @@ use serde::Serialize;
 use trifacet_core::centering::lock::LockCause;
 use trifacet_wire::{LockState, PoseFrame, Status};
 
+use crate::doubts::ShownDoubt;
+
 /// A condition for the use of poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Subject {
@@ -135,7 +137,7 @@ impl Checks {
             Finding { name: subject.name(), ok, since: utc(since_ns), reason }
         });
         let checks: Vec<_> = checks.collect();
-        Readiness { ready: checks.iter().all(|check| check.ok), checks }
+        Readiness { ready: checks.iter().all(|check| check.ok), checks, doubts: Vec::new() }
     }
 }
 
@@ -146,6 +148,8 @@ pub struct Readiness {
     pub ready: bool,
     /// The checks in the order of [`Subject::ALL`].
     pub checks: Vec<Finding>,
+    /// The doubts that stand. They do not decide whether the poses can be used.
+    pub doubts: Vec<ShownDoubt>,
 }
 
 /// Result of a check.

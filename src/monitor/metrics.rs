@@ -22,6 +22,7 @@ use super::exposition::Exposition;
 use super::tally::{Second, Tally};
 use super::view::View;
 use crate::clock::SystemClock;
+use crate::doubts::Subject;
 use crate::publishing::udp::Kind;
 
 const PSDS: [&str; 3] = ["A", "B", "C"];
@@ -53,6 +54,7 @@ impl Collector for View {
         page.each("lock_changes", "Changes of the lock state, by cause", "cause", causes)?;
         page.state(self)?;
         page.commands(self)?;
+        page.doubts(self)?;
         page.recording(self)?;
         let aggregates = self.aggregates();
         page.frames(&aggregates.tally)?;
@@ -149,6 +151,16 @@ impl Page<'_> {
         self.gauge("commands_unanswered", "Steering commands without an acknowledgement", count)?;
         let help = "Age of the oldest steering command without an acknowledgement, 0 if all are acknowledged";
         self.gauge("command_age_seconds", help, commands.age_s(SystemClock.now()))
+    }
+
+    fn doubts(&mut self, view: &View) -> fmt::Result {
+        let doubts = &view.sources.doubts;
+        let states = Subject::ALL.map(|subject| (subject.name(), flag(doubts.stands(subject))));
+        self.each("doubt", "1 while there is a doubt about this subject", "subject", states)?;
+        let mean = doubts.residual.mean();
+        let axes = ["x", "y"].into_iter().zip(mean.into_iter().flatten().map(ConstGauge::new));
+        let help = "Beam position by the readback minus that by the light, mean over about a second";
+        self.each("steering_residual_mean_meters", help, "axis", axes)
     }
 
     fn recording(&mut self, view: &View) -> fmt::Result {

@@ -22,6 +22,7 @@ use super::tally::Tally;
 use crate::clock::SystemClock;
 use crate::config::Config;
 use crate::control::PageControls;
+use crate::doubts::Doubts;
 use crate::publishing::lock_event::lock_event;
 use crate::publishing::udp::ReceiverState;
 use crate::recording::handle::State;
@@ -60,6 +61,8 @@ pub struct Sources {
     pub recording: Arc<State>,
     /// The commands without an acknowledgement.
     pub commands: Arc<CommandGauge>,
+    /// The doubts that stand, and the mean steering residual.
+    pub doubts: Doubts,
     /// Control from the page, if enabled.
     pub control: Option<PageControls>,
 }
@@ -167,7 +170,9 @@ impl View {
     pub fn readiness(&self) -> Readiness {
         let dead = self.dead();
         let newest = self.newest.borrow().map(|newest| newest.frame);
-        self.aggregates().checks.readiness(newest.as_ref(), dead.as_ref(), self.lock().map(|now| now.cause))
+        let cause = self.lock().map(|now| now.cause);
+        let readiness = self.aggregates().checks.readiness(newest.as_ref(), dead.as_ref(), cause);
+        Readiness { doubts: self.sources.doubts.shown(), ..readiness }
     }
 
     /// The lock state with its cause, if it explains the newest frame.

@@ -23,6 +23,8 @@ pub struct Comparison {
     /// Frames that have `PSD_A_LOW` to `PSD_C_LOW` in the place of `POWER_NOISY`, and are identical otherwise:
     /// their version did not have this bit.
     pub renamed: u64,
+    /// Frames that lack `INCONSISTENT`, and are identical otherwise: their version did not test the mean residual.
+    pub untested: u64,
     /// Frames that differ.
     pub other: u64,
     /// Reports without a recorded frame.
@@ -33,6 +35,8 @@ pub struct Comparison {
     pub first: Option<Difference>,
     /// A report is waiting for its frame.
     waits: bool,
+    /// The recording is of a version that did not test the mean residual.
+    without_mean: bool,
 }
 
 /// A difference between a recorded frame and its report.
@@ -58,11 +62,19 @@ pub struct Pair<'a> {
     /// From the replay, with the same time, session and sequence number.
     pub now: PoseFrame,
     same: bool,
-    renamed: bool,
+    earlier: Earlier,
+}
+
+/// How the status of a recorded frame differs because of its version.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Earlier {
+    No,
+    Renamed,
+    Untested,
 }
 
 impl Pair<'_> {
-    /// Whether both are identical, except for the name of `POWER_NOISY` in earlier versions.
+    /// Whether both are identical, except for status bits that earlier versions did not have.
     pub fn same(&self) -> bool {
         self.same
     }
@@ -80,7 +92,7 @@ impl Comparison {
                     self.unrepeated += 1;
                     return None;
                 };
-                let pair = pair(frame, *time, report);
+                let pair = pair(frame, *time, report, self.without_mean);
                 self.count(&pair);
                 Some(pair)
             }
@@ -89,7 +101,11 @@ impl Comparison {
                 self.waits |= report.is_some();
                 None
             }
-            Entry::Keyframe(_) | Entry::Lock { .. } => None,
+            Entry::Keyframe(keyframe) => {
+                self.without_mean = !keyframe.memory.has_mean_residual();
+                None
+            }
+            Entry::Lock { .. } => None,
         }
     }
 
@@ -100,7 +116,11 @@ impl Comparison {
 
     fn count(&mut self, pair: &Pair<'_>) {
         if pair.same {
-            *(if pair.renamed { &mut self.renamed } else { &mut self.same }) += 1;
+            *match pair.earlier {
+                Earlier::No => &mut self.same,
+                Earlier::Renamed => &mut self.renamed,
+                Earlier::Untested => &mut self.untested,
+            } += 1;
             return;
         }
         self.other += 1;
@@ -115,7 +135,7 @@ fn of(report: &PoseReport, frame: &PoseFrame, time: Mono) -> bool {
     report.index == frame.sample_index || report.time == time
 }
 
-fn pair<'a>(then: &'a PoseFrame, time: Mono, report: &PoseReport) -> Pair<'a> {
+fn pair<'a>(then: &'a PoseFrame, time: Mono, report: &PoseReport, without_mean: bool) -> Pair<'a> {
     let stamp = Stamp {
         session: then.session,
         config: report.config,
@@ -128,10 +148,21 @@ fn pair<'a>(then: &'a PoseFrame, time: Mono, report: &PoseReport) -> Pair<'a> {
     let of_the_moment = |frame: &PoseFrame| frame.status.0 & OF_THE_MOMENT;
     now.status.0 = now.status.0 & !OF_THE_MOMENT | of_the_moment(then);
     (now.solve_delay_ns, now.send_delay_ns) = (then.solve_delay_ns, then.send_delay_ns);
-    let renamed = with_earlier_names(then.status, now.status);
-    let compared = PoseFrame { status: renamed.unwrap_or(now.status), ..now };
+    let (status, earlier) = as_then(then.status, now.status, without_mean);
+    let compared = PoseFrame { status, ..now };
     let same = report.time == time && equal(then, &compared);
-    Pair { then, same, renamed: renamed.is_some(), now }
+    Pair { then, now, same, earlier }
+}
+
+/// The status `now` as the version of `then` would have stated it.
+fn as_then(then: Status, now: Status, without_mean: bool) -> (Status, Earlier) {
+    if let Some(status) = with_earlier_names(then, now) {
+        (status, Earlier::Renamed)
+    } else if without_mean && now.has(Status::INCONSISTENT) && !then.has(Status::INCONSISTENT) {
+        (Status(now.0 & !Status::INCONSISTENT.0), Earlier::Untested)
+    } else {
+        (now, Earlier::No)
+    }
 }
 
 /// The status `now` in the names of a version without `POWER_NOISY`, if `then` can be of such a version.

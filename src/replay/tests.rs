@@ -1,5 +1,6 @@
 //! Recordings of the closed-loop simulation are reproduced bit by bit.
 
+use trifacet_core::estimation::EstimatorState;
 use trifacet_wire::Status;
 
 use super::{Comparison, Engine};
@@ -118,4 +119,39 @@ fn frames_from_before_power_noisy_are_equal_except_for_the_name_of_the_bit() {
     }
     let (_, comparison) = replayed(&entries);
     assert_eq!((comparison.renamed, comparison.same), (0, 0));
+}
+
+/// A laser that is displaced by less than the limit of one residual: only the mean shows it.
+const DISPLACED: &str = "twin.laser_offset_um = [6.5, 0]\ntwin.motion = []";
+
+#[test]
+fn frames_from_before_the_mean_residual_are_equal_except_for_inconsistent() {
+    let mut entries = recorded(&config(DISPLACED), 4000);
+    let (engine, comparison) = replayed(&entries);
+    assert_eq!((engine.taken_up, comparison.untested, comparison.other), (1, 0, 0), "{:?}", comparison.first);
+    let mut contradicted = 0;
+    for entry in &mut entries {
+        match entry {
+            Entry::Frame { frame, .. } => {
+                contradicted += u64::from(frame.status.has(Status::INCONSISTENT));
+                frame.status = Status(frame.status.0 & !Status::INCONSISTENT.0);
+            }
+            Entry::Keyframe(keyframe) => {
+                keyframe.memory = keyframe.memory.as_far_as(&EstimatorState::default());
+            }
+            _ => {}
+        }
+    }
+    let (engine, comparison) = replayed(&entries);
+    assert!(contradicted > 2000, "{contradicted}");
+    assert_eq!((comparison.untested, comparison.other), (contradicted, 0), "{:?}", comparison.first);
+    assert_eq!(engine.taken_up, 1, "the mean goes on beyond keyframes that do not include it");
+    // Any other difference remains one.
+    for entry in &mut entries {
+        if let Entry::Frame { frame, .. } = entry {
+            frame.status = Status(frame.status.0 ^ Status::UNBALANCED.0);
+        }
+    }
+    let (_, comparison) = replayed(&entries);
+    assert_eq!((comparison.untested, comparison.same), (0, 0));
 }

@@ -6,6 +6,7 @@
 //!
 //! - [`trajectory`]: the motion of the mirror.
 //! - [`stage`], [`outputs`]: the response of the laser to its commands.
+//! - [`pointing`]: the drift of the laser.
 //! - [`scene`]: the light on the PSDs.
 //! - [`electronics`]: from light to codes.
 //! - [`faults`]: injected faults.
@@ -15,6 +16,7 @@ pub mod electronics;
 pub mod emulator;
 pub mod faults;
 pub mod outputs;
+pub mod pointing;
 pub mod pty;
 pub mod scene;
 pub mod source;
@@ -26,6 +28,7 @@ pub use emulator::Emulator;
 pub use faults::Fate;
 use faults::{Active, Faults};
 pub use outputs::{OUTPUT_BITS, Outputs};
+use pointing::Pointing;
 pub use pty::Pty;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -103,6 +106,7 @@ pub struct Twin {
     identity: Identity,
     trajectory: Trajectory,
     laser_rest: [f64; 2],
+    pointing: Pointing,
     /// Motion of the laser per motion of the stage axes.
     matrix: [[f64; 2]; 2],
     stage: StageSim,
@@ -139,6 +143,7 @@ impl Twin {
             identity,
             trajectory: Trajectory::new(&twin.motion, seed)?,
             laser_rest: twin.laser_offset_um.map(|um| um * 1e-6),
+            pointing: Pointing::new(twin.pointing_um * 1e-6, twin.pointing_s, 1.0 / rate_hz, random(seed, 2)),
             matrix: steering.matrix,
             stage: StageSim::new(steering.delay_ms * 1e-3, steering.lag_ms * 1e-3, steering.limit_um * 1e-6),
             outputs: Outputs::new(&config.steering),
@@ -208,6 +213,9 @@ impl Twin {
         let clock_s = t_s + self.clock_ahead_s;
         self.index += 1;
         let mut faults = self.faults.active(t_s);
+        for (shift, drift) in faults.shift.iter_mut().zip(self.pointing.advance()) {
+            *shift += drift;
+        }
         let noise = Noise::draw(&mut self.noise).louder(faults.noise);
         let fate = faults.fate(self.fates.random(), self.fates.random());
         let mut moment = self.moment(t_s, &faults);

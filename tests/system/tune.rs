@@ -117,6 +117,8 @@ fn print_and_dry_run_do_not_change_the_file() {
     for key in ["[steering]\nmatrix = [[", "origin_um = [", "[centering]\nloop_delay_ms = ", "lag_ms = "] {
         assert!(text.contains(key), "{text}");
     }
+    let power_uw = config::parse(&text, None).unwrap().laser.power_uw.unwrap();
+    assert!((power_uw - 600.0).abs() < 1.0, "{text}");
     tuned(&config::parse(&text, None).unwrap(), [[1.0, 0.0], [0.0, 1.0]], &said(&output));
     assert!(said(&output).contains("centering.kp = 0.25, which overrides"), "{}", said(&output));
     let output = lab.tune(&["--dry-run"]);

@@ -3,6 +3,7 @@
 //! - [`channels`]: a [`Scan`](signals::Scan) of raw codes to a [`Sample`](signals::Sample) in metres and watts.
 //! - [`centering`]: samples to commands for the stage that steers the laser.
 //! - [`estimation`]: samples to pose reports. [`stamp`]: reports to frames.
+//! - [`light_checks`]: samples to doubts about the light.
 //! - [`pipeline`]: mapping, centering and estimation together, with an example.
 //! - [`signals`], [`steering`], [`time`], [`utc`], [`telemetry`]: types that these parts share.
 //!
@@ -11,6 +12,7 @@
 pub mod centering;
 pub mod channels;
 pub mod estimation;
+pub mod light_checks;
 pub mod pipeline;
 pub mod signals;
 pub mod stamp;

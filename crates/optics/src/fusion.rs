@@ -73,9 +73,21 @@ impl<'a> Innovation<'a> {
     /// position (a drift of the laser direction) counts as the same in all residuals, the noise of the
     /// signals as independent.
     pub fn normalized_mean(&self, mean: Vec2, count: f64) -> f64 {
+        self.mean_weight(count).map_or(f64::INFINITY, |weight| mean.dot(&(weight * mean)).sqrt())
+    }
+
+    /// Standard uncertainty of the mean of `count` residuals in the direction of `along`, metres: a mean of this
+    /// length has a normalised length of 1, see [`normalized_mean`](Self::normalized_mean). `None` if it is not
+    /// finite.
+    pub fn mean_sigma(&self, along: Vec2, count: f64) -> Option<f64> {
+        let along = along.try_normalize(0.0).unwrap_or_else(Vec2::x);
+        let weight = self.mean_weight(count)?;
+        Some(1.0 / along.dot(&(weight * along)).sqrt()).filter(|sigma| sigma.is_finite())
+    }
+
+    fn mean_weight(&self, count: f64) -> Option<Matrix2<f64>> {
         let own = Matrix2::from_diagonal_element(self.sigma.powi(2));
-        let weight = (self.seen * self.seen.transpose() / count + own).try_inverse();
-        weight.map_or(f64::INFINITY, |weight| mean.dot(&(weight * mean)).sqrt())
+        (self.seen * self.seen.transpose() / count + own).try_inverse()
     }
 
     /// The solution updated with the beam position, weighted by the uncertainties.

@@ -156,8 +156,9 @@ fn estimation(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
         powers: rest.powers.map(|power| power * estimation.power_noise / quieter),
     };
     let spread = estimator.sensitivity(&solution)?.spread(&noise);
-    let beam_position = BeamPosition { at: Vec2::zeros(), sigma: config.steering.deviation_um * 1e-6 };
-    let covariance = Innovation::new(estimator.optics(), &solution, &spread, &beam_position)
+    let beam_position = BeamPosition { at: Vec2::zeros(), sigma: config.steering.beam_sigma_um() * 1e-6 };
+    let innovation = Innovation::new(estimator.optics(), &solution, &spread, &beam_position);
+    let covariance = innovation
         .filter(|_| estimation.fuse_steering)
         .map_or(spread.pose_covariance(), |innovation| innovation.fuse(&solution).spread.pose_covariance());
     let sigma = sigmas(&covariance) * 1e6;
@@ -168,6 +169,9 @@ fn estimation(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
             sigma[0], sigma[1], sigma[2], sigma[3], sigma[4], sigma[5]
         ),
     );
+    if let Some(innovation) = innovation.filter(|_| model == Model::Gaussian) {
+        steering::residual(config, &innovation, lines);
+    }
     Ok(())
 }
 

@@ -5,7 +5,9 @@ use std::path::Path;
 use trifacet::config::{Config, GcsConfig, SourceKind, SteeringKind};
 use trifacet_core::centering::search::Spiral;
 use trifacet_core::centering::{LoopMode, OnExit, Target};
+use trifacet_core::estimation::integrity::{LIMIT, SlowResidual};
 use trifacet_core::steering::StagePosition;
+use trifacet_optics::{Innovation, Vec2};
 
 use super::Lines;
 
@@ -91,6 +93,23 @@ pub(super) fn stage(config: &Config, lines: &mut Lines) {
             lines.say("", format!("{at_the_end}; holds if no command arrives: it has no lease"));
         }
     }
+}
+
+/// The limits of the steering residual, for a mirror at rest.
+pub(super) fn residual(config: &Config, innovation: &Innovation<'_>, lines: &mut Lines) {
+    let window = SlowResidual::window(config.acquisition.rate_hz / f64::from(config.estimation.average));
+    let limit =
+        |reports| innovation.mean_sigma(Vec2::x(), reports).map_or(f64::NAN, |sigma| sigma * LIMIT * 1e6);
+    let [single, mean] = [1.0, 2.0 * window - 1.0].map(limit);
+    let [readback, pointing] = config.steering.beam_sigma_parts_um();
+    lines.say(
+        "readback",
+        format!("standard uncertainty {readback:.3} um, pointing of the laser {pointing:.3} um per axis"),
+    );
+    lines.say(
+        "",
+        format!("INCONSISTENT beyond a residual of {single:.2} um in ten reports, or a mean residual of {mean:.2} um"),
+    );
 }
 
 fn gcs(gcs: &GcsConfig) -> String {

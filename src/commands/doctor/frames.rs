@@ -251,7 +251,7 @@ const WARNINGS: [(Status, &str); 10] = [
     (Status::UNCALIBRATED, "spot errors up to 250 um: set correction tables in [channels]"),
     (
         Status::INCONSISTENT,
-        "steering and pose are inconsistent: check whether the laser or the stage was displaced",
+        "steering and pose are inconsistent: the log and the doubts in `trifacet ctl status` name the size; check for a displaced laser, stage, mirror or PSD, dirt, and ambient light",
     ),
     (Status::SIMULATED, "simulated light: do not control a machine with it"),
 ];

@@ -1,4 +1,4 @@
-//! Checks whether the daemon's datagrams reach their receivers, from what its control socket tells.
+//! What the control socket of the daemon tells: whether datagrams reach their receivers, and the doubts.
 
 use std::time::Duration;
 
@@ -12,7 +12,8 @@ use super::Report;
 /// Longest time to wait for the control socket.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Reports the receivers that fail. Without a control socket on this machine, nothing is known of them.
+/// Reports the receivers that fail, and the doubts that stand. Without a control socket on this machine, nothing
+/// is known of them.
 pub(super) async fn look(config: &Config, report: &mut Report) {
     let Some(socket) = config.control.socket.clone().filter(|socket| socket.exists()) else { return };
     let name = socket.display().to_string();
@@ -34,11 +35,17 @@ pub(super) async fn look(config: &Config, report: &mut Report) {
         let what = format!("no datagrams reach the {kind} {name} since {since}: {cause}");
         report.note(&what, "the daemon keeps trying; other receivers are not affected");
     }
+    for doubt in status["doubts"].as_array().map(Vec::as_slice).unwrap_or_default() {
+        let [since, text] = ["since", "text"].map(|key| doubt[key].as_str().unwrap_or_default());
+        report.note(&format!("doubt since {since}: {text}"), "it stands until its cause is removed");
+    }
 }
 
 fn unknown(why: &str, report: &mut Report) {
     report.note(
-        &format!("it is not known whether datagrams reach their receivers: {why}"),
+        &format!(
+            "it is not known whether datagrams reach their receivers, and whether there are doubts: {why}"
+        ),
         "run doctor as a user who may use the control socket ([control] mode)",
     );
 }

@@ -36,6 +36,10 @@ impl Report<'_> {
             Edit { section: &["centering"], key: "loop_delay_ms", value: delay_ms.into() },
             Edit { section: &["centering"], key: "lag_ms", value: lag_ms.into() },
         ];
+        if self.config.laser.power_uw.is_none() && self.findings.power > 0.0 {
+            let power_uw = rounded(self.findings.power * 1e6, 1e3);
+            edits.push(Edit { section: &["laser"], key: "power_uw", value: power_uw.into() });
+        }
         let large = self.large_origin();
         if large || !self.config.steering.origin_verified {
             edits.push(Edit { section: &["steering"], key: "origin_verified", value: (!large).into() });
@@ -119,6 +123,15 @@ impl fmt::Display for Report<'_> {
         }
         for (name, o) in AXES.iter().zip(origin) {
             writeln!(f, "origin {name}              {:9.3} +- {:.3} um", o.value * 1e6, o.sigma * 1e6)?;
+        }
+        write!(f, "total power           {:9.3} uW", self.findings.power * 1e6)?;
+        match self.config.laser.power_uw {
+            Some(uw) => writeln!(
+                f,
+                ", laser.power_uw is {uw}: {:+.1} %",
+                (self.findings.power * 1e6 / uw - 1.0) * 1e2
+            )?,
+            None => writeln!(f)?,
         }
         let ms = |m: &Measured| format!("{:9.4} +- {:.4} ms", m.value * 1e3, m.sigma * 1e3);
         let [middle, longest] = self.findings.computed.map(|s| s * 1e3);

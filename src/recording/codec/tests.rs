@@ -168,6 +168,21 @@ fn keyframe() -> Keyframe {
     }
 }
 
+/// A state of a version that did not know the mean residual ends before it.
+#[test]
+fn a_state_without_the_mean_residual_is_read() {
+    let memory = keyframe().memory;
+    assert!(memory.has_mean_residual());
+    let earlier = memory.as_far_as(&EstimatorState::default());
+    let bytes = postcard::to_stdvec(&earlier).unwrap();
+    let (end, rest) = bytes.split_last().unwrap();
+    assert_eq!(*end, 0, "the mark of an absent mean");
+    let read: EstimatorState = postcard::from_bytes(rest).unwrap();
+    assert_eq!(format!("{read:?}"), format!("{earlier:?}"));
+    let whole: EstimatorState = postcard::from_bytes(&postcard::to_stdvec(&memory).unwrap()).unwrap();
+    assert_eq!(format!("{whole:?}"), format!("{memory:?}"));
+}
+
 #[test]
 fn a_keyframe_survives_without_the_secret() {
     let keyframe = keyframe();

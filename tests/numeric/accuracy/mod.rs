@@ -8,6 +8,7 @@ use trifacet::core::estimation::PoseReport;
 
 mod bench;
 mod eleven;
+mod pointing;
 mod power;
 
 use bench::{Bench, stated};

@@ -220,7 +220,7 @@ fn faults_without_readback_cause_no_false_lock_and_no_wrong_pose() {
 fn faults_with_eleven_signals_cause_no_false_lock_and_no_wrong_pose() {
     try_out("eleven signals", 100, |config| {
         config.estimation.fuse_steering = true;
-        config.steering.deviation_um = 0.1;
+        config.steering.deviation_um = Some(0.1);
     });
 }
 

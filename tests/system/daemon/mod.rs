@@ -14,4 +14,5 @@ mod lock_causes;
 mod loop_closed;
 mod running;
 mod service;
+mod standing_doubts;
 mod terminal;

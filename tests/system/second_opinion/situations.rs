@@ -52,6 +52,8 @@ pub(super) struct Situation {
     pub(super) name: &'static str,
     /// Arguments of the board.
     pub(super) arguments: &'static str,
+    /// Lines of the configuration of the daemon.
+    pub(super) config: &'static str,
     /// First scan with the situation.
     pub(super) at: u64,
     pub(super) error: Error,
@@ -108,7 +110,8 @@ impl Situation {
         let what = if what.is_empty() { "**nothing**".into() } else { what.join("; ") };
         let when = if when.is_empty() { "never".into() } else { when.join("; ") };
         let (error, silent) = (self.error.text(), self.silent);
-        format!("| {} | `{}` | {error} | {what} | {when} | {silent} |", self.name, self.arguments)
+        let config = if self.config.is_empty() { String::new() } else { format!(", `{}`", self.config) };
+        format!("| {} | `{}`{config} | {error} | {what} | {when} | {silent} |", self.name, self.arguments)
     }
 
     fn window(&self) -> Window {
@@ -123,7 +126,7 @@ impl Situation {
         let arguments = format!("at={} {}", self.at, self.arguments);
         let mut runs = 0;
         loop {
-            let seen = observe(program, &arguments, "", self.window());
+            let seen = observe(program, &arguments, self.config, self.window());
             println!(
                 "{}: {:.2?} um, urad; {:.1} sigma; {:.2} ms; usable {} of {}; {:?}",
                 self.name, seen.error, seen.sigmas, seen.time_ms, seen.usable, seen.frames, seen.bits

@@ -1,11 +1,11 @@
 //! The estimation: samples to pose reports. Pure: time and loop state are inputs.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 use trifacet_optics::{ErrorPropagation, Innovation, Model, Noise, Signals, Solution, SolveError};
 use trifacet_wire::{LockState, Status};
 
 use super::block::{Block, Mean};
-use super::integrity::Integrity;
+use super::integrity::{Integrity, SlowResidual};
 use super::noise::LiveNoise;
 use super::power_step::{Power, PowerSteps};
 use super::{PoseReport, Settings};
@@ -36,6 +36,29 @@ pub struct EstimatorState {
     /// The light is simulated, not measured.
     simulated: bool,
     index: u64,
+    /// `None` before the first residual, and in recordings of versions that did not have it. Must remain the last
+    /// field: these recordings end before it.
+    #[serde(deserialize_with = "absent_at_the_end")]
+    slow: Option<SlowResidual>,
+}
+
+/// Postcard does not mark the end of a struct: reading beyond the end of the message is an error.
+#[expect(clippy::unnecessary_wraps, reason = "the signature that serde expects")]
+fn absent_at_the_end<'de, D: Deserializer<'de>>(from: D) -> Result<Option<SlowResidual>, D::Error> {
+    Ok(Option::deserialize(from).unwrap_or_default())
+}
+
+impl EstimatorState {
+    /// Whether the state includes the mean residual. States of earlier versions do not.
+    pub fn has_mean_residual(&self) -> bool {
+        self.slow.is_some()
+    }
+
+    /// The state without what `other` does not include.
+    #[must_use]
+    pub fn as_far_as(&self, other: &Self) -> Self {
+        Self { slow: self.slow.filter(|_| other.has_mean_residual()), ..self.clone() }
+    }
 }
 
 impl Estimation {
@@ -57,7 +80,7 @@ impl Estimation {
     /// Uses other settings from the next sample on. Samples from before and after are not averaged together.
     pub fn retune(&mut self, settings: Settings) {
         if settings.readback != self.settings.readback {
-            self.memory.integrity = Integrity::default();
+            self.forget_residuals();
         }
         self.settings = settings;
         self.interrupt();
@@ -94,7 +117,11 @@ impl Estimation {
     pub fn source(&mut self, simulated: bool) {
         self.memory.simulated = simulated;
         self.interrupt();
-        self.memory.integrity = Integrity::default();
+        self.forget_residuals();
+    }
+
+    fn forget_residuals(&mut self) {
+        (self.memory.integrity, self.memory.slow) = (Integrity::default(), None);
     }
 
     /// Takes a sample; returns a report at the end of each block. The caller adds the time at which the
@@ -195,6 +222,7 @@ impl Estimation {
             covariance: None,
             offset: None,
             steering_residual: None,
+            mean_residual: None,
             iterations: 0,
             averaged: mean.count,
             lost: sample.lost,
@@ -246,7 +274,7 @@ impl Estimation {
         spread: &ErrorPropagation<9>,
         report: &mut PoseReport,
     ) {
-        let Settings { estimator, readback, fuse, .. } = &self.settings;
+        let Settings { estimator, readback, fuse, rate_hz, average, .. } = &self.settings;
         let Some(beam_position) = mean.sample.steering.map(|stage| readback.beam_position(stage)) else {
             return;
         };
@@ -254,10 +282,13 @@ impl Estimation {
             return;
         };
         report.steering_residual = Some(innovation.residual.norm());
-        let fits = self.memory.integrity.judge(&innovation);
-        report.status.set(Status::INCONSISTENT, self.memory.integrity.inconsistent());
+        let EstimatorState { integrity, slow, .. } = &mut self.memory;
+        let fusible = integrity.judge(&innovation);
+        let slow = slow.get_or_insert_default();
+        report.mean_residual = slow.push(&innovation, SlowResidual::window(rate_hz / f64::from(*average)));
+        report.status.set(Status::INCONSISTENT, integrity.inconsistent() || slow.contradicts());
         let calm = mean.power == Power::Steady || mean.count >= DILUTED;
-        if *fuse && fits && calm {
+        if *fuse && fusible && calm {
             let fused = innovation.fuse(solution);
             report.pose = Some(fused.pose);
             report.covariance = Some(fused.spread.pose_covariance());

@@ -5,8 +5,9 @@ use trifacet_optics::{BeamPosition, Innovation, Vec2};
 
 use crate::steering::{BeamMap, StagePosition};
 
-/// A residual of more than this many standard uncertainties does not fit. By chance one in 270 000 does.
-const LIMIT: f64 = 5.0;
+/// A residual, or the mean of many, of more than this many standard uncertainties does not fit. By chance one
+/// in 270 000 does.
+pub const LIMIT: f64 = 5.0;
 /// After this many misfits in a row, the steering contradicts the pose. After this many fits, the readback
 /// may be fused.
 const ROW: u32 = 10;
@@ -26,7 +27,7 @@ pub struct Readback {
 
 impl Default for Readback {
     fn default() -> Self {
-        Self::new(BeamMap::default(), 1.5e-6)
+        Self::new(BeamMap::default(), 0.1_f64.hypot(1.0) * 1e-6)
     }
 }
 
@@ -78,6 +79,64 @@ impl Integrity {
     /// Whether steering and pose contradict each other.
     pub fn inconsistent(&self) -> bool {
         self.misfits >= ROW
+    }
+}
+
+/// The mean residual over about a second, in a report.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeanResidual {
+    /// The mean: readback minus nine signals, x and y across the beam, metres.
+    pub mean: [f64; 2],
+    /// Length in this direction beyond which the mean contradicts the pose, metres.
+    pub limit: f64,
+    /// The mean has exceeded its limit, and has not returned below four fifths of it.
+    pub contradicts: bool,
+}
+
+/// The slow part of the integrity check: a constant error of the beam position is far below the noise of one
+/// residual, but the noise of a mean shrinks. A residual beyond its own limit counts as one at the limit, so that
+/// outliers do not linger.
+///
+/// The mean is an exponential one. Its noise is that of a plain mean over twice its time constant, and it is
+/// judged when it has this many residuals.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub struct SlowResidual {
+    mean: Vec2,
+    count: f64,
+    contradicts: bool,
+}
+
+impl SlowResidual {
+    /// Time constant, seconds.
+    const TIME_S: f64 = 0.5;
+    /// Fewest reports in a time constant.
+    const LEAST: f64 = 5.0;
+    /// A contradiction ends below this many standard uncertainties.
+    const AGAIN: f64 = 4.0;
+
+    /// Time constant in reports, for this many reports per second. The mean has the noise of twice as many, less one.
+    pub fn window(reports_per_s: f64) -> f64 {
+        (Self::TIME_S * reports_per_s).max(Self::LEAST)
+    }
+
+    /// Takes a residual.
+    pub fn push(&mut self, innovation: &Innovation<'_>, window: f64) -> Option<MeanResidual> {
+        let whole = 2.0 * window - 1.0;
+        let beyond = (innovation.normalized_residual() / LIMIT).max(1.0);
+        self.count = whole.min(self.count + 1.0);
+        self.mean += (innovation.residual / beyond - self.mean) / self.count.min(window);
+        if self.count < whole {
+            return None;
+        }
+        let sigma = innovation.mean_sigma(self.mean, whole)?;
+        let allowed = sigma * if self.contradicts { Self::AGAIN } else { LIMIT };
+        self.contradicts = self.mean.norm() > allowed;
+        Some(MeanResidual { mean: self.mean.into(), limit: LIMIT * sigma, contradicts: self.contradicts })
+    }
+
+    /// Whether the mean contradicts the pose.
+    pub fn contradicts(&self) -> bool {
+        self.contradicts
     }
 }
 

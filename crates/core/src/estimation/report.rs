@@ -4,6 +4,7 @@ use nalgebra::Matrix6;
 use trifacet_optics::Pose;
 use trifacet_wire::{LockState, Status};
 
+use super::integrity::MeanResidual;
 use crate::time::Mono;
 
 /// The result of one sample or of a block of samples. An unknown value is `None`, never a number.
@@ -32,6 +33,8 @@ pub struct PoseReport {
     /// Distance between the beam position from the steering readback and the one from the nine signals,
     /// metres.
     pub steering_residual: Option<f64>,
+    /// Mean of this difference over about a second; `None` until there are enough residuals.
+    pub mean_residual: Option<MeanResidual>,
     /// Iterations of the solver.
     pub iterations: u8,
     /// Samples averaged into this report.
@@ -61,6 +64,7 @@ impl PoseReport {
             covariance: Some(Matrix6::identity() * 4e-12),
             offset: Some([0.5e-6, -0.25e-6]),
             steering_residual: Some(1e-7),
+            mean_residual: Some(MeanResidual { mean: [6e-8, -8e-8], limit: 5e-6, contradicts: false }),
             iterations: 2,
             averaged: 1,
             lost: 0,

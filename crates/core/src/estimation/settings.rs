@@ -11,6 +11,8 @@ use super::integrity::Readback;
 pub struct Settings {
     /// The solver with its model of the head.
     pub estimator: Estimator,
+    /// Samples per second.
+    pub rate_hz: f64,
     /// Number of samples in a mean.
     pub average: u16,
     /// Standard uncertainty of a spot coordinate, metres; the configured value, a lower bound of the live
@@ -42,6 +44,7 @@ impl Settings {
     pub fn new(optics: Optics, model: Model) -> Self {
         Self {
             estimator: Estimator::new(optics, model),
+            rate_hz: 1000.0,
             average: 1,
             spot_noise: 1.08e-6,
             power_noise: 1e-3,

@@ -132,6 +132,43 @@ fn the_residual_is_of_the_beam_by_matrix_and_origin() {
     assert!(back.iter().all(|r| !r.status.has(Status::INCONSISTENT)));
 }
 
+/// 6 um are within the limit of one residual, 7.1 um, but not of the mean, 5.0 um.
+#[test]
+fn a_constant_residual_contradicts_after_a_second_until_its_mean_is_clearly_within_the_limit() {
+    let mut estimation = estimation(|_| {});
+    let stage = |k: u64| if (1500..4000).contains(&k) { 6.0 } else { 0.0 };
+    let reports = reports(&mut estimation, (0..6000).map(|k| read_back(k, [stage(k), 0.0])));
+    let inconsistent = |k: usize| reports[k].status.has(Status::INCONSISTENT);
+    assert!(reports[..998].iter().all(|report| report.mean_residual.is_none()));
+    let first = (0..6000).find(|k| inconsistent(*k)).unwrap();
+    let last = (0..6000).rfind(|k| inconsistent(*k)).unwrap();
+    // 6 (1 - exp(-t / 0.5 s)) exceeds 5.03 after 0.91 s; 6 exp(-t / 0.5 s) is below 4.02 after 0.2 s.
+    assert!((2380..2440).contains(&first) && (4190..4210).contains(&last), "{first} {last}");
+    assert!((first..=last).all(inconsistent));
+    let mean = reports[3999].mean_residual.unwrap();
+    assert!((mean.mean[0] - 5.96e-6).abs() < 0.01e-6 && mean.contradicts, "{mean:?}");
+    assert!((mean.limit - 5.03e-6).abs() < 0.02e-6, "{mean:?}");
+}
+
+#[test]
+fn a_source_or_another_beam_map_begins_a_new_mean() {
+    let mut estimation = estimation(|_| {});
+    let inconsistent = |estimation: &mut Estimation, from: u64| {
+        let reports = reports(estimation, (from..from + 999).map(|k| read_back(k, [6.5, 0.0])));
+        let first = reports.iter().position(|report| report.status.has(Status::INCONSISTENT));
+        assert_eq!(first, Some(998), "not before the mean is of a second");
+    };
+    inconsistent(&mut estimation, 0);
+    estimation.source(false);
+    inconsistent(&mut estimation, 1000);
+    estimation.retune(settings(|s| s.readback = Readback::new(BeamMap::default(), 1.1e-6)));
+    inconsistent(&mut estimation, 2000);
+    // Other settings do not hide a contradiction.
+    estimation.retune(settings(|s| (s.readback, s.config) = (Readback::new(BeamMap::default(), 1.1e-6), 7)));
+    let report = estimation.sample(&read_back(3000, [6.5, 0.0]), &LoopState::default()).unwrap();
+    assert!(report.status.has(Status::INCONSISTENT));
+}
+
 #[test]
 fn fusion_starts_after_ten_consistent_reports_and_excludes_inconsistent_ones() {
     let mut estimation =

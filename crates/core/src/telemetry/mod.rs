@@ -3,13 +3,16 @@
 //! - [`Counters`]: every counter of the daemon.
 //! - [`heartbeat`]: whether each task is running.
 //! - [`CommandGauge`]: the commands that the stage has not acknowledged.
+//! - [`ResidualGauge`]: the mean steering residual.
 //! - [`LatestStatus`]: status and lock state of the newest frame.
 
 mod command_gauge;
 mod counters;
 pub mod heartbeat;
 mod latest_status;
+mod residual_gauge;
 
 pub use command_gauge::CommandGauge;
 pub use counters::{Counter, CounterDefinition, CounterKind, Counters};
 pub use latest_status::LatestStatus;
+pub use residual_gauge::ResidualGauge;

@@ -229,10 +229,13 @@ function beam(frame, update, now_ms) {
 }
 
 /** Present faults, then recent ones. */
-function faults({ history, dead }, now_ms) {
+function faults({ history, dead, ready }, now_ms) {
   const explained = history.map((spell) => ({ ...spell, ...hello.bits[spell.bit], ...meaning(hello.bits[spell.bit]) }));
   const shown = explained.filter((spell) => !MARKS.includes(spell.name) && (spell.until_ms === null || now_ms - spell.until_ms < RECENT_MS));
   if (dead?.since_ns) shown.push({ bit: -1, name: dead.silent ? "no frames" : "stalled", grade: "bad", text: dead.why, since_ms: dead.since_ns / 1e6, until_ms: null, times: 1 });
+  for (const { subject, since, text } of ready.doubts) {
+    shown.push({ bit: -1, name: `doubt: ${subject}`, grade: "warn", text, since_ms: Date.parse(since), until_ms: null, times: 1 });
+  }
   const rank = (spell) => (spell.until_ms === null ? 0 : 4) + ["bad", "warn", "note"].indexOf(spell.grade);
   shown.sort((a, b) => rank(a) - rank(b) || a.bit - b.bit);
   const list = $("faults").querySelector("ul");

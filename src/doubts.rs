@@ -1,0 +1,166 @@
+//! Standing doubts: reasons to doubt the poses that are conditions, not properties of single samples.
+//!
+//! A doubt is logged at its begin and at its end. While it stands, `ctl status`, `/readyz`, `/metrics`, the live
+//! page and `trifacet doctor` show it.
+
+use std::sync::Arc;
+
+use serde::Serialize;
+use tokio::sync::watch;
+use trifacet_core::telemetry::ResidualGauge;
+use trifacet_core::time::Mono;
+
+use crate::clock::utc::read_clocks;
+use crate::publishing::columns::rfc3339;
+
+/// What is doubted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Subject {
+    /// The agreement of readback and pose (`INCONSISTENT`).
+    Residual,
+    /// The total power, which differs from its reference.
+    Power,
+    /// What the PSDs read without the laser.
+    AmbientLight,
+}
+
+impl Subject {
+    /// All subjects.
+    pub const ALL: [Subject; 3] = [Subject::Residual, Subject::Power, Subject::AmbientLight];
+
+    /// Name of the subject, as on all outputs.
+    pub fn name(self) -> &'static str {
+        match self {
+            Subject::Residual => "residual",
+            Subject::Power => "power",
+            Subject::AmbientLight => "ambient_light",
+        }
+    }
+
+    /// The line of the log at the end of the doubt.
+    fn end(self) -> &'static str {
+        match self {
+            Subject::Residual => "steering and pose agree again",
+            Subject::Power => "the total power is no longer doubted",
+            Subject::AmbientLight => "the readings without light are no longer doubted",
+        }
+    }
+}
+
+/// A doubt that stands.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Doubt {
+    /// What is doubted.
+    pub subject: Subject,
+    /// Time of its begin.
+    pub since: Mono,
+    /// What was observed, and its possible causes.
+    pub text: String,
+}
+
+/// A doubt as the outputs show it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct ShownDoubt {
+    /// What is doubted.
+    pub subject: Subject,
+    /// UTC of its begin.
+    pub since: String,
+    /// What was observed, and its possible causes.
+    pub text: String,
+}
+
+/// Reads the doubts that stand.
+#[derive(Clone, Debug)]
+pub struct Doubts {
+    standing: watch::Receiver<Vec<Doubt>>,
+    /// The mean steering residual.
+    pub residual: Arc<ResidualGauge>,
+}
+
+impl Doubts {
+    /// The doubts that stand, in the order of their begin.
+    pub fn shown(&self) -> Vec<ShownDoubt> {
+        let (now, utc_ns) = read_clocks();
+        let since = |doubt: &Doubt| rfc3339(utc_ns.saturating_sub(now - doubt.since));
+        let show = |doubt: &Doubt| ShownDoubt {
+            subject: doubt.subject,
+            since: since(doubt),
+            text: doubt.text.clone(),
+        };
+        self.standing.borrow().iter().map(show).collect()
+    }
+
+    /// Whether there is a doubt about this subject.
+    pub fn stands(&self, subject: Subject) -> bool {
+        self.standing.borrow().iter().any(|doubt| doubt.subject == subject)
+    }
+}
+
+/// Begins and ends doubts.
+#[derive(Debug)]
+pub struct Doubter {
+    standing: watch::Sender<Vec<Doubt>>,
+    /// The mean steering residual.
+    pub residual: Arc<ResidualGauge>,
+}
+
+/// Both ends, without a doubt.
+pub fn pair() -> (Doubter, Doubts) {
+    let (sender, receiver) = watch::channel(Vec::new());
+    let residual = Arc::<ResidualGauge>::default();
+    let doubter = Doubter { standing: sender, residual: Arc::clone(&residual) };
+    (doubter, Doubts { standing: receiver, residual })
+}
+
+impl Doubter {
+    /// Begins a doubt, or replaces the text of one that stands.
+    pub fn begin(&self, subject: Subject, now: Mono, text: String) {
+        self.standing.send_modify(|doubts| {
+            if let Some(doubt) = doubts.iter_mut().find(|doubt| doubt.subject == subject) {
+                doubt.text = text;
+            } else {
+                tracing::warn!(doubt = subject.name(), "{text}");
+                doubts.push(Doubt { subject, since: now, text });
+            }
+        });
+    }
+
+    /// Begins a doubt with this text, or ends it without one.
+    pub fn set(&self, subject: Subject, now: Mono, text: Option<String>) {
+        match text {
+            Some(text) => self.begin(subject, now, text),
+            None => self.end(subject),
+        }
+    }
+
+    /// Ends a doubt, if it stands.
+    pub fn end(&self, subject: Subject) {
+        self.standing.send_if_modified(|doubts| {
+            let before = doubts.len();
+            doubts.retain(|doubt| doubt.subject != subject);
+            let ended = doubts.len() < before;
+            if ended {
+                tracing::info!(doubt = subject.name(), "{}", subject.end());
+            }
+            ended
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_doubt_keeps_its_begin_and_shows_its_newest_text() {
+        let (doubter, doubts) = pair();
+        assert!(!doubts.stands(Subject::Residual));
+        doubter.begin(Subject::Residual, Mono(5), "one".into());
+        doubter.begin(Subject::Residual, Mono(9), "two".into());
+        let standing = doubts.standing.borrow().clone();
+        assert_eq!(standing, [Doubt { subject: Subject::Residual, since: Mono(5), text: "two".into() }]);
+        doubter.end(Subject::Residual);
+        assert!(!doubts.stands(Subject::Residual) && doubts.shown().is_empty());
+    }
+}
