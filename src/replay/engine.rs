@@ -180,7 +180,14 @@ impl State {
         same(&self.context, &keyframe.context)
             && self.source == keyframe.source
             && self.last == keyframe.last
-            && bytes(self.measurement.estimation.memory()) == bytes(&keyframe.memory)
+            && self.remembers(&keyframe.memory)
+    }
+
+    fn remembers(&self, recorded: &EstimatorState) -> bool {
+        let own = self.measurement.estimation.memory();
+        let mut recorded = recorded.clone();
+        recorded.complete_from(own);
+        bytes(own) == bytes(&recorded)
     }
 
     fn interrupt(&mut self, keyframe: &Keyframe) -> Result<(), Failure> {
@@ -188,7 +195,7 @@ impl State {
         self.measurement.mapping = fresh.measurement.mapping;
         self.last = keyframe.last;
         if let Some(source) = &self.source {
-            self.measurement.estimation.source(source.simulated);
+            self.measurement.estimation.source(Arc::clone(source));
         }
         Ok(())
     }

@@ -8,7 +8,9 @@ use trifacet::core::estimation::PoseReport;
 
 mod bench;
 mod eleven;
+mod flicker;
 mod power;
+mod vibration;
 
 use bench::{Bench, stated};
 

@@ -141,7 +141,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
         arguments: "flicker=0.05",
         at: AT,
         error: AsStated,
-        signs: &[Bit("POWER_STEP", 10)],
+        signs: &[],
         silent: "",
     },
     Situation {
