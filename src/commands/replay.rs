@@ -214,8 +214,8 @@ impl Run {
 
     fn end(self, tallies: &[(PathBuf, Box<Tally>)]) -> anyhow::Result<()> {
         ending::print_irregularities(tallies);
-        let Comparison { same, renamed, rejudged, other, .. } = self.comparison;
-        let compared = same + renamed + rejudged + other;
+        let Comparison { same, renamed, other, .. } = self.comparison;
+        let compared = same + renamed + other;
         if compared == 0 {
             return Err(ending::nothing(tallies).into());
         }

@@ -12,11 +12,6 @@ use crate::recording::Entry;
 const OF_THE_MOMENT: u32 = Status::CLOCK_UNSYNCED.0 | Status::RECORDING_FAULT.0 | Status::REPLAYED.0;
 /// In the place of `POWER_NOISY`, versions before this bit set the bit of the PSD.
 const LOW: u32 = Status::PSD_A_LOW.0 | Status::PSD_B_LOW.0 | Status::PSD_C_LOW.0;
-/// Bits with which an earlier version refused a power that is now known well enough.
-const REFUSED: u32 = LOW | Status::POWER_NOISY.0 | Status::POWER_STEP.0;
-/// The solver starts from the last solution. After a frame that is only now solved, a pose can differ in its last
-/// digits: by this part of its standard uncertainty.
-const SAME_POSE: f64 = 1e-6;
 /// Columns by which a difference is described first.
 const TELLING: [&str; 7] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "yaw_rad", "status"];
 
@@ -28,9 +23,6 @@ pub struct Comparison {
     /// Frames that have `PSD_A_LOW` to `PSD_C_LOW` in the place of `POWER_NOISY`, and are identical otherwise:
     /// their version did not have this bit.
     pub renamed: u64,
-    /// Frames of an earlier version that had no pose because of their power and have one now, or that have the same
-    /// pose with another standard uncertainty.
-    pub rejudged: u64,
     /// Frames that differ.
     pub other: u64,
     /// Reports without a recorded frame.
@@ -41,8 +33,6 @@ pub struct Comparison {
     pub first: Option<Difference>,
     /// A report is waiting for its frame.
     waits: bool,
-    /// The last keyframe is of an earlier version, which judged the power in another way.
-    earlier: bool,
 }
 
 /// A difference between a recorded frame and its report.
@@ -67,23 +57,14 @@ pub struct Pair<'a> {
     pub then: &'a PoseFrame,
     /// From the replay, with the same time, session and sequence number.
     pub now: PoseFrame,
-    kind: Kind,
-}
-
-/// How a frame differs from the recorded one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
-    Same,
-    Renamed,
-    Rejudged,
-    Other,
+    same: bool,
+    renamed: bool,
 }
 
 impl Pair<'_> {
-    /// Whether both are identical, except for the name of `POWER_NOISY` and the judgement of the power in earlier
-    /// versions.
+    /// Whether both are identical, except for the name of `POWER_NOISY` in earlier versions.
     pub fn same(&self) -> bool {
-        self.kind != Kind::Other
+        self.same
     }
 }
 
@@ -99,7 +80,7 @@ impl Comparison {
                     self.unrepeated += 1;
                     return None;
                 };
-                let pair = pair(frame, *time, report, self.earlier);
+                let pair = pair(frame, *time, report);
                 self.count(&pair);
                 Some(pair)
             }
@@ -108,11 +89,7 @@ impl Comparison {
                 self.waits |= report.is_some();
                 None
             }
-            Entry::Keyframe(keyframe) => {
-                self.earlier = keyframe.memory.of_earlier_version();
-                None
-            }
-            Entry::Lock { .. } => None,
+            Entry::Keyframe(_) | Entry::Lock { .. } => None,
         }
     }
 
@@ -122,14 +99,12 @@ impl Comparison {
     }
 
     fn count(&mut self, pair: &Pair<'_>) {
-        let number = match pair.kind {
-            Kind::Same => &mut self.same,
-            Kind::Renamed => &mut self.renamed,
-            Kind::Rejudged => &mut self.rejudged,
-            Kind::Other => &mut self.other,
-        };
-        *number += 1;
-        if pair.kind == Kind::Other && self.first.is_none() {
+        if pair.same {
+            *(if pair.renamed { &mut self.renamed } else { &mut self.same }) += 1;
+            return;
+        }
+        self.other += 1;
+        if self.first.is_none() {
             self.first = Some(difference(pair));
         }
     }
@@ -140,7 +115,7 @@ fn of(report: &PoseReport, frame: &PoseFrame, time: Mono) -> bool {
     report.index == frame.sample_index || report.time == time
 }
 
-fn pair<'a>(then: &'a PoseFrame, time: Mono, report: &PoseReport, earlier: bool) -> Pair<'a> {
+fn pair<'a>(then: &'a PoseFrame, time: Mono, report: &PoseReport) -> Pair<'a> {
     let stamp = Stamp {
         session: then.session,
         config: report.config,
@@ -155,38 +130,8 @@ fn pair<'a>(then: &'a PoseFrame, time: Mono, report: &PoseReport, earlier: bool)
     (now.solve_delay_ns, now.send_delay_ns) = (then.solve_delay_ns, then.send_delay_ns);
     let renamed = with_earlier_names(then.status, now.status);
     let compared = PoseFrame { status: renamed.unwrap_or(now.status), ..now };
-    let kind = match () {
-        () if report.time != time => Kind::Other,
-        () if equal(then, &compared) => renamed.map_or(Kind::Same, |_| Kind::Renamed),
-        () if earlier && equal(then, &judged_as(then, &now)) => Kind::Rejudged,
-        () => Kind::Other,
-    };
-    Pair { then, now, kind }
-}
-
-/// The frame `now` with what follows from the judgement of the power as in the frame `then` of an earlier version.
-fn judged_as(then: &PoseFrame, now: &PoseFrame) -> PoseFrame {
-    let valid = |frame: &PoseFrame| frame.status.has(Status::POSE_VALID);
-    let refused = !valid(then) && valid(now) && then.status.0 & REFUSED != 0;
-    let of_the_power = REFUSED | Status::POSE_VALID.0 | Status::NOT_LOCKED.0;
-    let near = |then: f64, now: f64, sigma: f32| (then - now).abs() <= SAME_POSE * f64::from(sigma);
-    let mut judged = *now;
-    if refused {
-        judged.status = Status(now.status.0 & !of_the_power | then.status.0 & of_the_power);
-        let PoseFrame { lock, iterations, pose, deviations, beam_offset, steering_residual, .. } = *then;
-        judged = PoseFrame { lock, iterations, pose, deviations, beam_offset, steering_residual, ..judged };
-    } else if valid(then) && valid(now) && (0..6).all(|i| near(then.pose[i], now.pose[i], now.deviations[i]))
-    {
-        let PoseFrame { iterations, pose, deviations, beam_offset, .. } = *then;
-        let sigma = now.deviations[0];
-        if (0..2).all(|i| near(then.beam_offset[i].into(), now.beam_offset[i].into(), sigma)) {
-            judged = PoseFrame { iterations, pose, deviations, beam_offset, ..judged };
-        }
-        if near(then.steering_residual.into(), now.steering_residual.into(), sigma) {
-            judged.steering_residual = then.steering_residual;
-        }
-    }
-    judged
+    let same = report.time == time && equal(then, &compared);
+    Pair { then, same, renamed: renamed.is_some(), now }
 }
 
 /// The status `now` in the names of a version without `POWER_NOISY`, if `then` can be of such a version.

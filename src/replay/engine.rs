@@ -180,14 +180,7 @@ impl State {
         same(&self.context, &keyframe.context)
             && self.source == keyframe.source
             && self.last == keyframe.last
-            && self.remembers(&keyframe.memory)
-    }
-
-    fn remembers(&self, recorded: &EstimatorState) -> bool {
-        let own = self.measurement.estimation.memory();
-        let mut recorded = recorded.clone();
-        recorded.complete_from(own);
-        bytes(own) == bytes(&recorded)
+            && bytes(self.measurement.estimation.memory()) == bytes(&keyframe.memory)
     }
 
     fn interrupt(&mut self, keyframe: &Keyframe) -> Result<(), Failure> {

@@ -1,6 +1,5 @@
 //! Recordings of the closed-loop simulation are reproduced bit by bit.
 
-use trifacet_core::estimation::EstimatorState;
 use trifacet_wire::Status;
 
 use super::{Comparison, Engine};
@@ -119,62 +118,4 @@ fn frames_from_before_power_noisy_are_equal_except_for_the_name_of_the_bit() {
     }
     let (_, comparison) = replayed(&entries);
     assert_eq!((comparison.renamed, comparison.same), (0, 0));
-}
-
-/// As the version before the prediction of the power recorded it: its state ends before that part, and it refused
-/// samples that are now known to be right.
-fn as_recorded_earlier(entries: &[Entry]) -> Vec<Entry> {
-    let mut frames = 0;
-    let earlier = |entry: &Entry| match entry {
-        Entry::Keyframe(keyframe) => {
-            let mut keyframe = keyframe.clone();
-            let bytes = postcard::to_stdvec(&keyframe.memory).unwrap();
-            let read = |end| postcard::from_bytes::<EstimatorState>(&bytes[..end]);
-            assert!(!read(bytes.len()).unwrap().of_earlier_version());
-            keyframe.memory = (0..bytes.len()).find_map(|end| read(end).ok()).unwrap();
-            assert!(keyframe.memory.of_earlier_version());
-            Entry::Keyframe(keyframe)
-        }
-        Entry::Frame { frame, time, .. } => {
-            frames += 1;
-            let mut frame = *frame;
-            if frames % 10 == 0 {
-                frame.status = Status(frame.status.0 & !Status::POSE_VALID.0) | Status::POWER_STEP;
-                frame.pose = [f64::NAN; 6];
-                frame.deviations = [f32::NAN; 6];
-                frame.beam_offset = [f32::NAN; 2];
-                frame.steering_residual = f32::NAN;
-                frame.iterations = 0;
-            } else if frames % 10 == 5 {
-                frame.deviations[0] *= 1.01;
-            }
-            Entry::Frame { frame, time: *time, covariance: None }
-        }
-        other => other.clone(),
-    };
-    entries.iter().map(earlier).collect()
-}
-
-#[test]
-fn frames_from_before_the_prediction_of_the_power_may_have_had_no_pose() {
-    let entries = recorded(&config("twin.channel_skew_us = 20"), 4000);
-    let mut earlier = as_recorded_earlier(&entries);
-    let (_, comparison) = replayed(&earlier);
-    let n = frames(&entries);
-    assert_eq!((comparison.rejudged, comparison.same), (n / 5, n - n / 5), "{:?}", comparison.first);
-    // Another pose is a difference, also of an earlier version; and so is a missing pose in a recording of this one.
-    for entry in &mut earlier {
-        if let Entry::Frame { frame, .. } = entry {
-            frame.pose[0] += 1e-9;
-        }
-    }
-    let (_, comparison) = replayed(&earlier);
-    assert_eq!((comparison.rejudged, comparison.other), (n / 10, n - n / 10));
-    for entry in &mut earlier {
-        if let Entry::Keyframe(keyframe) = entry {
-            keyframe.memory.complete_from(&EstimatorState::default());
-        }
-    }
-    let (_, comparison) = replayed(&earlier);
-    assert_eq!((comparison.rejudged, comparison.other), (0, n));
 }

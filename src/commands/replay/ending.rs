@@ -61,9 +61,8 @@ pub(super) fn nothing(files: &[Read]) -> Failure {
 
 /// The result as text.
 pub(super) fn text(comparison: &Comparison, engine: &Engine) -> String {
-    let Comparison { same, renamed, rejudged, other, unrecorded, unrepeated, .. } = comparison;
-    let compared = same + renamed + rejudged + other;
-    let mut text = format!("{same} of {compared} frames are identical, bit by bit\n");
+    let Comparison { same, renamed, other, unrecorded, unrepeated, .. } = comparison;
+    let mut text = format!("{same} of {} frames are identical, bit by bit\n", same + renamed + other);
     let mut say = |line: String| {
         let _ = writeln!(text, "{line}"); // writing to a String cannot fail
     };
@@ -72,13 +71,6 @@ pub(super) fn text(comparison: &Comparison, engine: &Engine) -> String {
             "{} only in the name of a status bit: recorded by a version without POWER_NOISY, which set \
              PSD_A_LOW, PSD_B_LOW or PSD_C_LOW instead",
             count(*renamed, "frame") + if *renamed == 1 { " differs" } else { " differ" }
-        ));
-    }
-    if *rejudged > 0 {
-        say(format!(
-            "{} only in the judgement of the power: recorded by a version that refused a power that changes \
-             predictably, and counted fast motion and flicker as noise of the powers",
-            count(*rejudged, "frame") + if *rejudged == 1 { " differs" } else { " differ" }
         ));
     }
     if *unrecorded > 0 {

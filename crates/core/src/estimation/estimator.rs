@@ -54,7 +54,8 @@ struct PowerMemory {
     noise: PowerNoise,
     /// Sum over the samples of the block.
     doubt: Doubt,
-    /// An earlier version recorded the state, without this part.
+    /// Version 0.1.0 recorded the state, without this part. A replay then judges the powers as that version did, and
+    /// gives the same poses, bit by bit.
     unrecorded: bool,
 }
 
@@ -63,20 +64,6 @@ struct PowerMemory {
 fn if_recorded<'de, D: Deserializer<'de>>(from: D) -> Result<PowerMemory, D::Error> {
     let nothing = |_| PowerMemory { unrecorded: true, ..PowerMemory::default() };
     Ok(PowerMemory::deserialize(from).unwrap_or_else(nothing))
-}
-
-impl EstimatorState {
-    /// Whether an earlier version recorded this state: one that judged the power by its last two changes only.
-    pub fn of_earlier_version(&self) -> bool {
-        self.powers.unrecorded
-    }
-
-    /// Adds from another state what an earlier version did not record.
-    pub fn complete_from(&mut self, other: &Self) {
-        if self.powers.unrecorded {
-            self.powers.clone_from(&other.powers);
-        }
-    }
 }
 
 impl Estimation {
@@ -91,8 +78,7 @@ impl Estimation {
     }
 
     /// Continues from this state.
-    pub fn remember(&mut self, mut memory: EstimatorState) {
-        memory.complete_from(&EstimatorState::default());
+    pub fn remember(&mut self, memory: EstimatorState) {
         self.memory = memory;
     }
 
@@ -164,16 +150,20 @@ impl Estimation {
             self.interrupt_signals();
         }
         let (power, doubt) = if good { self.power(sample) } else { Default::default() };
-        let EstimatorState { noise, powers, block, .. } = &mut self.memory;
+        let EstimatorState { noise, power_steps, powers, block, .. } = &mut self.memory;
         powers.doubt = powers.doubt.plus(doubt);
-        if power == Power::Step && !powers.history.restless() {
+        let lasting =
+            if powers.unrecorded { power_steps.lasting_as_in_0_1() } else { powers.history.restless() };
+        if power == Power::Step && !lasting {
             noise.interrupt(); // a step is not noise
             powers.noise.interrupt();
         } else if good {
             let [a, b, c, d, e, f] = sample.spots;
             let [p, q, r] = sample.powers;
             noise.push([a, b, c, d, e, f, p, q, r]);
-            powers.noise.push(sample.powers);
+            if !powers.unrecorded {
+                powers.noise.push(sample.powers);
+            }
         }
         let mean = block.push(sample, power, self.settings.average)?;
         let doubt = std::mem::take(&mut powers.doubt).mean(mean.count);
@@ -183,14 +173,19 @@ impl Estimation {
     /// State of the total power of a sample, judged by the configured standard uncertainty, or by the live
     /// one where that is larger.
     fn power(&mut self, sample: &Sample) -> (Power, Doubt) {
-        if !self.exposure.to_steps() {
+        let as_in_0_1 = self.memory.powers.unrecorded;
+        if !self.exposure.to_steps() && !as_in_0_1 {
             return (Power::Steady, Doubt::default());
         }
         let configured = self.settings.power_noise;
         let each = (0..).zip(sample.powers).map(|(i, power)| self.power_noise(i, configured * power));
         let sigma = each.map(|sigma| sigma * sigma).sum::<f64>().sqrt();
         let EstimatorState { power_steps, powers, .. } = &mut self.memory;
-        power_steps.push(sample.powers.iter().sum(), sigma, &mut powers.history)
+        let total = sample.powers.iter().sum();
+        if as_in_0_1 {
+            return (power_steps.push_as_in_0_1(total, sigma), Doubt::default());
+        }
+        power_steps.push(total, sigma, &mut powers.history)
     }
 
     /// Standard uncertainty of a power: the configured one, or the live one where that is larger. Motion and the

@@ -18,6 +18,7 @@ pub mod integrity;
 pub mod noise;
 pub mod power_noise;
 pub mod power_step;
+mod power_step_0_1;
 pub mod report;
 pub mod settings;
 mod signal_checks;

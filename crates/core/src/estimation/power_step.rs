@@ -47,9 +47,9 @@ pub enum Power {
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct PowerSteps {
     /// The last totals, the newest one first; the second one is unknown after a step.
-    last: [Option<f64>; 2],
+    pub(super) last: [Option<f64>; 2],
     /// Number of successive samples with a step.
-    row: u32,
+    pub(super) row: u32,
 }
 
 /// What was learnt of the changes of the power.
