@@ -172,6 +172,7 @@ impl Config {
             spot_noise: estimation.spot_noise_um * 1e-6,
             power_noise: estimation.power_noise,
             systematic: estimation.systematic(),
+            amplifiers: self.channels.psds().map(|psd| psd.amplifier),
             readback: Readback::new(self.steering.beam_map(), self.steering.beam_sigma_um() * 1e-6),
             fuse: estimation.fuse_steering,
             edge_margin: estimation.edge_margin_mm * 1e-3,

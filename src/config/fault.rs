@@ -59,6 +59,13 @@ pub enum FaultKind {
         /// The factor.
         factor: f64,
     },
+    /// The power of the laser changes as a sine.
+    Flicker {
+        /// Amplitude, as a fraction of the power, 0 to 1.
+        fraction: f64,
+        /// Frequency, hertz.
+        frequency_hz: f64,
+    },
     /// The noise of spots and powers is multiplied by a factor.
     NoiseBurst {
         /// The factor.
@@ -84,7 +91,7 @@ pub struct Fault {
     pub kind: FaultKind,
 }
 
-/// The keys as in the file. The kind determines which of the last six are allowed.
+/// The keys as in the file. The kind determines which of the last seven are allowed.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FaultKeys {
@@ -94,6 +101,7 @@ struct FaultKeys {
     psd: Option<u8>,
     channel: Option<u8>,
     fraction: Option<f64>,
+    frequency_hz: Option<f64>,
     factor: Option<f64>,
     interval_ms: Option<f64>,
     shift_um: Option<[f64; 2]>,
@@ -115,6 +123,7 @@ enum KindName {
     WrongAcks,
     SteeringStuck,
     LaserPower,
+    Flicker,
     NoiseBurst,
     LaserBump,
 }
@@ -158,6 +167,10 @@ impl TryFrom<FaultKeys> for Fault {
             KindName::WrongAcks => FaultKind::WrongAcks,
             KindName::SteeringStuck => FaultKind::SteeringStuck,
             KindName::LaserPower => FaultKind::LaserPower { factor: needed(keys.factor.take(), "factor")? },
+            KindName::Flicker => FaultKind::Flicker {
+                fraction: needed(keys.fraction.take(), "fraction")?,
+                frequency_hz: needed(keys.frequency_hz.take(), "frequency_hz")?,
+            },
             KindName::NoiseBurst => FaultKind::NoiseBurst { factor: needed(keys.factor.take(), "factor")? },
             KindName::LaserBump => {
                 FaultKind::LaserBump { shift_um: needed(keys.shift_um.take(), "shift_um")? }
@@ -167,6 +180,7 @@ impl TryFrom<FaultKeys> for Fault {
             ("psd", keys.psd.is_some()),
             ("channel", keys.channel.is_some()),
             ("fraction", keys.fraction.is_some()),
+            ("frequency_hz", keys.frequency_hz.is_some()),
             ("factor", keys.factor.is_some()),
             ("interval_ms", keys.interval_ms.is_some()),
             ("shift_um", keys.shift_um.is_some()),
@@ -198,6 +212,10 @@ impl Fault {
             | FaultKind::NoiseBurst { factor }
             | FaultKind::ClockRate { factor } => {
                 at.number("factor", factor, 0.0..=1000.0);
+            }
+            FaultKind::Flicker { fraction, frequency_hz } => {
+                at.number("fraction", fraction, 0.0..=1.0);
+                at.number("frequency_hz", frequency_hz, 0.0..=100_000.0);
             }
             FaultKind::Bursts { interval_ms } => at.number("interval_ms", interval_ms, 1.0..=10_000.0),
             FaultKind::LaserBump { shift_um } => at.numbers("shift_um", &shift_um, -10_000.0..=10_000.0),

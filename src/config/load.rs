@@ -218,6 +218,7 @@ fn allowed_at(key: &str) -> Option<String> {
         FaultKind::Dropped { fraction: 0.0 },
         FaultKind::LaserPower { factor: 1.0 },
         FaultKind::Bursts { interval_ms: 100.0 },
+        FaultKind::Flicker { fraction: 0.0, frequency_hz: 0.0 },
     ];
     config.twin.fault = kinds.map(|kind| Fault { at_s: 0.0, for_s: None, kind }).to_vec();
     let mut report = Report::default();

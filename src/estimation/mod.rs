@@ -4,6 +4,7 @@ pub mod light;
 pub mod loop_liveness;
 pub mod warnings;
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::sync::{mpsc, oneshot, watch};
@@ -83,7 +84,7 @@ pub async fn run<C: Clock>(
                 Some(SampleEvent::Up(identity)) => {
                     silence_timer = silence_timer.of(&identity);
                     warnings.source(&identity, estimation.fuses());
-                    estimation.source(identity.simulated);
+                    estimation.source(Arc::clone(&identity));
                     recorder.source(identity);
                     None
                 }

@@ -189,7 +189,7 @@ impl State {
         self.measurement.mapping = fresh.measurement.mapping;
         self.last = keyframe.last;
         if let Some(source) = &self.source {
-            self.measurement.estimation.source(source.simulated);
+            self.measurement.estimation.source(Arc::clone(source));
         }
         Ok(())
     }

@@ -73,7 +73,9 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
         let Recording { config, silence, header, estimation: mut silence_estimation, counters } = recording;
         let (now, utc) = (clock.now(), header.first);
         let pace = Pace::new(config.speed, utc.0, now);
-        silence_estimation.source(header.source.as_ref().is_some_and(|source| source.simulated));
+        if let Some(source) = &header.source {
+            silence_estimation.source(Arc::clone(source));
+        }
         let Replayed { file, recorded, speed, repeat } = header.replayed(&config);
         tracing::info!(file, recorded, speed, repeat, "replaying a recording");
         Self {

@@ -98,7 +98,7 @@ impl Faults {
     pub fn active(&self, t_s: f64) -> Active {
         let mut active = Active::default();
         for fault in self.list.iter().filter(|f| f.at_s <= t_s && t_s < end(f)) {
-            active.add(fault.kind);
+            active.add(fault.kind, t_s);
         }
         active
     }
@@ -144,7 +144,7 @@ impl Active {
         }
     }
 
-    fn add(&mut self, kind: FaultKind) {
+    fn add(&mut self, kind: FaultKind, t_s: f64) {
         match kind {
             FaultKind::BeamBlocked => self.dark = [true; 3],
             FaultKind::PsdDark { psd } => self.dark[usize::from(psd)] = true,
@@ -159,6 +159,9 @@ impl Active {
             FaultKind::WrongAcks => self.acks = self.acks.max(Acks::Wrong),
             FaultKind::SteeringStuck => self.stuck = true,
             FaultKind::LaserPower { factor } => self.power *= factor,
+            FaultKind::Flicker { fraction, frequency_hz } => {
+                self.power *= 1.0 + fraction * (std::f64::consts::TAU * frequency_hz * t_s).sin();
+            }
             FaultKind::NoiseBurst { factor } => self.noise *= factor,
             FaultKind::LaserBump { shift_um: [x, y] } => {
                 self.shift = [self.shift[0] + x * 1e-6, self.shift[1] + y * 1e-6];
@@ -185,8 +188,15 @@ fn check(fault: &Fault) -> Result<(), (&'static str, &'static str)> {
         FaultKind::Clipped { channel: 9.. } | FaultKind::Frozen { channel: 9.. } => {
             Err(("channel", "must be 0 to 8"))
         }
-        FaultKind::Dropped { fraction } | FaultKind::Corrupted { fraction } if !within(fraction, 1.0) => {
+        FaultKind::Dropped { fraction }
+        | FaultKind::Corrupted { fraction }
+        | FaultKind::Flicker { fraction, .. }
+            if !within(fraction, 1.0) =>
+        {
             Err(("fraction", "must be from 0 to 1"))
+        }
+        FaultKind::Flicker { frequency_hz, .. } if !within(frequency_hz, f64::MAX) => {
+            Err(("frequency_hz", "must be a finite number, 0 or more"))
         }
         FaultKind::LaserPower { factor }
         | FaultKind::NoiseBurst { factor }
@@ -257,6 +267,8 @@ mod tests {
             (FaultKind::Corrupted { fraction: f64::NAN }, "fraction"),
             (FaultKind::LaserPower { factor: -1.0 }, "factor"),
             (FaultKind::NoiseBurst { factor: f64::INFINITY }, "factor"),
+            (FaultKind::Flicker { fraction: 1.5, frequency_hz: 100.0 }, "fraction"),
+            (FaultKind::Flicker { fraction: 0.5, frequency_hz: f64::NAN }, "frequency_hz"),
             (FaultKind::Bursts { interval_ms: f64::NAN }, "interval_ms"),
             (FaultKind::LaserBump { shift_um: [0.0, f64::NAN] }, "shift_um"),
         ] {

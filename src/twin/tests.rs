@@ -188,6 +188,24 @@ fn with_skew_the_power_steps_within_a_scan() {
 }
 
 #[test]
+fn flicker_changes_the_power_between_the_channels_of_a_scan() {
+    let mut config = quiet();
+    (config.twin.power_noise, config.twin.channel_skew_us) = (0.0, 10.0);
+    let kind = FaultKind::Flicker { fraction: 0.1, frequency_hz: 1000.0 };
+    let plain = scans(&config, 20);
+    config.twin.fault = vec![Fault { at_s: 0.01, for_s: None, kind }];
+    let flickering = scans(&config, 20);
+    for k in 0..20 {
+        for channel in [2, 5, 8] {
+            let t_s = plain[k].t_s + 1e-5 * channel as f64;
+            let sine = if k < 10 { 0.0 } else { (std::f64::consts::TAU * 1000.0 * t_s).sin() };
+            let ratio = volts(&flickering[k], channel) / volts(&plain[k], channel);
+            assert!((ratio - 1.0 - 0.1 * sine).abs() < 1e-3, "{k}, {channel}: {ratio}");
+        }
+    }
+}
+
+#[test]
 fn without_readback_there_are_nine_channels() {
     let mut config = quiet();
     config.twin.steering.readback_noise_um = None;

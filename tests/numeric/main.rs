@@ -7,6 +7,7 @@
 
 mod accuracy;
 mod centering;
+mod false_alarms;
 mod misprints;
 mod optics;
 mod optics_reference;

@@ -152,6 +152,7 @@ fn with_value(key: &str, value: f64, default: &str) -> String {
         ("twin.fault[]", "psd") => "at_s = 1\nkind = 'psd-dark'",
         ("twin.fault[]", "channel") => "at_s = 1\nkind = 'clipped'",
         ("twin.fault[]", "fraction") => "at_s = 1\nkind = 'dropped'",
+        ("twin.fault[]", "frequency_hz") => "at_s = 1\nkind = 'flicker'\nfraction = 0.05",
         ("twin.fault[]", "factor") => "at_s = 1\nkind = 'laser-power'",
         ("twin.fault[]", "interval_ms") => "at_s = 1\nkind = 'bursts'",
         ("twin.fault[]", "at_s") => "kind = 'stalled'",

@@ -145,9 +145,8 @@ impl Measurement {
     /// # Errors
     /// The source lacks one of the nine signals.
     pub fn source(&mut self, identity: Arc<Identity>) -> Result<(), MissingSignal> {
-        let simulated = identity.simulated;
-        self.mapping.source(identity)?;
-        self.estimation.source(simulated);
+        self.mapping.source(Arc::clone(&identity))?;
+        self.estimation.source(identity);
         Ok(())
     }
 

@@ -21,6 +21,7 @@ S is a duration in seconds; without S, a fault is permanent:
   wrong-acks [S]            the board executes commands, but acknowledges other ids
   steering-stuck [S]        the stage ignores commands
   laser-power FACTOR [S]    the power of the laser is multiplied
+  flicker 0..1 HZ [S]       the power of the laser changes as a sine with this amplitude and frequency
   noise-burst FACTOR [S]    the noise of spots and powers is multiplied
   laser-bump X Y [S]        the laser is displaced by X, Y micrometres; the readback does not change
   unplug S                  the port disappears for S seconds
@@ -29,8 +30,8 @@ S is a duration in seconds; without S, a fault is permanent:
 /// The same list for error messages.
 const ALLOWED: &str = "allowed are: beam-blocked [S], psd-dark 0..2 [S], clipped 0..8 [S], frozen 0..8 [S], \
     clock-rate FACTOR [S], dropped 0..1 [S], \
-    corrupted 0..1 [S], stalled [S], bursts MS [S], mute-acks [S], wrong-acks [S], steering-stuck [S], laser-power FACTOR [S], noise-burst FACTOR [S], \
-    laser-bump X Y [S], unplug S, status (S: duration in seconds)";
+    corrupted 0..1 [S], stalled [S], bursts MS [S], mute-acks [S], wrong-acks [S], steering-stuck [S], laser-power FACTOR [S], flicker 0..1 HZ [S], \
+    noise-burst FACTOR [S], laser-bump X Y [S], unplug S, status (S: duration in seconds)";
 
 /// Longest duration, seconds. A longer fault can be permanent.
 const LONGEST_S: f64 = 1e6;
@@ -82,6 +83,9 @@ fn parse<'a>(words: &mut impl Iterator<Item = &'a str>) -> Option<EmulatorComman
         "wrong-acks" => FaultKind::WrongAcks,
         "steering-stuck" => FaultKind::SteeringStuck,
         "laser-power" => FaultKind::LaserPower { factor: number(words.next()?)? },
+        "flicker" => {
+            FaultKind::Flicker { fraction: number(words.next()?)?, frequency_hz: number(words.next()?)? }
+        }
         "noise-burst" => FaultKind::NoiseBurst { factor: number(words.next()?)? },
         "laser-bump" => FaultKind::LaserBump { shift_um: [number(words.next()?)?, number(words.next()?)?] },
         _ => return None,
@@ -111,6 +115,9 @@ fn possible(kind: FaultKind) -> bool {
         FaultKind::LaserPower { factor }
         | FaultKind::NoiseBurst { factor }
         | FaultKind::ClockRate { factor } => (0.0..=1e3).contains(&factor),
+        FaultKind::Flicker { fraction, frequency_hz } => {
+            (0.0..=1.0).contains(&fraction) && (0.0..=1e5).contains(&frequency_hz)
+        }
         FaultKind::Bursts { interval_ms } => (1.0..=1e4).contains(&interval_ms),
         FaultKind::LaserBump { shift_um } => shift_um.iter().all(|um| (-1e4..=1e4).contains(um)),
         FaultKind::BeamBlocked
@@ -132,6 +139,8 @@ mod tests {
         assert_eq!(" psd-dark 1 ".parse(), fault(FaultKind::PsdDark { psd: 1 }, None));
         assert_eq!("dropped 0.1 2".parse(), fault(FaultKind::Dropped { fraction: 0.1 }, Some(2.0)));
         assert_eq!("laser-power 1.1 2".parse(), fault(FaultKind::LaserPower { factor: 1.1 }, Some(2.0)));
+        let flicker = FaultKind::Flicker { fraction: 0.05, frequency_hz: 100.0 };
+        assert_eq!("flicker 0.05 100 2".parse(), fault(flicker, Some(2.0)));
         let bump = FaultKind::LaserBump { shift_um: [-30.0, 5.0] };
         assert_eq!("laser-bump -30 5 1".parse(), fault(bump, Some(1.0)));
         assert_eq!("unplug 1".parse(), Ok(EmulatorCommand::Unplug { for_s: 1.0 }));
@@ -159,6 +168,8 @@ mod tests {
             "stalled 1 2",
             "status now",
             "laser-power -1",
+            "flicker 0.05",
+            "flicker 2 100",
             "noise-burst inf",
             "laser-bump 1",
             "laser-bump 1 nan",

@@ -8,8 +8,10 @@ use trifacet::core::estimation::PoseReport;
 
 mod bench;
 mod eleven;
+mod flicker;
 mod pointing;
 mod power;
+mod vibration;
 
 use bench::{Bench, stated};
 

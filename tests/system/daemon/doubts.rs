@@ -83,15 +83,36 @@ fn a_burst_of_noise_increases_the_standard_uncertainties() {
     }
 }
 
-/// 2.6 V of light at a threshold of 0.05 V: the powers change too fast, but none of them is low.
+/// 2.6 V of light at a threshold of 0.05 V: the powers change fast, but all of them are known.
 #[test]
-fn a_fast_vibration_makes_the_powers_noisy_and_not_low() {
+fn a_fast_vibration_makes_no_power_noisy_or_low() {
     let mut daemon = Daemon::start(
         "centering.mode = \"off\"\n\
          twin.motion = [{ axis = \"tx\", kind = \"sine\", amount_um = 20, frequency_hz = 400 }]",
     );
+    assert!(frames(&mut daemon, 3000).iter().all(Frame::valid));
+}
+
+/// The noise of the powers is a quarter of them.
+#[test]
+fn powers_with_much_noise_are_noisy_and_not_low() {
+    let mut daemon = Daemon::start("centering.mode = \"off\"\ntwin.power_noise = 0.25");
     let mut stream = daemon.client();
     stream.until("a noisy power", |f| f.has(Status::POWER_NOISY) && !f.valid());
     let low = [Status::PSD_A_LOW, Status::PSD_B_LOW, Status::PSD_C_LOW];
-    assert!(stream.take(1000).iter().all(|f| !low.iter().any(|bit| f.has(*bit))));
+    assert!(
+        stream.take(1000).iter().all(|f| f.has(Status::POWER_NOISY) || !low.iter().any(|bit| f.has(*bit)))
+    );
+}
+
+/// A converter that samples one channel after the other refuses flicker only until its pattern is known.
+#[test]
+fn flicker_is_refused_until_it_is_known() {
+    let fault = "twin.channel_skew_us = 20\n\
+        twin.fault = [{ at_s = 2, kind = 'flicker', fraction = 0.05, frequency_hz = 100 }]";
+    let mut daemon = Daemon::start(fault);
+    let frames = frames(&mut daemon, 5000);
+    let refused: Vec<_> = frames.iter().filter(|f| !f.valid()).map(|f| f.sample_index).collect();
+    assert!(refused.iter().all(|k| (2000..2030).contains(k)), "{refused:?}");
+    assert!(frames.iter().all(|f| f.valid() != f.has(Status::POWER_STEP)));
 }

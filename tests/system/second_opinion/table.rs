@@ -221,7 +221,7 @@ pub(super) const SITUATIONS: &[Situation] = &[
         config: "",
         at: AT,
         error: AsStated,
-        signs: &[Bit("POWER_STEP", 10)],
+        signs: &[],
         silent: "",
     },
     Situation {

@@ -1,17 +1,21 @@
 //! The estimation: samples to pose reports. Pure: time and loop state are inputs.
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Deserializer, Serialize};
 use trifacet_optics::{ErrorPropagation, Innovation, Model, Noise, Signals, Solution, SolveError};
 use trifacet_wire::{LockState, Status};
 
 use super::block::{Block, Mean};
+use super::exposure::{Doubt, Exposure};
 use super::integrity::{Integrity, SlowResidual};
 use super::noise::LiveNoise;
-use super::power_step::{Power, PowerSteps};
+use super::power_noise::PowerNoise;
+use super::power_step::{Power, PowerHistory, PowerSteps};
 use super::{PoseReport, Settings};
 use crate::centering::LoopState;
 use crate::estimation::signal_checks as light;
-use crate::signals::{PsdState, Sample};
+use crate::signals::{Identity, PsdState, Sample};
 use crate::time::Mono;
 
 /// In a mean of at least this many samples, one sample with an unsteady power does no harm.
@@ -21,6 +25,8 @@ const DILUTED: u16 = 4;
 #[derive(Clone, Debug)]
 pub struct Estimation {
     settings: Settings,
+    source: Option<Arc<Identity>>,
+    exposure: Exposure,
     memory: EstimatorState,
 }
 
@@ -36,16 +42,38 @@ pub struct EstimatorState {
     /// The light is simulated, not measured.
     simulated: bool,
     index: u64,
-    /// `None` before the first residual, and in recordings of versions that did not have it. Must remain the last
-    /// field: these recordings end before it.
-    #[serde(deserialize_with = "absent_at_the_end")]
+    /// `None` before the first residual, and in recordings of versions that did not have it. The last two fields must
+    /// remain the last: recordings of earlier versions end before them.
+    #[serde(deserialize_with = "if_recorded")]
     slow: Option<SlowResidual>,
+    /// What was learnt of the powers.
+    #[serde(deserialize_with = "powers_if_recorded")]
+    powers: PowerMemory,
 }
 
-/// Postcard does not mark the end of a struct: reading beyond the end of the message is an error.
+/// What was learnt of the powers.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+struct PowerMemory {
+    history: PowerHistory,
+    noise: PowerNoise,
+    /// Sum over the samples of the block.
+    doubt: Doubt,
+    /// Version 0.1.0 recorded the state, without this part. A replay then judges the powers as that version did, and
+    /// gives the same poses, bit by bit.
+    unrecorded: bool,
+}
+
+/// The value, or none where the data end before it. Postcard does not mark the end of a struct: reading beyond the
+/// end of the message is an error.
 #[expect(clippy::unnecessary_wraps, reason = "the signature that serde expects")]
-fn absent_at_the_end<'de, D: Deserializer<'de>>(from: D) -> Result<Option<SlowResidual>, D::Error> {
+fn if_recorded<'de, D: Deserializer<'de>>(from: D) -> Result<Option<SlowResidual>, D::Error> {
     Ok(Option::deserialize(from).unwrap_or_default())
+}
+
+#[expect(clippy::unnecessary_wraps, reason = "the signature that serde expects")]
+fn powers_if_recorded<'de, D: Deserializer<'de>>(from: D) -> Result<PowerMemory, D::Error> {
+    let nothing = |_| PowerMemory { unrecorded: true, ..PowerMemory::default() };
+    Ok(PowerMemory::deserialize(from).unwrap_or_else(nothing))
 }
 
 impl EstimatorState {
@@ -64,7 +92,7 @@ impl EstimatorState {
 impl Estimation {
     /// An estimation without any sample.
     pub fn new(settings: Settings) -> Self {
-        Self { settings, memory: EstimatorState::default() }
+        Self { settings, source: None, exposure: Exposure::default(), memory: EstimatorState::default() }
     }
 
     /// The current state.
@@ -83,6 +111,7 @@ impl Estimation {
             self.forget_residuals();
         }
         self.settings = settings;
+        self.expose();
         self.interrupt();
         self.memory.warm = None;
     }
@@ -95,8 +124,16 @@ impl Estimation {
     /// Marks the end of a contiguous series of samples.
     fn interrupt(&mut self) {
         self.memory.block.clear();
-        self.memory.noise.interrupt();
-        self.memory.power_steps.interrupt();
+        self.memory.powers.doubt = Doubt::default();
+        self.interrupt_signals();
+    }
+
+    /// The next sample does not follow the last one.
+    fn interrupt_signals(&mut self) {
+        let EstimatorState { noise, power_steps, powers, .. } = &mut self.memory;
+        noise.interrupt();
+        powers.noise.interrupt();
+        power_steps.interrupt(&mut powers.history);
     }
 
     /// A report as published: in the user's frame.
@@ -114,8 +151,10 @@ impl Estimation {
     }
 
     /// Records that a source is up.
-    pub fn source(&mut self, simulated: bool) {
-        self.memory.simulated = simulated;
+    pub fn source(&mut self, identity: Arc<Identity>) {
+        self.memory.simulated = identity.simulated;
+        self.source = Some(identity);
+        self.expose();
         self.interrupt();
         self.forget_residuals();
     }
@@ -124,34 +163,68 @@ impl Estimation {
         (self.memory.integrity, self.memory.slow) = (Integrity::default(), None);
     }
 
+    fn expose(&mut self) {
+        let of = |identity: &Arc<Identity>| Exposure::new(identity, self.settings.amplifiers);
+        self.exposure = self.source.as_ref().map(of).unwrap_or_default();
+    }
+
     /// Takes a sample; returns a report at the end of each block. The caller adds the time at which the
     /// report was solved.
     pub fn sample(&mut self, sample: &Sample, steering: &LoopState) -> Option<PoseReport> {
         self.memory.index = sample.index;
         let good = sample.psds.iter().all(|psd| *psd == PsdState::Good);
         if sample.lost > 0 || !good {
-            self.memory.noise.interrupt();
-            self.memory.power_steps.interrupt();
+            self.interrupt_signals();
         }
-        let power = if good { self.power(sample) } else { Power::Steady };
-        if power == Power::Step && !self.memory.power_steps.unsteady() {
-            self.memory.noise.interrupt(); // a step is not noise
+        let (power, doubt) = if good { self.power(sample) } else { Default::default() };
+        let EstimatorState { noise, power_steps, powers, block, .. } = &mut self.memory;
+        powers.doubt = powers.doubt.plus(doubt);
+        let lasting =
+            if powers.unrecorded { power_steps.lasting_as_in_0_1() } else { powers.history.restless() };
+        if power == Power::Step && !lasting {
+            noise.interrupt(); // a step is not noise
+            powers.noise.interrupt();
         } else if good {
             let [a, b, c, d, e, f] = sample.spots;
             let [p, q, r] = sample.powers;
-            self.memory.noise.push([a, b, c, d, e, f, p, q, r]);
+            noise.push([a, b, c, d, e, f, p, q, r]);
+            if !powers.unrecorded {
+                powers.noise.push(sample.powers);
+            }
         }
-        let mean = self.memory.block.push(sample, power, self.settings.average)?;
-        Some(self.report(&mean, steering))
+        let mean = block.push(sample, power, self.settings.average)?;
+        let doubt = std::mem::take(&mut powers.doubt).mean(mean.count);
+        Some(self.report(&mean, &doubt, steering))
     }
 
     /// State of the total power of a sample, judged by the configured standard uncertainty, or by the live
     /// one where that is larger.
-    fn power(&mut self, sample: &Sample) -> Power {
+    fn power(&mut self, sample: &Sample) -> (Power, Doubt) {
+        let as_in_0_1 = self.memory.powers.unrecorded;
+        if !self.exposure.to_steps() && !as_in_0_1 {
+            return (Power::Steady, Doubt::default());
+        }
         let configured = self.settings.power_noise;
-        let each = (6..).zip(sample.powers).map(|(i, power)| self.memory.noise.sigma(i, configured * power));
+        let each = (0..).zip(sample.powers).map(|(i, power)| self.power_noise(i, configured * power));
         let sigma = each.map(|sigma| sigma * sigma).sum::<f64>().sqrt();
-        self.memory.power_steps.push(sample.powers.iter().sum(), sigma)
+        let EstimatorState { power_steps, powers, .. } = &mut self.memory;
+        let total = sample.powers.iter().sum();
+        if as_in_0_1 {
+            return (power_steps.push_as_in_0_1(total, sigma), Doubt::default());
+        }
+        power_steps.push(total, sigma, &mut powers.history)
+    }
+
+    /// Standard uncertainty of a power: the configured one, or the live one where that is larger. Motion and the
+    /// flicker of the laser do not raise it.
+    fn power_noise(&self, psd: usize, configured: f64) -> f64 {
+        let EstimatorState { noise, powers, .. } = &self.memory;
+        noise.bounded(6 + psd, configured, |window, count, own| {
+            let bounds = powers.noise.bounds(psd, window, count);
+            bounds.map_or(own, |[by_total, by_fraction]| {
+                own.min(by_fraction).min(by_total + self.exposure.variance(psd, own))
+            })
+        })
     }
 
     /// The report for a moment without samples.
@@ -174,9 +247,9 @@ impl Estimation {
         report
     }
 
-    fn report(&mut self, mean: &Mean, steering: &LoopState) -> PoseReport {
+    fn report(&mut self, mean: &Mean, doubt: &Doubt, steering: &LoopState) -> PoseReport {
         let mut report = self.blank(mean, steering);
-        let noise = self.stated_noise(mean);
+        let mut noise = self.stated_noise(mean);
         if light::judge(&self.settings, mean, &noise, &mut report.status) {
             report.lock = report.lock.without_observation();
             report.status.set(Status::NOT_LOCKED, true);
@@ -185,6 +258,7 @@ impl Estimation {
         if mean.gap {
             return report;
         }
+        self.exposure.widen(&mut noise, &mean.sample, doubt);
         let signals = Signals { spots: mean.sample.spots, powers: mean.sample.powers };
         let solved = self.settings.estimator.solve(&signals, self.memory.warm.as_ref());
         if let Err(error) = solved.and_then(|solution| self.solved(solution, mean, &noise, &mut report)) {
@@ -236,10 +310,10 @@ impl Estimation {
     fn stated_noise(&self, mean: &Mean) -> Noise {
         let quieter = f64::from(mean.count.max(1)).sqrt();
         let Settings { spot_noise, power_noise, .. } = self.settings;
-        let live = |signal, configured| self.memory.noise.sigma(signal, configured) / quieter;
+        let power = |i: usize| self.power_noise(i, power_noise * mean.sample.powers[i].abs());
         Noise {
-            spots: std::array::from_fn(|i| live(i, spot_noise)),
-            powers: std::array::from_fn(|i| live(6 + i, power_noise * mean.sample.powers[i].abs())),
+            spots: std::array::from_fn(|i| self.memory.noise.sigma(i, spot_noise) / quieter),
+            powers: std::array::from_fn(|i| power(i) / quieter),
         }
     }
 

@@ -4,16 +4,21 @@
 //! - [`settings`]: its parameters.
 //! - `signal_checks`, [`power_step`]: conditions without a pose; [`integrity`]: conditions for a doubtful
 //!   one.
+//! - [`forecast`], [`exposure`]: which changes of the power are foreseen, and what the others do to the signals.
 //! - [`frames`]: from the world frame of the head to the user's frame.
-//! - [`noise`]: the present noise of the signals.
+//! - [`noise`], [`power_noise`]: the present noise of the signals.
 //! - [`report`]: the result.
 
 pub mod block;
 pub mod estimator;
+pub mod exposure;
+pub mod forecast;
 pub mod frames;
 pub mod integrity;
 pub mod noise;
+pub mod power_noise;
 pub mod power_step;
+mod power_step_0_1;
 pub mod report;
 pub mod settings;
 mod signal_checks;

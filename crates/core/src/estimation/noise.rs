@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 /// Number of monitored signals.
 const SIGNALS: usize = 9;
 /// Averaging lengths in samples: one for a burst, one for slow growth.
-const WINDOWS: [f64; 2] = [64.0, 4096.0];
+pub(super) const WINDOWS: [f64; 2] = [64.0, 4096.0];
 /// The first signals are the spot coordinates. Most noise (laser, vibration) affects all of them, and their
 /// mean shows it within fewer samples.
 const SPOTS: usize = 6;
@@ -56,12 +56,22 @@ impl LiveNoise {
     /// The standard uncertainty of a signal: the configured one, or the live one where it is significantly
     /// larger. An estimate from n second differences has a relative standard uncertainty of about 1/sqrt(n).
     pub fn sigma(&self, signal: usize, configured: f64) -> f64 {
-        let own = self.variance[signal].iter().zip(WINDOWS.map(|window| self.count.min(window)));
+        self.bounded(signal, configured, |_, _, variance| variance)
+    }
+
+    /// As [`sigma`](Self::sigma), where `bound` gives the variance for a window, the number of samples in it, and the
+    /// variance of the signal.
+    pub fn bounded(&self, signal: usize, configured: f64, bound: impl Fn(usize, f64, f64) -> f64) -> f64 {
+        let own =
+            self.variance[signal].iter().zip(WINDOWS).enumerate().map(|(window, (variance, length))| {
+                let n = self.count.min(length);
+                (bound(window, n, *variance), n)
+            });
         let n = if signal < SPOTS { self.count.min(COMMON_WINDOW) * SPOTS as f64 } else { 0.0 };
         let mut sigma = configured;
-        for (variance, n) in own.chain([(&self.common, n)]) {
+        for (variance, n) in own.chain([(self.common, n)]) {
             // Nearly always false; the roots take longer.
-            if n > 0.0 && *variance > configured * configured {
+            if n > 0.0 && variance > configured * configured {
                 let live = variance.sqrt();
                 if live > configured * (1.0 + SIGNIFICANT / n.sqrt()) {
                     sigma = sigma.max(live);

@@ -5,6 +5,7 @@ use trifacet_wire::Status;
 
 use super::Frames;
 use super::integrity::Readback;
+use crate::channels::Amplifier;
 
 /// Parameters of estimation.
 #[derive(Clone, Debug)]
@@ -20,6 +21,8 @@ pub struct Settings {
     pub spot_noise: f64,
     /// Standard uncertainty of a power, as a fraction of that power; the configured value, a lower bound.
     pub power_noise: f64,
+    /// The amplifiers of the PSDs.
+    pub amplifiers: [Amplifier; 3],
     /// Map from the readback of the stage to the position of the beam.
     pub readback: Readback,
     /// Whether the beam position from the readback enters the solution as two more signals.
@@ -48,6 +51,7 @@ impl Settings {
             average: 1,
             spot_noise: 1.08e-6,
             power_noise: 1e-3,
+            amplifiers: [Amplifier::Normalised; 3],
             readback: Readback::default(),
             fuse: false,
             edge_margin: 0.5e-3,
