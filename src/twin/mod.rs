@@ -11,6 +11,7 @@
 //! - [`faults`]: injected faults.
 //! - [`emulator`], [`pty`]: a serial board with the twin behind it.
 
+pub mod board_state;
 pub mod electronics;
 pub mod emulator;
 pub mod faults;

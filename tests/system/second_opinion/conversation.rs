@@ -26,7 +26,7 @@ fn request(random: &mut Pcg64Mcg) -> Request {
         0 => Request::Stop,
         1..=3 => {
             let rate_mhz = if random.random_range(0..4) == 0 { random.random() } else { 1_000_000 };
-            Request::Start { rate_mhz, park: [code(random), code(random)] }
+            Request::Start { rate_mhz, park: [code(random), code(random)], minor: random.random_range(0..2) }
         }
         _ => Request::Steer(OutputCommand {
             id: random.random(),
