@@ -1,6 +1,5 @@
 //! A serial board with the twin behind it: the board side of `docs/board-protocol.md`, without the port.
 
-use std::collections::VecDeque;
 use std::hash::{BuildHasher, RandomState};
 
 use trifacet_core::time::Mono;
@@ -10,6 +9,7 @@ use trifacet_wire::board::{
     Answer, BoardIdentity, BoardScan, Deframer, Extension, MINOR, MessageError, Request, ScanFormat,
 };
 
+use super::applied::AppliedCommands;
 use super::board_state::{BoardState, Steering};
 use super::{Fate, OUTPUT_BITS, Outputs, Twin, TwinError, TwinScan};
 use crate::config::{Config, FaultKind};
@@ -41,10 +41,7 @@ pub struct Emulator {
     powered_s: f64,
     /// The message that carries the scans.
     format: ScanFormat,
-    /// Id of the last command that a scan can show.
-    applied: Option<u32>,
-    /// Accepted commands since the last scan, with their times.
-    arrived: VecDeque<(Mono, u32)>,
+    applied: AppliedCommands,
     /// Sequence number of the next scan, while started.
     sequence: Option<u32>,
     stalled: bool,
@@ -74,8 +71,7 @@ impl Emulator {
             clock_s: 0.0,
             powered_s: 0.0,
             format: ScanFormat::Short,
-            applied: None,
-            arrived: VecDeque::new(),
+            applied: AppliedCommands::default(),
             sequence: None,
             stalled: false,
             out,
@@ -99,8 +95,7 @@ impl Emulator {
         self.set_started(None);
         self.deframer = Deframer::default();
         (self.boot_id, self.powered_s) = (random_id(), self.clock_s);
-        (self.format, self.applied) = (ScanFormat::Short, None);
-        self.arrived.clear();
+        (self.format, self.applied) = (ScanFormat::Short, AppliedCommands::default());
     }
 
     /// The state of the board.
@@ -160,14 +155,12 @@ impl Emulator {
         let scan = self.twin.next_scan();
         self.release(&scan);
         self.clock_s = scan.clock_s;
-        while let Some((_, id)) = self.arrived.pop_front_if(|(at, _)| *at <= now) {
-            self.applied = Some(id);
-        }
+        let applied = self.applied.at(now);
         self.state.time_s = scan.t_s;
         self.stalled = scan.fate == Fate::Stalled;
         let Some(sequence) = self.sequence else { return };
         self.sequence = Some(sequence.wrapping_add(1));
-        if matches!(scan.fate, Fate::Dropped | Fate::Stalled) || !self.send_scan(sequence, &scan) {
+        if matches!(scan.fate, Fate::Dropped | Fate::Stalled) || !self.send_scan(sequence, &scan, applied) {
             self.state.scans_unsent += 1;
         } else {
             self.state.scans_sent += 1;
@@ -233,7 +226,7 @@ impl Emulator {
         if result == SteerResult::Accepted {
             self.move_outputs(command.codes, now, Steering::Commanded);
             self.state.commands_taken += 1;
-            self.arrived.push_back((now, command.id));
+            self.applied.accept(command.id, now);
         } else {
             self.state.commands_refused += 1;
         }
@@ -285,13 +278,13 @@ impl Emulator {
     }
 
     /// Queues a scan for the port, if there is room.
-    fn send_scan(&mut self, sequence: u32, scan: &TwinScan) -> bool {
+    fn send_scan(&mut self, sequence: u32, scan: &TwinScan, applied: Option<u32>) -> bool {
         let begin = self.out.len();
         let sent = self.send(&Answer::Scan(BoardScan {
             format: self.format,
             sequence,
             tick: self.tick(scan.clock_s),
-            applied: self.applied,
+            applied,
             output_railed: scan.output_railed,
             lease_expired: self.state.lease_expired,
             overrun: false,

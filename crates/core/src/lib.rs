@@ -12,6 +12,7 @@ pub mod centering;
 pub mod channels;
 pub mod estimation;
 pub mod pipeline;
+pub mod sent_commands;
 pub mod signals;
 pub mod stamp;
 pub mod steering;

@@ -351,6 +351,7 @@ impl Session {
             lost,
             codes: scan.codes,
             output_railed: scan.output_railed,
+            applied: scan.applied,
         }));
         self.resume();
     }

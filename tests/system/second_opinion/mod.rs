@@ -5,6 +5,7 @@
 mod board;
 mod codec;
 mod conversation;
+mod delay;
 mod healthy;
 mod observation;
 mod situations;
