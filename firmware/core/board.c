@@ -140,6 +140,9 @@ void tf_board_receive(tf_board *board, uint8_t byte, uint64_t now)
         tf_request request;
         uint8_t reason = tf_request_read(board->receiver.bytes, board->receiver.length, board->identity->minor,
                                          &request);
+        if ((board->receiver.bytes[0] & 0x80u) != 0u) {
+            break; /* from a board: the line echoes. An answer would be echoed too, without end */
+        }
         if (reason == 0u) {
             execute(board, &request, now);
         } else {

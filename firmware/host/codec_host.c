@@ -7,6 +7,8 @@
  *     frame HEX         a message -> its frame
  *     board TIME HEX    a board receives bytes at this time (microseconds since power-up): its frames, outputs x and y, 1
  *                       if the lease has expired; from line to line the same board, of one sample rate (1 kHz)
+ *     power_up MINOR    the board is switched on and speaks this minor version
+ *     scans COUNT       the board takes this number of scans
  *     identity TICK BITS OUTPUT_BITS RANGE SLOWEST FASTEST SIMULATED COUNT (ROLE SKEW)... HOST MINOR WIDE BOOT UNITS
  *              (CHANNEL UNIT SCALE EXPONENT ZERO)... NAME
  *     reply REQUEST RESULT RATE
@@ -171,6 +173,24 @@ static void converse(tf_board *board, uint8_t *bytes)
     printf(" %" PRId32 " %" PRId32 " %d", board->outputs[0], board->outputs[1], board->lease_expired);
 }
 
+static tf_identity one_rate = {.tick_hz = 1000000, .output_bits = 16, .slowest_mhz = 1000000,
+                               .fastest_mhz = 1000000, .name = "", .minor = TF_MINOR};
+
+static void power_up(tf_board *board)
+{
+    one_rate.minor = (uint8_t)number();
+    tf_board_init(board, &one_rate);
+}
+
+static void scans(tf_board *board)
+{
+    const int32_t codes[TF_MAX_CHANNELS] = {0};
+    uint64_t tick;
+    for (int64_t count = number(); count > 0 && tf_board_next_scan(board, &tick); count--) {
+        tf_board_scan(board, tick, codes, 0);
+    }
+}
+
 /* Writes the answer of the board that a command describes. */
 static size_t answer(const char *command, uint8_t *message)
 {
@@ -202,8 +222,6 @@ int main(void)
     static char line[LONGEST];
     static uint8_t bytes[LONGEST];
     static tf_board board;
-    const tf_identity one_rate = {.tick_hz = 1000000, .output_bits = 16, .slowest_mhz = 1000000,
-                                  .fastest_mhz = 1000000, .name = "", .minor = TF_MINOR};
     tf_board_init(&board, &one_rate);
     while (fgets(line, sizeof line, stdin) != NULL) {
         const char *command = strtok(line, " \n");
@@ -213,6 +231,10 @@ int main(void)
         uint8_t message[TF_MAX_BODY];
         if (strcmp(command, "board") == 0) {
             converse(&board, bytes);
+        } else if (strcmp(command, "power_up") == 0) {
+            power_up(&board);
+        } else if (strcmp(command, "scans") == 0) {
+            scans(&board);
         } else if (strcmp(command, "receive") == 0) {
             receive(bytes, rest(bytes));
         } else if (strcmp(command, "request") == 0) {

@@ -6,7 +6,7 @@ use trifacet_core::time::Mono;
 use trifacet_wire::actuator::{LeaseAction, OutputCommand};
 use trifacet_wire::board::message::{ErrorReason, Reply, StartResult, SteerResult};
 use trifacet_wire::board::{
-    Answer, BoardIdentity, BoardScan, Deframer, Extension, MINOR, MessageError, Request, ScanFormat,
+    Answer, BoardIdentity, BoardScan, Deframer, Extension, MINOR, Request, ScanFormat,
 };
 
 use super::applied::AppliedCommands;
@@ -20,6 +20,9 @@ const TICK_HZ: u32 = 10_000_000;
 /// Largest number of bytes that wait to be written. Further frames are not sent, as on a board with a full
 /// buffer.
 const QUEUE: usize = 65_536;
+
+/// Bytes of it that scans leave for answers.
+const RESERVE: usize = 1024;
 
 /// A boot id.
 fn random_id() -> u32 {
@@ -135,11 +138,13 @@ impl Emulator {
         }
         let mut deframer = std::mem::take(&mut self.deframer);
         while let Some(frame) = deframer.next(&mut bytes) {
-            let answer = match frame.map(|message| Request::decode(message, self.minor)) {
-                Ok(Ok(request)) => self.requested(request, now),
+            let answer = match frame {
                 // From a board: the line echoes. An answer would be echoed too, without end.
-                Ok(Err(MessageError::Type(0x80..))) => None,
-                Ok(Err(error)) => Some(error.to_answer()),
+                Ok([0x80..=0xff, ..]) => None,
+                Ok(message) => match Request::decode(message, self.minor) {
+                    Ok(request) => self.requested(request, now),
+                    Err(error) => Some(error.to_answer()),
+                },
                 Err(_) => Some(Answer::Error { reason: ErrorReason::Corrupted, kind: 0 }),
             };
             if let Some(answer) = answer {
@@ -307,7 +312,8 @@ impl Emulator {
     }
 
     fn send(&mut self, answer: &Answer) -> bool {
-        let room = self.out.len() < QUEUE;
+        let limit = if matches!(answer, Answer::Scan(_)) { QUEUE - RESERVE } else { QUEUE };
+        let room = self.out.len() < limit;
         if room {
             answer.encode(&mut self.out);
         }

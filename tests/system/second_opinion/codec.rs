@@ -33,25 +33,32 @@ pub(super) fn hex(bytes: &[u8]) -> String {
     })
 }
 
-/// Asks all questions; the answers must be the expected ones.
-pub(super) fn compare(questions: &[Question]) {
+/// The answers of the codec in C to these lines.
+pub(super) fn ask(lines: &[String]) -> Vec<String> {
     let program = Program::compile("firmware/host/codec_host.c", &[]);
     let mut child =
         Command::new(program.path()).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
     let mut input = child.stdin.take().unwrap();
-    let text: String = questions.iter().flat_map(|question| [&question.line, "\n"]).collect();
+    let text: String = lines.iter().flat_map(|line| [line, "\n"]).collect();
     let writer = std::thread::spawn(move || input.write_all(text.as_bytes()).unwrap());
     let output = child.wait_with_output().unwrap();
     writer.join().unwrap();
     let answers = String::from_utf8(output.stdout).unwrap();
-    assert_eq!(answers.lines().count(), questions.len(), "every question has an answer");
-    for (question, answer) in questions.iter().zip(answers.lines()) {
-        assert_eq!(answer.trim_end(), question.expected, "{}", question.line);
+    let answers: Vec<_> = answers.lines().map(|line| line.trim_end().to_owned()).collect();
+    assert_eq!(answers.len(), lines.len(), "every question has an answer");
+    answers
+}
+
+/// Asks all questions; the answers must be the expected ones.
+pub(super) fn compare(questions: &[Question]) {
+    let lines: Vec<_> = questions.iter().map(|question| question.line.clone()).collect();
+    for (question, answer) in questions.iter().zip(ask(&lines)) {
+        assert_eq!(answer, question.expected, "{}", question.line);
     }
 }
 
 /// What the bytes of a line contain.
-fn receive(bytes: &[u8]) -> Question {
+pub(super) fn receive(bytes: &[u8]) -> Question {
     let (mut deframer, mut rest, mut found) = (Deframer::default(), bytes, Vec::new());
     while let Some(message) = deframer.next(&mut rest) {
         found.push(message.map_or("damaged".into(), hex));
@@ -60,7 +67,7 @@ fn receive(bytes: &[u8]) -> Question {
 }
 
 /// What a message of the host means.
-fn request(message: &[u8], minor: u8) -> Question {
+pub(super) fn request(message: &[u8], minor: u8) -> Question {
     let expected = match Request::decode(message, minor) {
         Ok(Request::Identify { minor }) => format!("identify {minor}"),
         Ok(Request::Stop) => "stop".into(),
@@ -97,7 +104,7 @@ fn extension(id: &BoardIdentity) -> String {
 }
 
 /// The frame of an answer of the board.
-fn answer(answer: &Answer) -> Question {
+pub(super) fn answer(answer: &Answer) -> Question {
     let line = match answer {
         Answer::Identity(id) => {
             let channels: String =

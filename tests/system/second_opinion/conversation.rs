@@ -38,7 +38,7 @@ fn request(random: &mut Pcg64Mcg) -> Request {
 }
 
 /// The frames of the emulator that are no scans.
-fn answers(board: &mut Emulator) -> String {
+pub(super) fn answers(board: &mut Emulator) -> String {
     let bytes = board.output().to_vec();
     board.written(bytes.len());
     let (mut rest, mut deframer, mut frames) = (&bytes[..], Deframer::default(), Vec::new());

@@ -10,3 +10,4 @@ mod healthy;
 mod observation;
 mod situations;
 mod table;
+mod vectors;
