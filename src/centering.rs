@@ -77,8 +77,18 @@ pub async fn run<C: Clock>(
     let lock = LockReporter::new(lock, &centering, last_arrival);
     let mut heartbeat = interval(HEARTBEAT);
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut side =
-        Side { centering, driver, clock, counters, poses, records, lock, commands, overdue: false };
+    let mut side = Side {
+        centering,
+        driver,
+        clock,
+        counters,
+        poses,
+        records,
+        lock,
+        commands,
+        overdue: false,
+        doubted: false,
+    };
     loop {
         tokio::select! {
             biased;
@@ -112,6 +122,7 @@ pub async fn run<C: Clock>(
             _ = heartbeat.tick() => {}
         }
         side.watch_commands();
+        side.watch_delay();
         side.lock.cause(side.centering.cause(), side.clock.now());
         state.send_if_modified(|state| std::mem::replace(state, side.centering.state()) != *state);
     }
@@ -130,6 +141,8 @@ struct Side<D, C> {
     commands: Arc<CommandGauge>,
     /// It was logged that answers to commands are overdue.
     overdue: bool,
+    /// It was logged that the loop delay is longer than configured.
+    doubted: bool,
 }
 
 /// Reports the lock state and its cause.
@@ -226,7 +239,7 @@ impl<D: Driver, C: Clock> Side<D, C> {
     /// arrive in time again.
     fn watch_commands(&mut self) {
         let backlog = self.centering.backlog();
-        self.commands.set(&backlog);
+        self.commands.set(&backlog, self.centering.delay_s());
         if std::mem::replace(&mut self.overdue, backlog.overdue) == backlog.overdue {
             return;
         }
@@ -235,6 +248,19 @@ impl<D: Driver, C: Clock> Side<D, C> {
             tracing::warn!(unanswered = backlog.count, age_ms, "the stage does not answer commands");
         } else {
             tracing::info!("the stage answers commands again");
+        }
+    }
+
+    /// Logs when the measured delay begins to contradict the configured one, and when it ends to.
+    fn watch_delay(&mut self) {
+        let doubt = self.centering.delay_doubt();
+        if std::mem::replace(&mut self.doubted, doubt.is_some()) == doubt.is_some() {
+            return;
+        }
+        if let Some(doubt) = doubt {
+            tracing::warn!("{doubt}");
+        } else {
+            tracing::info!("commands are applied within the configured loop delay again");
         }
     }
 

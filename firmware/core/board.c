@@ -71,6 +71,7 @@ static uint8_t start(tf_board *board, const tf_request *request, uint64_t now)
         return TF_PARK_OUT_OF_RANGE;
     }
     board->started = true;
+    board->long_scans = request->minor > 0u;
     board->sequence = 0;
     board->period = period_of(board, request->rate_mhz);
     board->next_scan = now + board->period;
@@ -90,6 +91,8 @@ static uint8_t steer(tf_board *board, const tf_request *request, uint64_t now)
     board->outputs[0] = request->codes[0];
     board->outputs[1] = request->codes[1];
     board->park_on_expiry = request->park;
+    board->any_applied = true;
+    board->applied = request->id;
     board->lease_running = true;
     board->lease_expired = false;
     board->lease_end = now + (uint64_t)request->lease_ms * board->identity->tick_hz / 1000u;
@@ -119,7 +122,7 @@ static void execute(tf_board *board, const tf_request *request, uint64_t now)
         length = tf_write_ack(message, request->id, steer(board, request, now));
         break;
     default: /* IDENTIFY */
-        length = tf_write_identity(message, board->identity);
+        length = tf_write_identity(message, board->identity, request->minor);
         break;
     }
     answer(board, message, length);
@@ -135,7 +138,11 @@ void tf_board_receive(tf_board *board, uint8_t byte, uint64_t now)
         break;
     case TF_FRAME_MESSAGE: {
         tf_request request;
-        uint8_t reason = tf_request_read(board->receiver.bytes, board->receiver.length, &request);
+        uint8_t reason = tf_request_read(board->receiver.bytes, board->receiver.length, board->identity->minor,
+                                         &request);
+        if ((board->receiver.bytes[0] & 0x80u) != 0u) {
+            break; /* from a board: the line echoes. An answer would be echoed too, without end */
+        }
         if (reason == 0u) {
             execute(board, &request, now);
         } else {
@@ -154,6 +161,16 @@ bool tf_board_next_scan(const tf_board *board, uint64_t *tick)
     return board->started;
 }
 
+static size_t write_scan(const tf_board *board, uint8_t *message, uint64_t tick, const int32_t *codes, uint8_t status)
+{
+    const tf_identity *identity = board->identity;
+    if (!board->long_scans) {
+        return tf_write_scan(message, board->sequence, (uint32_t)tick, status, codes, identity->channels);
+    }
+    status |= (uint8_t)((board->any_applied ? TF_APPLIED : 0) | (identity->wide_tick ? TF_WIDE_TICK : 0));
+    return tf_write_long_scan(message, board->sequence, tick, status, board->applied, codes, identity->channels);
+}
+
 void tf_board_scan(tf_board *board, uint64_t tick, const int32_t *codes, uint8_t status)
 {
     uint8_t message[TF_MAX_BODY];
@@ -163,7 +180,7 @@ void tf_board_scan(tf_board *board, uint64_t tick, const int32_t *codes, uint8_t
     if (board->lease_expired) {
         status |= TF_LEASE_EXPIRED;
     }
-    size_t length = tf_write_scan(message, board->sequence, (uint32_t)tick, status, codes, board->identity->channels);
+    size_t length = write_scan(board, message, tick, codes, status);
     if (!send(board, message, length, RESERVE)) {
         board->omitted++;
     }

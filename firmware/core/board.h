@@ -7,6 +7,9 @@
  *   - it sets the outputs to `outputs` after each of these calls;
  *   - it has a clock of 64 bits that counts ticks from power-up, latched by the hardware at the conversion.
  *
+ * It makes these calls in the order of their times: a scan before a request that arrives after its tick. A scan then
+ * names the last command that the outputs had taken over at its tick.
+ *
  * All functions take the time as an argument, finish in bounded time, and allocate nothing. They must not be
  * interrupted by each other.
  */
@@ -24,6 +27,7 @@ typedef struct {
     tf_receiver receiver;
 
     bool started;
+    bool long_scans;       /* the host has started scans of version 1.1 */
     uint32_t sequence;     /* of the next scan */
     uint64_t next_scan;    /* tick of the next scan */
     uint32_t period;       /* ticks from scan to scan */
@@ -32,6 +36,8 @@ typedef struct {
     int32_t park[2];
     bool lease_running, lease_expired, park_on_expiry;
     uint64_t lease_end;    /* tick */
+    bool any_applied;      /* a command has been applied since power-up */
+    uint32_t applied;      /* its id */
 
     uint8_t transmit[TF_TRANSMIT]; /* ring */
     size_t waiting_from, waiting;

@@ -28,7 +28,13 @@ static size_t length_of(uint8_t type)
     }
 }
 
-uint8_t tf_request_read(const uint8_t *message, size_t length, tf_request *request)
+/* Whether a request ends with a minor version. */
+static bool takes_minor(uint8_t type)
+{
+    return type == TF_IDENTIFY || type == TF_START;
+}
+
+uint8_t tf_request_read(const uint8_t *message, size_t length, uint8_t minor, tf_request *request)
 {
     if (length < 2u) {
         return TF_ERROR_LENGTH;
@@ -40,11 +46,16 @@ uint8_t tf_request_read(const uint8_t *message, size_t length, tf_request *reque
     if (expected == 0u) {
         return TF_ERROR_TYPE;
     }
-    if (length != expected) {
+    bool states_minor = minor > 0u && takes_minor(message[0]) && length == expected + 1u;
+    if (length != expected && !states_minor) {
         return TF_ERROR_LENGTH;
     }
     request->type = message[0];
+    request->minor = states_minor ? message[expected] : 0u;
     if (request->type == TF_START) {
+        if (request->minor > TF_MINOR) {
+            return TF_ERROR_VALUE;
+        }
         request->rate_mhz = read_u32(message + 2);
         request->codes[0] = read_i32(message + 6);
         request->codes[1] = read_i32(message + 10);
@@ -87,7 +98,24 @@ static writer begin(uint8_t *message, uint8_t type)
     return w;
 }
 
-size_t tf_write_identity(uint8_t *message, const tf_identity *identity)
+static void write_extension(writer *w, const tf_identity *identity)
+{
+    uint8_t units = identity->units < TF_MAX_UNITS ? identity->units : (uint8_t)TF_MAX_UNITS;
+    u8(w, identity->minor);
+    u8(w, identity->wide_tick ? 64u : 32u);
+    low_bytes(w, identity->boot_id, 4);
+    u8(w, units);
+    for (unsigned i = 0; i < units; i++) {
+        const tf_unit *unit = &identity->unit[i];
+        u8(w, unit->channel);
+        u8(w, unit->unit);
+        low_bytes(w, (uint32_t)unit->scale, 4);
+        u8(w, (uint8_t)unit->exponent);
+        low_bytes(w, (uint32_t)unit->zero, 3);
+    }
+}
+
+size_t tf_write_identity(uint8_t *message, const tf_identity *identity, uint8_t host)
 {
     writer w = begin(message, TF_IDENTITY);
     low_bytes(&w, identity->tick_hz, 4);
@@ -96,7 +124,7 @@ size_t tf_write_identity(uint8_t *message, const tf_identity *identity)
     low_bytes(&w, identity->range_mv, 4);
     low_bytes(&w, identity->slowest_mhz, 4);
     low_bytes(&w, identity->fastest_mhz, 4);
-    u8(&w, identity->simulated ? 1u : 0u);
+    u8(&w, (uint8_t)((identity->simulated ? 1u : 0u) | (identity->minor > 0u ? 2u : 0u)));
     u8(&w, identity->channels);
     for (unsigned i = 0; i < identity->channels && i < TF_MAX_CHANNELS; i++) {
         u8(&w, identity->channel[i].role);
@@ -109,6 +137,9 @@ size_t tf_write_identity(uint8_t *message, const tf_identity *identity)
     u8(&w, name);
     for (unsigned i = 0; i < name; i++) {
         u8(&w, (uint8_t)identity->name[i]);
+    }
+    if (identity->minor > 0u && host > 0u) {
+        write_extension(&w, identity);
     }
     return w.length;
 }
@@ -130,6 +161,14 @@ size_t tf_write_ack(uint8_t *message, uint32_t id, uint8_t result)
     return w.length;
 }
 
+static size_t write_codes(writer *w, const int32_t *codes, uint8_t channels)
+{
+    for (unsigned i = 0; i < channels && i < TF_MAX_CHANNELS; i++) {
+        low_bytes(w, (uint32_t)codes[i], 3);
+    }
+    return w->length;
+}
+
 size_t tf_write_scan(uint8_t *message, uint32_t sequence, uint32_t tick, uint8_t status, const int32_t *codes,
                      uint8_t channels)
 {
@@ -137,10 +176,21 @@ size_t tf_write_scan(uint8_t *message, uint32_t sequence, uint32_t tick, uint8_t
     low_bytes(&w, sequence, 4);
     low_bytes(&w, tick, 4);
     u8(&w, status);
-    for (unsigned i = 0; i < channels && i < TF_MAX_CHANNELS; i++) {
-        low_bytes(&w, (uint32_t)codes[i], 3);
+    return write_codes(&w, codes, channels);
+}
+
+size_t tf_write_long_scan(uint8_t *message, uint32_t sequence, uint64_t tick, uint8_t status, uint32_t applied,
+                          const int32_t *codes, uint8_t channels)
+{
+    writer w = begin(message, TF_LONG_SCAN);
+    low_bytes(&w, sequence, 4);
+    u8(&w, status);
+    low_bytes(&w, applied, 4);
+    low_bytes(&w, (uint32_t)tick, 4);
+    if ((status & TF_WIDE_TICK) != 0u) {
+        low_bytes(&w, (uint32_t)(tick >> 32), 4);
     }
-    return w.length;
+    return write_codes(&w, codes, channels);
 }
 
 size_t tf_write_error(uint8_t *message, uint8_t reason, uint8_t type)

@@ -27,6 +27,12 @@
 #define LOOK_NS 300000 /* longest time between two looks at the line */
 #define FULL_SCALE_M 500e-6 /* position of the stage at the full-scale code */
 
+/* A byte from the host on its way to the board. */
+typedef struct {
+    uint8_t byte;
+    int64_t arrival_ns;
+} travelling;
+
 /* Everything that the program knows. */
 typedef struct {
     options o;
@@ -39,6 +45,8 @@ typedef struct {
     uint64_t stopped_tick; /* at the begin of the faults */
     uint8_t pending[4096]; /* bytes for the line */
     size_t pending_length;
+    travelling received[4096]; /* from the host, not yet at the board */
+    size_t received_length;
     uint8_t late[TF_MAX_FRAME]; /* a scan that is sent after its successor */
     size_t late_length;
 } host;
@@ -92,7 +100,8 @@ static int open_line(const char *link)
 static tf_identity identity_of(const options *o)
 {
     tf_identity id = {TICK_HZ, (uint8_t)o->bits, OUTPUT_BITS, (uint32_t)o->range_mv, 1000, 5000000, true,
-                      SENSOR_CHANNELS, {{0, 0}}, "Reference board 1.0 #1"};
+                      SENSOR_CHANNELS, {{0, 0}}, "Reference board 1.1 #1", (uint8_t)o->minor, o->wide > 0,
+                      (uint32_t)o->boot, 0, {{0, 0, 0, 0, 0}}};
     for (unsigned i = 0; i < SENSOR_CHANNELS; i++) {
         unsigned role = i < 9 ? (i % 3 + 1) * 0x10 + i / 3 : TF_ROLE_READBACK + i - 9;
         id.channel[i].role = (uint8_t)role;
@@ -138,7 +147,7 @@ static uint64_t stated_tick(host *h, uint64_t tick, uint32_t sequence)
     if (sequence == h->o.at) {
         tick += (uint64_t)(int64_t)h->o.tick_step;
     }
-    return h->o.tick_bits < 32 ? tick & (((uint64_t)1 << (unsigned)h->o.tick_bits) - 1) : tick;
+    return h->o.tick_bits < 64 ? tick & (((uint64_t)1 << (unsigned)h->o.tick_bits) - 1) : tick;
 }
 
 /* Sends the frame of a scan with the faults of the line. */
@@ -229,20 +238,78 @@ static bool wait_for_work(const host *h)
     return ends[1].revents == 0;
 }
 
-static void work(host *h)
+/* Acknowledges a command that nobody has sent. */
+static void acknowledge_another(host *h)
+{
+    uint8_t message[TF_MAX_BODY], frame[TF_MAX_FRAME];
+    size_t length = tf_write_ack(message, h->board.applied ^ 0x80000000u, TF_ACCEPTED);
+    put(h, frame, tf_frame_encode(message, length, frame));
+}
+
+/* Type of the answer that begins at this byte of the ring. */
+static int answer_type(const tf_board *board, size_t begin)
+{
+    return board->transmit[(board->waiting_from + begin + 1u) % TF_TRANSMIT]; /* after the COBS prefix */
+}
+
+/* A byte reaches the board, with the faults of a wrong firmware. */
+static void reach(host *h, uint8_t byte)
+{
+    tf_board *board = &h->board;
+    transmit(h);
+    uint32_t sequence = board->sequence;
+    size_t before = board->waiting;
+    h->identity.boot_id += h->o.new_boots > 0 ? 1 : 0;
+    tf_board_receive(board, byte, now(h));
+    if (board->waiting > before) {
+        int type = answer_type(board, before);
+        if (type == TF_REPLY && board->started) {
+            board->sequence = h->o.keep_number > 0 ? sequence : board->sequence;
+            board->period = (uint32_t)((double)board->period / h->o.rate_factor);
+        }
+        if (type == h->o.mute || (type == TF_ACK && h->o.wrong_ids > 0)) {
+            board->waiting = before;
+        }
+        if (type == TF_ACK && h->o.wrong_ids > 0) {
+            acknowledge_another(h);
+        }
+    }
+    board->lease_running = board->lease_running && h->o.no_lease <= 0;
+    board->park_on_expiry = board->park_on_expiry && h->o.no_park <= 0;
+    board->any_applied = board->any_applied && h->o.no_applied <= 0;
+}
+
+/* Takes bytes from the line; they reach the board after the delay of the line. */
+static void receive(host *h)
 {
     uint8_t bytes[256];
     ssize_t count;
-    while ((count = read(h->line, bytes, sizeof bytes)) > 0) {
+    size_t room;
+    while ((room = sizeof h->received / sizeof *h->received - h->received_length) > 0 &&
+           (count = read(h->line, bytes, room < sizeof bytes ? room : sizeof bytes)) > 0) {
+        int64_t arrival_ns = clock_ns(CLOCK_MONOTONIC) + (int64_t)(h->o.line_ms * 1e6);
         for (ssize_t i = 0; i < count; i++) {
-            tf_board_receive(&h->board, bytes[i], now(h));
+            h->received[h->received_length++] = (travelling){bytes[i], arrival_ns};
         }
     }
-    tf_board_check_lease(&h->board, now(h));
+    size_t arrived = 0;
+    int64_t now_ns = clock_ns(CLOCK_MONOTONIC);
+    while (arrived < h->received_length && h->received[arrived].arrival_ns <= now_ns) {
+        reach(h, h->received[arrived++].byte);
+    }
+    h->received_length -= arrived;
+    memmove(h->received, h->received + arrived, h->received_length * sizeof *h->received);
+}
+
+/* Everything in the order of its time: the scans that are due, then what the host sends. */
+static void work(host *h)
+{
     uint64_t tick;
     while (tf_board_next_scan(&h->board, &tick) && tick <= now(h)) {
         scan(h, tick);
     }
+    receive(h);
+    tf_board_check_lease(&h->board, now(h));
     transmit(h);
 }
 

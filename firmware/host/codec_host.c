@@ -3,14 +3,18 @@
  * A line of input is a command with its numbers or bytes in hexadecimal; the answer is one line:
  *
  *     receive HEX       bytes of the line -> the messages in them (hex), or "damaged", separated by spaces
- *     request HEX       a message of the host -> its name and its fields, or "error REASON"
+ *     request MINOR HEX a message of the host -> its name and its fields, or "error REASON"
  *     frame HEX         a message -> its frame
  *     board TIME HEX    a board receives bytes at this time (microseconds since power-up): its frames, outputs x and y, 1
  *                       if the lease has expired; from line to line the same board, of one sample rate (1 kHz)
- *     identity TICK BITS OUTPUT_BITS RANGE SLOWEST FASTEST SIMULATED COUNT (ROLE SKEW)... NAME
+ *     power_up MINOR    the board is switched on and speaks this minor version
+ *     scans COUNT       the board takes this number of scans
+ *     identity TICK BITS OUTPUT_BITS RANGE SLOWEST FASTEST SIMULATED COUNT (ROLE SKEW)... HOST MINOR WIDE BOOT UNITS
+ *              (CHANNEL UNIT SCALE EXPONENT ZERO)... NAME
  *     reply REQUEST RESULT RATE
  *     ack ID RESULT
  *     scan SEQUENCE TICK STATUS COUNT CODE...
+ *     long_scan SEQUENCE TICK STATUS APPLIED COUNT CODE...
  *     error REASON TYPE -> the frame
  */
 #include <inttypes.h>
@@ -59,18 +63,20 @@ static void receive(const uint8_t *bytes, size_t length)
     }
 }
 
-static void request(const uint8_t *bytes, size_t length)
+static void request(uint8_t minor, const uint8_t *bytes, size_t length)
 {
     tf_request r;
-    uint8_t reason = tf_request_read(bytes, length, &r);
+    uint8_t reason = tf_request_read(bytes, length, minor, &r);
     if (reason != 0) {
         printf("error %u", reason);
     } else if (r.type == TF_START) {
-        printf("start %" PRIu32 " %" PRId32 " %" PRId32, r.rate_mhz, r.codes[0], r.codes[1]);
+        printf("start %" PRIu32 " %" PRId32 " %" PRId32 " %u", r.rate_mhz, r.codes[0], r.codes[1], r.minor);
     } else if (r.type == TF_STEER) {
         printf("steer %" PRIu32 " %" PRId32 " %" PRId32 " %u %d", r.id, r.codes[0], r.codes[1], r.lease_ms, r.park);
+    } else if (r.type == TF_STOP) {
+        fputs("stop", stdout);
     } else {
-        fputs(r.type == TF_STOP ? "stop" : "identify", stdout);
+        printf("identify %u", r.minor);
     }
 }
 
@@ -88,6 +94,13 @@ static int64_t number(void)
     return word == NULL ? 0 : strtoll(word, NULL, 10);
 }
 
+/* The next number of the line, up to 2^64 - 1. */
+static uint64_t large_number(void)
+{
+    const char *word = strtok(NULL, " \n");
+    return word == NULL ? 0 : strtoull(word, NULL, 10);
+}
+
 static size_t identity(uint8_t *message)
 {
     tf_identity id = {.tick_hz = 0};
@@ -103,9 +116,40 @@ static size_t identity(uint8_t *message)
         id.channel[i].role = (uint8_t)number();
         id.channel[i].skew_ns = (uint32_t)number();
     }
+    uint8_t host = (uint8_t)number();
+    id.minor = (uint8_t)number();
+    id.wide_tick = number() != 0;
+    id.boot_id = (uint32_t)number();
+    id.units = (uint8_t)number();
+    for (unsigned i = 0; i < id.units && i < TF_MAX_UNITS; i++) {
+        id.unit[i].channel = (uint8_t)number();
+        id.unit[i].unit = (uint8_t)number();
+        id.unit[i].scale = (int32_t)number();
+        id.unit[i].exponent = (int8_t)number();
+        id.unit[i].zero = (int32_t)number();
+    }
     const char *name = strtok(NULL, "\n");
     id.name = name == NULL ? "" : name;
-    return tf_write_identity(message, &id);
+    return tf_write_identity(message, &id, host);
+}
+
+static void codes_of(uint8_t count, int32_t codes[TF_MAX_CHANNELS])
+{
+    for (unsigned i = 0; i < count && i < TF_MAX_CHANNELS; i++) {
+        codes[i] = (int32_t)number();
+    }
+}
+
+static size_t long_scan(uint8_t *message)
+{
+    uint32_t sequence = (uint32_t)number();
+    uint64_t tick = large_number();
+    uint8_t status = (uint8_t)number();
+    uint32_t applied = (uint32_t)number();
+    uint8_t count = (uint8_t)number();
+    int32_t codes[TF_MAX_CHANNELS] = {0};
+    codes_of(count, codes);
+    return tf_write_long_scan(message, sequence, tick, status, applied, codes, count);
 }
 
 static size_t scan(uint8_t *message)
@@ -113,9 +157,7 @@ static size_t scan(uint8_t *message)
     uint32_t sequence = (uint32_t)number(), tick = (uint32_t)number();
     uint8_t status = (uint8_t)number(), count = (uint8_t)number();
     int32_t codes[TF_MAX_CHANNELS] = {0};
-    for (unsigned i = 0; i < count && i < TF_MAX_CHANNELS; i++) {
-        codes[i] = (int32_t)number();
-    }
+    codes_of(count, codes);
     return tf_write_scan(message, sequence, tick, status, codes, count);
 }
 
@@ -131,6 +173,24 @@ static void converse(tf_board *board, uint8_t *bytes)
     printf(" %" PRId32 " %" PRId32 " %d", board->outputs[0], board->outputs[1], board->lease_expired);
 }
 
+static tf_identity one_rate = {.tick_hz = 1000000, .output_bits = 16, .slowest_mhz = 1000000,
+                               .fastest_mhz = 1000000, .name = "", .minor = TF_MINOR};
+
+static void power_up(tf_board *board)
+{
+    one_rate.minor = (uint8_t)number();
+    tf_board_init(board, &one_rate);
+}
+
+static void scans(tf_board *board)
+{
+    const int32_t codes[TF_MAX_CHANNELS] = {0};
+    uint64_t tick;
+    for (int64_t count = number(); count > 0 && tf_board_next_scan(board, &tick); count--) {
+        tf_board_scan(board, tick, codes, 0);
+    }
+}
+
 /* Writes the answer of the board that a command describes. */
 static size_t answer(const char *command, uint8_t *message)
 {
@@ -139,6 +199,9 @@ static size_t answer(const char *command, uint8_t *message)
     }
     if (strcmp(command, "scan") == 0) {
         return scan(message);
+    }
+    if (strcmp(command, "long_scan") == 0) {
+        return long_scan(message);
     }
     int64_t first = number(), second = number();
     if (strcmp(command, "reply") == 0) {
@@ -159,8 +222,6 @@ int main(void)
     static char line[LONGEST];
     static uint8_t bytes[LONGEST];
     static tf_board board;
-    const tf_identity one_rate = {.tick_hz = 1000000, .output_bits = 16, .slowest_mhz = 1000000,
-                                  .fastest_mhz = 1000000, .name = ""};
     tf_board_init(&board, &one_rate);
     while (fgets(line, sizeof line, stdin) != NULL) {
         const char *command = strtok(line, " \n");
@@ -170,10 +231,15 @@ int main(void)
         uint8_t message[TF_MAX_BODY];
         if (strcmp(command, "board") == 0) {
             converse(&board, bytes);
+        } else if (strcmp(command, "power_up") == 0) {
+            power_up(&board);
+        } else if (strcmp(command, "scans") == 0) {
+            scans(&board);
         } else if (strcmp(command, "receive") == 0) {
             receive(bytes, rest(bytes));
         } else if (strcmp(command, "request") == 0) {
-            request(bytes, rest(bytes));
+            uint8_t minor = (uint8_t)number();
+            request(minor, bytes, rest(bytes));
         } else if (strcmp(command, "frame") == 0) {
             print_frame(bytes, rest(bytes));
         } else {

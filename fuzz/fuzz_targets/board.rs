@@ -10,14 +10,16 @@ use trifacet::acquisition::SourceEvent;
 use trifacet::acquisition::board::{Session, Settings};
 use trifacet::core::time::Mono;
 use trifacet::core::telemetry::Counters;
-use trifacet_wire::board::{Answer, Deframer, MessageError, Request, framing as frame};
+use trifacet_wire::board::{Answer, Deframer, MINOR, MessageError, Request, framing as frame};
 use trifacet_wire::channel::MAX_CHANNELS;
 
 fuzz_target!(|bytes: &[u8]| {
     // The line as it is, and cut into messages with correct checksums, which the fuzzer cannot guess.
     let sealed: Vec<u8> = bytes.split(|byte| *byte == 0xa5).flat_map(seal).collect();
     for line in [bytes, &sealed] {
-        understand(line, Request::decode, Request::encode);
+        for minor in 0..=MINOR {
+            understand(line, |message| Request::decode(message, minor), Request::encode);
+        }
         understand(line, Answer::decode, encode_answer);
         converse(line);
     }

@@ -245,12 +245,13 @@ mod tests {
             psds: [PsdState::Good; 3],
             steering: None,
             output_railed: false,
+            applied: None,
         }
     }
 
     fn scan(index: u64) -> Scan {
         let (time, codes) = (Mono(index as i64), [0; MAX_CHANNELS]);
-        Scan { index, time, time_sigma_ns: None, lost: 0, codes, output_railed: false }
+        Scan { index, time, time_sigma_ns: None, lost: 0, codes, output_railed: false, applied: None }
     }
 
     #[test]

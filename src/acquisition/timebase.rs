@@ -54,6 +54,7 @@ pub struct Moment {
 #[derive(Clone, Debug)]
 pub struct Timebase {
     tick_hz: u32,
+    tick_bits: u32,
     rate_hz: f64,
     latency_ns: i64,
     /// Longest delay from scan to arrival, nanoseconds.
@@ -86,7 +87,13 @@ impl Timebase {
     /// part of the delay from the scan to its arrival. No time before `floor` (the time of the last scan
     /// before a reconnect) is returned.
     pub fn new(tick_hz: u32, rate_hz: f64, latency_ns: i64, floor: Option<Mono>) -> Self {
-        Self { tick_hz, rate_hz, latency_ns, max_delay_ns: MAX_DELAY_NS, floor, state: None }
+        Self { tick_hz, tick_bits: 32, rate_hz, latency_ns, max_delay_ns: MAX_DELAY_NS, floor, state: None }
+    }
+
+    /// The same for a tick of this width, 32 or 64 bits, instead of 32.
+    #[must_use]
+    pub fn with_tick_bits(self, tick_bits: u32) -> Self {
+        Self { tick_bits, ..self }
     }
 
     /// The same for scans that arrive in bursts, at intervals of at most `interval`.
@@ -97,12 +104,13 @@ impl Timebase {
 
     /// Time of the scan with these counters that arrived at `arrival`. Arrivals must be in order.
     pub fn moment(&mut self, counters: ScanCounters, arrival: Mono) -> Moment {
-        let Self { tick_hz, rate_hz, max_delay_ns, .. } = *self;
+        let Self { tick_hz, tick_bits, rate_hz, max_delay_ns, .. } = *self;
         let state = match &mut self.state {
             Some(state) => state,
-            None => self
-                .state
-                .insert(State::new(DeviceClock::new(tick_hz, rate_hz, counters.tick, arrival), arrival)),
+            None => self.state.insert(State::new(
+                DeviceClock::new(tick_hz, tick_bits, rate_hz, counters.tick, arrival),
+                arrival,
+            )),
         };
         let (sigma_ns, fault) = state.advance(counters, arrival, max_delay_ns);
         let (possible, excluded_ns) = state.bounded(arrival, max_delay_ns);
@@ -261,7 +269,7 @@ mod tests {
         /// timebase with its error in nanoseconds.
         fn scan(&mut self, t_s: f64, extra_ns: f64) -> (Moment, f64) {
             let ticks = (t_s * (1.0 + self.drift) * f64::from(self.tick_hz)).round() as u64;
-            let tick = self.first_tick.wrapping_add(ticks as u32);
+            let tick = self.first_tick.wrapping_add(ticks as u32).into();
             let late: f64 = Exp1.sample(&mut self.random);
             let arrival = START + (t_s * 1e9 + self.fixed_ns + late * 100e3 + extra_ns) as i64;
             let sequence = (t_s * self.rate_hz).round() as u64;
@@ -349,7 +357,7 @@ mod tests {
         for k in 1..100_u32 {
             let late_ns = if k > 20 { 100_000 } else { 1_000_000 };
             let arrival = START + (i64::from(k) * 1_000_000 + late_ns);
-            let moment = timebase.moment(ScanCounters { tick: k * 1000, periods: 1 }, arrival);
+            let moment = timebase.moment(ScanCounters { tick: u64::from(k) * 1000, periods: 1 }, arrival);
             assert!(moment.time - last >= 499_999, "{k}: {}", moment.time - last);
             last = moment.time;
         }

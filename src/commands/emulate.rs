@@ -16,6 +16,7 @@ use tokio::task::yield_now;
 use tokio::time::{Instant, sleep_until};
 use trifacet::clock::SystemClock;
 use trifacet::clock::pace::Pace;
+use trifacet::core::time::Clock;
 use trifacet::exit::{CONFIG, Failure};
 use trifacet::twin::{Emulator, Pty};
 
@@ -31,8 +32,18 @@ pub(crate) struct EmulateArgs {
     /// Create PATH as a symbolic link to the port, and remove it at the end
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
+    /// Version of the board protocol
+    #[arg(long, value_name = "VERSION", value_parser = ["1.0", "1.1"], default_value = "1.1")]
+    protocol: String,
     #[command(flatten)]
     config: ConfigArg,
+}
+
+impl EmulateArgs {
+    /// Minor version of the protocol.
+    fn minor(&self) -> u8 {
+        u8::from(self.protocol != "1.0")
+    }
 }
 
 /// Runs the board until SIGTERM, SIGINT or a failure.
@@ -42,7 +53,8 @@ pub(crate) fn emulate(args: &EmulateArgs) -> anyhow::Result<()> {
     runtime.block_on(async {
         let pace = Pace::new(SystemClock, config.acquisition.rate_hz)?;
         let board = Emulator::new(&config, pace.schedule().time(0))
-            .map_err(|error| Failure::new(CONFIG, error.to_string()))?;
+            .map_err(|error| Failure::new(CONFIG, error.to_string()))?
+            .with_minor(args.minor());
         let bench = Bench { board, pace, port: None, link: args.link.clone(), plug_in: Some(Instant::now()) };
         bench.run().await
     })
@@ -97,6 +109,9 @@ impl Bench {
     fn obey(&mut self, line: &str) -> anyhow::Result<()> {
         match line.parse() {
             Ok(EmulatorCommand::Status) => say(&serde_json::to_string(&self.board.state())?)?,
+            Ok(EmulatorCommand::Restart) => {
+                self.board.restart(SystemClock.now());
+            }
             Ok(EmulatorCommand::Unplug { for_s }) => {
                 self.port = None;
                 self.board.unheard();

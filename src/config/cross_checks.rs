@@ -2,7 +2,7 @@
 
 use trifacet_core::centering::stability::is_stable;
 use trifacet_optics::{Optics, Pose, Vec2};
-use trifacet_wire::board::required_baud;
+use trifacet_wire::board::{ScanFormat, required_baud};
 use trifacet_wire::channel::SIGNALS;
 
 use super::check::Checker;
@@ -96,7 +96,7 @@ fn twin_signals(config: &Config, at: &mut Checker<'_>) {
 /// and the daemon queries it later. Nine is the minimum.
 fn serial_speed(config: &Config, at: &mut Checker<'_>) {
     let acquisition = &config.acquisition;
-    let needed = required_baud(SIGNALS.len(), acquisition.rate_hz);
+    let needed = required_baud(SIGNALS.len(), acquisition.rate_hz, ScanFormat::Short);
     at.agree(
         acquisition.serial.baud >= needed,
         "acquisition.serial.baud",

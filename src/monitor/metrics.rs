@@ -146,11 +146,17 @@ impl Page<'_> {
     }
 
     fn commands(&mut self, view: &View) -> fmt::Result {
-        let commands = &view.sources.commands;
-        let count = f64::from(commands.count());
+        let backlog = view.sources.commands.backlog();
+        let count = f64::from(backlog.count);
         self.gauge("commands_unanswered", "Steering commands without an acknowledgement", count)?;
         let help = "Age of the oldest steering command without an acknowledgement, 0 if all are acknowledged";
-        self.gauge("command_age_seconds", help, commands.age_s(SystemClock.now()))
+        self.gauge("command_age_seconds", help, backlog.age_s(SystemClock.now()))?;
+        let help =
+            "Median time from a sample to the first scan in which its command is applied, without the stage";
+        self.known("command_delay_seconds", help, view.sources.commands.delay_s())?;
+        let config = view.sources.config.borrow();
+        let delay_s = config.centering.loop_delay_s(config.acquisition.rate_hz);
+        self.gauge("loop_delay_seconds", "Configured loop delay, which the gains are derived from", delay_s)
     }
 
     fn doubts(&mut self, view: &View) -> fmt::Result {

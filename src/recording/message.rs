@@ -188,6 +188,7 @@ impl Sample {
             lost: self.lost.saturating_sub(self.unhandled),
             codes: self.codes,
             output_railed: self.output_railed,
+            applied: None,
         };
         let sample = Taken {
             index: scan.index,
@@ -199,6 +200,7 @@ impl Sample {
             psds: [psd(a)?, psd(b)?, psd(c)?],
             steering: known(self.steering),
             output_railed: scan.output_railed,
+            applied: None,
         };
         let steering =
             LoopState { lock: lock(self.lock)?, position: known(self.commanded).map(StagePosition) };

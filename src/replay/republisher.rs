@@ -80,6 +80,8 @@ impl<C: Clock, Publish: FnMut(&Republished)> Republisher<C, Publish> {
         let sampled = self.last.filter(|report| !report.status.has(Status::SOURCE_DOWN));
         LoopView {
             backlog: CommandBacklog::default(),
+            delay_s: None,
+            delay_doubt: None,
             mode: LoopMode::Off,
             lock: self.last.map_or(steering.lock, |report| report.lock),
             offset: sampled.and_then(|report| report.offset).map(BeamOffset),

@@ -1,11 +1,16 @@
 //! A serial board with the twin behind it: the board side of `docs/board-protocol.md`, without the port.
 
-use serde::Serialize;
+use std::hash::{BuildHasher, RandomState};
+
 use trifacet_core::time::Mono;
 use trifacet_wire::actuator::{LeaseAction, OutputCommand};
-use trifacet_wire::board::message::{BoardScan, ErrorReason, Reply, StartResult, SteerResult};
-use trifacet_wire::board::{Answer, BoardIdentity, Deframer, MessageError, Request};
+use trifacet_wire::board::message::{ErrorReason, Reply, StartResult, SteerResult};
+use trifacet_wire::board::{
+    Answer, BoardIdentity, BoardScan, Deframer, Extension, MINOR, Request, ScanFormat,
+};
 
+use super::applied::AppliedCommands;
+use super::board_state::{BoardState, Steering};
 use super::{Fate, OUTPUT_BITS, Outputs, Twin, TwinError, TwinScan};
 use crate::config::{Config, FaultKind};
 
@@ -16,43 +21,12 @@ const TICK_HZ: u32 = 10_000_000;
 /// buffer.
 const QUEUE: usize = 65_536;
 
-/// The last cause of a motion of the steering outputs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Steering {
-    /// None since power-up: the outputs are at zero.
-    Idle,
-    /// A command whose lease is valid.
-    Commanded,
-    /// An expired lease; the outputs stayed.
-    Held,
-    /// An expired lease; the outputs moved to their parking position.
-    Parked,
-}
+/// Bytes of it that scans leave for answers.
+const RESERVE: usize = 1024;
 
-/// State of the board.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct BoardState {
-    /// Seconds since power-up.
-    pub time_s: f64,
-    /// Whether a host has started the board.
-    pub started: bool,
-    /// Codes of the steering outputs.
-    pub output_codes: [i32; 2],
-    /// Position of the steering outputs in micrometres.
-    pub output_um: [f64; 2],
-    /// The last cause of their motion.
-    pub steering: Steering,
-    /// Whether the lease of the last command has expired.
-    pub lease_expired: bool,
-    /// Scans given to the port, including those damaged by a fault.
-    pub scans_sent: u64,
-    /// Scans not sent because of a fault or a full buffer.
-    pub scans_unsent: u64,
-    /// Accepted commands.
-    pub commands_taken: u64,
-    /// Rejected commands.
-    pub commands_refused: u64,
+/// A boot id.
+fn random_id() -> u32 {
+    RandomState::new().hash_one(()) as u32
 }
 
 /// An emulated board. It samples from power-up on, at the configured rate.
@@ -61,6 +35,16 @@ pub struct Emulator {
     twin: Twin,
     outputs: Outputs,
     deframer: Deframer,
+    /// Minor version of the protocol.
+    minor: u8,
+    boot_id: u32,
+    /// Time of the last scan by the clock of the board, seconds since the start of the twin.
+    clock_s: f64,
+    /// Time of the last power-up by the clock of the board, seconds since the start of the twin.
+    powered_s: f64,
+    /// The message that carries the scans.
+    format: ScanFormat,
+    applied: AppliedCommands,
     /// Sequence number of the next scan, while started.
     sequence: Option<u32>,
     stalled: bool,
@@ -80,30 +64,41 @@ impl Emulator {
     pub fn new(config: &Config, start: Mono) -> Result<Self, TwinError> {
         let twin = Twin::new(config)?;
         let outputs = twin.outputs().clone();
-        let state = BoardState {
-            time_s: 0.0,
-            started: false,
-            output_codes: [0; 2],
-            output_um: [0.0; 2],
-            steering: Steering::Idle,
-            lease_expired: false,
-            scans_sent: 0,
-            scans_unsent: 0,
-            commands_taken: 0,
-            commands_refused: 0,
-        };
         let (deframer, out) = (Deframer::default(), Vec::new());
         Ok(Self {
             twin,
             outputs,
             deframer,
+            minor: MINOR,
+            boot_id: random_id(),
+            clock_s: 0.0,
+            powered_s: 0.0,
+            format: ScanFormat::Short,
+            applied: AppliedCommands::default(),
             sequence: None,
             stalled: false,
             out,
             released: None,
             start,
-            state,
+            state: BoardState::default(),
         })
+    }
+
+    /// The same board with version 1.`minor` of the protocol.
+    #[must_use]
+    pub fn with_minor(self, minor: u8) -> Self {
+        Self { minor, ..self }
+    }
+
+    /// Restarts the board at `now`, as after a short failure of its supply.
+    pub fn restart(&mut self, now: Mono) {
+        self.outputs.clear_lease();
+        self.outputs.set_park([0; 2]);
+        self.move_outputs([0; 2], now, Steering::Idle);
+        self.set_started(None);
+        self.deframer = Deframer::default();
+        (self.boot_id, self.powered_s) = (random_id(), self.clock_s);
+        (self.format, self.applied) = (ScanFormat::Short, AppliedCommands::default());
     }
 
     /// The state of the board.
@@ -143,11 +138,13 @@ impl Emulator {
         }
         let mut deframer = std::mem::take(&mut self.deframer);
         while let Some(frame) = deframer.next(&mut bytes) {
-            let answer = match frame.map(Request::decode) {
-                Ok(Ok(request)) => self.requested(request, now),
+            let answer = match frame {
                 // From a board: the line echoes. An answer would be echoed too, without end.
-                Ok(Err(MessageError::Type(0x80..))) => None,
-                Ok(Err(error)) => Some(error.to_answer()),
+                Ok([0x80..=0xff, ..]) => None,
+                Ok(message) => match Request::decode(message, self.minor) {
+                    Ok(request) => self.requested(request, now),
+                    Err(error) => Some(error.to_answer()),
+                },
                 Err(_) => Some(Answer::Error { reason: ErrorReason::Corrupted, kind: 0 }),
             };
             if let Some(answer) = answer {
@@ -162,11 +159,13 @@ impl Emulator {
         self.expire(now);
         let scan = self.twin.next_scan();
         self.release(&scan);
+        self.clock_s = scan.clock_s;
+        let applied = self.applied.at(now);
         self.state.time_s = scan.t_s;
         self.stalled = scan.fate == Fate::Stalled;
         let Some(sequence) = self.sequence else { return };
         self.sequence = Some(sequence.wrapping_add(1));
-        if matches!(scan.fate, Fate::Dropped | Fate::Stalled) || !self.send_scan(sequence, &scan) {
+        if matches!(scan.fate, Fate::Dropped | Fate::Stalled) || !self.send_scan(sequence, &scan, applied) {
             self.state.scans_unsent += 1;
         } else {
             self.state.scans_sent += 1;
@@ -188,8 +187,8 @@ impl Emulator {
     /// The answer to a request; `None` if a fault suppresses it.
     fn requested(&mut self, request: Request, now: Mono) -> Option<Answer> {
         Some(match request {
-            Request::Identify => Answer::Identity(self.identity()),
-            Request::Start { rate_mhz, park } => self.start(rate_mhz, park),
+            Request::Identify { minor } => Answer::Identity(self.identity(minor)),
+            Request::Start { rate_mhz, park, minor } => self.start(rate_mhz, park, minor),
             Request::Stop => {
                 self.set_started(None);
                 Answer::Reply(Reply { start: false, result: StartResult::Done, rate_mhz: 0 })
@@ -201,13 +200,14 @@ impl Emulator {
         })
     }
 
-    fn start(&mut self, rate_mhz: u32, park: [i32; 2]) -> Answer {
+    fn start(&mut self, rate_mhz: u32, park: [i32; 2], minor: u8) -> Answer {
         let own_mhz = self.rate_mhz();
         let result = if rate_mhz != own_mhz {
             StartResult::RateOutOfRange
         } else if Outputs::in_range(park) {
             self.outputs.set_park(park);
             self.set_started(Some(0));
+            self.format = if minor > 0 { ScanFormat::Long { wide_tick: true } } else { ScanFormat::Short };
             StartResult::Done
         } else {
             StartResult::ParkOutOfRange
@@ -231,6 +231,7 @@ impl Emulator {
         if result == SteerResult::Accepted {
             self.move_outputs(command.codes, now, Steering::Commanded);
             self.state.commands_taken += 1;
+            self.applied.accept(command.id, now);
         } else {
             self.state.commands_refused += 1;
         }
@@ -255,7 +256,8 @@ impl Emulator {
         self.state.lease_expired = steering == Steering::Parked;
     }
 
-    fn identity(&self) -> BoardIdentity {
+    /// The identity for a host that understands version 1.`host`.
+    fn identity(&self, host: u8) -> BoardIdentity {
         let identity = self.twin.identity();
         BoardIdentity {
             tick_hz: TICK_HZ,
@@ -266,6 +268,13 @@ impl Emulator {
             roles: identity.roles.clone(),
             skew_ns: identity.skew_ns.clone(),
             name: identity.name.clone(),
+            extensible: self.minor > 0,
+            extension: (self.minor.min(host) > 0).then(|| Extension {
+                minor: self.minor,
+                wide_tick: true,
+                boot_id: self.boot_id,
+                units: Vec::new(),
+            }),
         }
     }
 
@@ -274,11 +283,13 @@ impl Emulator {
     }
 
     /// Queues a scan for the port, if there is room.
-    fn send_scan(&mut self, sequence: u32, scan: &TwinScan) -> bool {
+    fn send_scan(&mut self, sequence: u32, scan: &TwinScan, applied: Option<u32>) -> bool {
         let begin = self.out.len();
         let sent = self.send(&Answer::Scan(BoardScan {
+            format: self.format,
             sequence,
-            tick: (scan.clock_s * f64::from(TICK_HZ)).round() as u64 as u32,
+            tick: self.tick(scan.clock_s),
+            applied,
             output_railed: scan.output_railed,
             lease_expired: self.state.lease_expired,
             overrun: false,
@@ -294,8 +305,15 @@ impl Emulator {
         sent
     }
 
+    /// Ticks since power-up, within the width of the tick.
+    fn tick(&self, clock_s: f64) -> u64 {
+        let ticks = ((clock_s - self.powered_s) * f64::from(TICK_HZ)).round() as u64;
+        ticks & (u64::MAX >> (64 - self.format.tick_bits()))
+    }
+
     fn send(&mut self, answer: &Answer) -> bool {
-        let room = self.out.len() < QUEUE;
+        let limit = if matches!(answer, Answer::Scan(_)) { QUEUE - RESERVE } else { QUEUE };
+        let room = self.out.len() < limit;
         if room {
             answer.encode(&mut self.out);
         }

@@ -12,6 +12,8 @@
 //! - [`faults`]: injected faults.
 //! - [`emulator`], [`pty`]: a serial board with the twin behind it.
 
+pub mod applied;
+pub mod board_state;
 pub mod electronics;
 pub mod emulator;
 pub mod faults;
@@ -94,6 +96,7 @@ impl TwinScan {
             lost,
             codes: self.codes,
             output_railed: self.output_railed,
+            applied: None,
         })
     }
 }

@@ -45,6 +45,11 @@ impl Outputs {
         accepted
     }
 
+    /// Ends a lease without its action.
+    pub fn clear_lease(&mut self) {
+        self.lease = None;
+    }
+
     /// Sets the parking position, in codes within the range.
     pub fn set_park(&mut self, park: [i32; 2]) {
         self.park = park;

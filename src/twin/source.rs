@@ -5,10 +5,12 @@ use std::io;
 use std::sync::Arc;
 
 use trifacet_core::pipeline::SilenceTimes;
+use trifacet_core::signals::Scan;
 use trifacet_core::telemetry::Counters;
 use trifacet_core::time::Mono;
 use trifacet_wire::actuator::{Ack, LeaseAction, OutputCommand};
 
+use super::applied::AppliedCommands;
 use super::{Fate, Outputs, Twin};
 use crate::acquisition::in_flight::InFlight;
 use crate::acquisition::{Source, SourceError, SourceEvent};
@@ -23,6 +25,7 @@ pub struct TwinSource<C: Waiting> {
     pace: Pace<C>,
     counters: Arc<Counters>,
     in_flight: InFlight,
+    applied: AppliedCommands,
     /// Events that have not been returned yet.
     events: VecDeque<SourceEvent>,
     /// Number of scans that are due and not yet taken.
@@ -50,6 +53,7 @@ impl<C: Waiting> TwinSource<C> {
             events: VecDeque::from([SourceEvent::Up(twin.identity().clone())]),
             outputs: twin.outputs().clone(),
             in_flight: InFlight::new(usize::MAX, Arc::clone(&counters)),
+            applied: AppliedCommands::default(),
             counters,
             due: 0,
             lost: 0,
@@ -73,7 +77,8 @@ impl<C: Waiting> TwinSource<C> {
         }
         let scan = self.twin.next_scan();
         self.stalled = scan.fate == Fate::Stalled;
-        match scan.arrived(time, self.lost) {
+        let applied = self.applied.at(time);
+        match scan.arrived(time, self.lost).map(|scan| Scan { applied, ..scan }) {
             Some(scan) => {
                 self.counters.scans_lost.add(scan.lost.into());
                 (self.last_scan, self.lost, self.down) = (time, 0, false);
@@ -130,6 +135,7 @@ impl<C: Waiting> Source for TwinSource<C> {
         if accepted {
             let t_s = now.seconds_since(self.pace.schedule().time(0));
             self.twin.steer(command.codes, t_s);
+            self.applied.accept(command.id, now);
         }
         self.in_flight.expire(now);
         self.in_flight.sent(&command, now);
@@ -146,7 +152,6 @@ impl<C: Waiting> Source for TwinSource<C> {
 
 #[cfg(test)]
 mod tests {
-    use trifacet_core::signals::Scan;
     use trifacet_core::time::Clock;
 
     use super::*;

@@ -4,8 +4,11 @@
 use std::fmt::Debug;
 
 use trifacet_wire::actuator::{LeaseAction, OutputCommand};
-use trifacet_wire::board::message::{BoardScan, ErrorReason, Reply, StartResult, SteerResult};
-use trifacet_wire::board::{Answer, BoardIdentity, Deframer, MessageError, Request, required_baud};
+use trifacet_wire::board::message::{ErrorReason, Reply, StartResult, SteerResult};
+use trifacet_wire::board::{
+    Answer, BoardIdentity, BoardScan, ChannelUnit, Deframer, Extension, MINOR, MessageError, Request,
+    ScanFormat, Unit, required_baud,
+};
 use trifacet_wire::channel::{Converter, MAX_CHANNELS, Role, SIGNALS};
 
 const DOCUMENT: &str = include_str!("../../docs/board-protocol.md");
@@ -38,21 +41,23 @@ fn check<T: Debug + PartialEq>(
     let mut out = Vec::new();
     encode(expected, &mut out);
     assert_eq!(out, frame, "{heading}");
-    for length in 2..found.len() {
-        assert!(decode(&found[..length]).is_err(), "{heading} cut to {length} bytes");
-    }
+    // Cut to the length of its predecessor in version 1.0, a message is that predecessor.
+    let decoded = (2..found.len()).filter(|length| decode(&found[..*length]).is_ok()).count();
+    assert_eq!(decoded, usize::from(heading.ends_with("1.1")), "{heading}: lengths that are too short");
 }
 
 #[test]
 fn the_examples_of_the_host_decode_and_encode() {
     let command = OutputCommand { id: 42, codes: [1000, -2000], lease_ms: 200, on_expiry: LeaseAction::Park };
     for (heading, request) in [
-        ("0x01 IDENTIFY", Request::Identify),
-        ("0x02 START", Request::Start { rate_mhz: 1_000_000, park: [6554, -6554] }),
+        ("0x01 IDENTIFY", Request::Identify { minor: 0 }),
+        ("0x01 IDENTIFY of version 1.1", Request::Identify { minor: 1 }),
+        ("0x02 START", Request::Start { rate_mhz: 1_000_000, park: [6554, -6554], minor: 0 }),
+        ("0x02 START of version 1.1", Request::Start { rate_mhz: 1_000_000, park: [6554, -6554], minor: 1 }),
         ("0x03 STOP", Request::Stop),
         ("0x04 STEER", Request::Steer(command)),
     ] {
-        check(heading, &request, Request::decode, Request::encode);
+        check(heading, &request, |message| Request::decode(message, MINOR), Request::encode);
     }
 }
 
@@ -69,6 +74,8 @@ fn the_examples_of_the_board_decode_and_encode() {
         roles,
         skew_ns: (0..11).map(|channel| channel * 4000).collect(),
         name: "Example board 1.0 #0007".into(),
+        extensible: false,
+        extension: None,
     };
     check("0x81 IDENTITY", &Answer::Identity(identity), Answer::decode, Answer::encode);
     let reply = Reply { start: true, result: StartResult::Done, rate_mhz: 1_000_000 };
@@ -86,8 +93,10 @@ fn the_example_of_a_scan_decodes() {
     let some = [1, -1, 131_071, -131_072, 65_536, 40_000, 256, -256, 40_001, 12_345, -12_345];
     codes[..some.len()].copy_from_slice(&some);
     let scan = Answer::Scan(BoardScan {
+        format: ScanFormat::Short,
         sequence: 258,
-        tick: u32::MAX,
+        tick: u32::MAX.into(),
+        applied: None,
         output_railed: true,
         lease_expired: false,
         overrun: true,
@@ -105,11 +114,58 @@ fn the_example_of_a_scan_decodes() {
 }
 
 #[test]
+fn the_examples_of_version_1_1_decode_and_encode() {
+    let mut roles = SIGNALS.to_vec();
+    roles.push(Role::Auxiliary);
+    let temperature = ChannelUnit { channel: 9, unit: Unit::Celsius, scale: 7629, exponent: -6, zero: 6554 };
+    let identity = BoardIdentity {
+        tick_hz: 1_000_000,
+        converter: Converter { bits: 18, range_v: 10.0 },
+        output_bits: 16,
+        simulated: false,
+        rate_mhz: [1_000, 20_000_000],
+        roles,
+        skew_ns: vec![0; 10],
+        name: "Example board 1.1 #0008".into(),
+        extensible: true,
+        extension: Some(Extension {
+            minor: 1,
+            wide_tick: true,
+            boot_id: 0xc0de_5eed,
+            units: vec![temperature],
+        }),
+    };
+    check("0x81 IDENTITY of version 1.1", &Answer::Identity(identity), Answer::decode, Answer::encode);
+    assert!((temperature.value(6554 + 3277) - 25.0).abs() < 1e-3, "{}", temperature.value(9831));
+    let (_, frame) = example("0x86 LONG_SCAN");
+    let codes = std::array::from_fn(|channel| if channel < 10 { [1, -1][channel % 2] } else { 0 });
+    let scan = Answer::Scan(BoardScan {
+        format: ScanFormat::Long { wide_tick: true },
+        sequence: 259,
+        tick: (1 << 32) + 999,
+        applied: Some(42),
+        output_railed: false,
+        lease_expired: true,
+        overrun: false,
+        channels: 10,
+        codes,
+    });
+    let message = Deframer::default().next(&mut &frame[..]).unwrap().unwrap().to_vec();
+    assert_eq!(Answer::decode(&message), Ok(scan.clone()));
+    let mut out = Vec::new();
+    scan.encode(&mut out);
+    assert_eq!(out, frame);
+}
+
+#[test]
 fn the_baud_rates_are_those_that_the_daemon_requires() {
     let rates = [500.0, 1e3, 2e3, 5e3, 10e3];
-    for channels in [9, 11, 16] {
-        let row = rates.map(|rate_hz| grouped(required_baud(channels, rate_hz)));
-        let row = format!("| {channels} | {} |", row.join(" | "));
+    let (short, long) = (ScanFormat::Short, ScanFormat::Long { wide_tick: true });
+    for (channels, format, name) in
+        [9, 11, 16].into_iter().flat_map(|n| [(n, short, "1.0"), (n, long, "1.1")])
+    {
+        let row = rates.map(|rate_hz| grouped(required_baud(channels, rate_hz, format)));
+        let row = format!("| {channels} | {name} | {} |", row.join(" | "));
         assert!(DOCUMENT.lines().any(|line| line == row), "the table needs {row}");
     }
 }
@@ -124,12 +180,15 @@ fn grouped(number: u32) -> String {
 
 #[test]
 fn messages_of_other_versions_and_invalid_values_are_distinguished() {
-    assert_eq!(Request::decode(&[0x81, 1]), Err(MessageError::Type(0x81)));
+    assert_eq!(Request::decode(&[0x81, 1], MINOR), Err(MessageError::Type(0x81)));
     assert_eq!(Answer::decode(&[0x01, 1]), Err(MessageError::Type(0x01)));
-    assert_eq!(Request::decode(&[0x01, 2]), Err(MessageError::Version { kind: 0x01, version: 2 }));
-    assert_eq!(Request::decode(&[0x03, 1, 0]), Err(MessageError::Length { kind: 0x03, length: 3 }));
+    assert_eq!(Request::decode(&[0x01, 2], MINOR), Err(MessageError::Version { kind: 0x01, version: 2 }));
+    assert_eq!(Request::decode(&[0x03, 1, 0], MINOR), Err(MessageError::Length { kind: 0x03, length: 3 }));
     let (mut steer, _) = example("0x04 STEER");
     steer.truncate(steer.len() - 4);
     *steer.last_mut().unwrap() = 2;
-    assert_eq!(Request::decode(&steer), Err(MessageError::Value { kind: 4, field: "action on expiry" }));
+    assert_eq!(
+        Request::decode(&steer, MINOR),
+        Err(MessageError::Value { kind: 4, field: "action on expiry" })
+    );
 }

@@ -162,6 +162,34 @@ async fn an_unplugged_cable_is_reported_at_once_and_reconnected() {
 }
 
 #[tokio::test]
+async fn a_board_of_version_1_0_delivers_scans_and_takes_commands() {
+    let board = Board::of_version("1.0", "");
+    let mut host = Host::new(&board.link());
+    host.up().await;
+    host.steer(7, [6554, 0], LeaseAction::Park);
+    assert_eq!(host.ack().await, Ack { id: 7, accepted: true });
+    host.scans(500).await;
+    let faults = |(name, n): &(&str, u64)| *n > 0 && *name != "leases_expired";
+    assert!(!host.counters.list().iter().any(faults), "{:?}", host.counters);
+}
+
+#[tokio::test]
+async fn a_board_that_restarts_is_recognised_and_started_again() {
+    let mut board = Board::start("");
+    let mut host = Host::new(&board.link());
+    host.scans(100).await;
+    board.order("restart");
+    host.down(|down| matches!(down, SourceError::Stalled { .. })).await;
+    host.up().await;
+    host.scans(100).await;
+    assert_eq!(host.counters.board_restarts.get(), 1);
+    assert_eq!(host.counters.clock_faults.get(), 0, "its clock begins anew");
+    board.order("unplug 0.1");
+    host.up().await;
+    assert_eq!(host.counters.board_restarts.get(), 1, "the same board without a restart");
+}
+
+#[tokio::test]
 async fn a_killed_board_can_be_replaced() {
     let mut board = Board::start("");
     let mut host = Host::new(&board.link());

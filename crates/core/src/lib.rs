@@ -14,6 +14,7 @@ pub mod channels;
 pub mod estimation;
 pub mod light_checks;
 pub mod pipeline;
+pub mod sent_commands;
 pub mod signals;
 pub mod stamp;
 pub mod steering;

@@ -156,6 +156,7 @@ mod tests {
             psds: parts.map(state),
             steering: None,
             output_railed: false,
+            applied: None,
         }
     }
 

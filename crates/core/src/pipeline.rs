@@ -32,7 +32,7 @@
 //! pipeline.source(identity.into(), time)?;
 //! let mut codes = [0; 16];
 //! [codes[2], codes[5], codes[8]] = [13_000; 3]; // 4 V on each sum signal, every spot at the centre of its PSD
-//! let scan = Scan { index: 0, time, time_sigma_ns: None, lost: 0, codes, output_railed: false };
+//! let scan = Scan { index: 0, time, time_sigma_ns: None, lost: 0, codes, output_railed: false, applied: None };
 //! let step = pipeline.scan(&scan, time).expect("the source is up");
 //! let pose = step.report.and_then(|report| report.pose).expect("all three PSDs see light");
 //! assert!(pose.t.norm() < 1e-3, "{pose:?}"); // metres

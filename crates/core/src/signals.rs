@@ -54,6 +54,10 @@ pub struct Scan {
     pub codes: [i32; MAX_CHANNELS],
     /// The stage is at a limit of its own, as the board reports it.
     pub output_railed: bool,
+    /// Id of the last command that the outputs had taken over when the scan was taken, if the source states it. Not
+    /// recorded.
+    #[serde(skip)]
+    pub applied: Option<u32>,
 }
 
 /// State of one PSD in one sample. Only `Good` has a position.
@@ -91,6 +95,9 @@ pub struct Sample {
     pub steering: Option<[f64; 2]>,
     /// As in [`Scan::output_railed`].
     pub output_railed: bool,
+    /// As in [`Scan::applied`].
+    #[serde(skip)]
+    pub applied: Option<u32>,
 }
 
 impl Sample {

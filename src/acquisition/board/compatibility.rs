@@ -1,7 +1,7 @@
 //! Checks whether a board can be used with the configuration.
 
 use trifacet_core::signals::Identity;
-use trifacet_wire::board::{BoardIdentity, required_baud};
+use trifacet_wire::board::{BoardIdentity, ScanFormat, required_baud};
 use trifacet_wire::channel::{MAX_CHANNELS, Role, SIGNALS};
 
 use super::Settings;
@@ -116,11 +116,24 @@ fn check_rate(board: &BoardIdentity, settings: &Settings) -> Result<(), Compatib
     if !(slowest_hz..=fastest_hz).contains(&rate_hz) {
         return Err(CompatibilityError::Rate { slowest_hz, fastest_hz, rate_hz });
     }
-    let (channels, needed) = (board.roles.len(), required_baud(board.roles.len(), rate_hz));
+    let (channels, needed) =
+        (board.roles.len(), required_baud(board.roles.len(), rate_hz, ScanFormat::Short));
     if baud < needed {
         return Err(CompatibilityError::Baud { channels, rate_hz, needed, baud });
     }
     Ok(())
+}
+
+/// The scans that the board is asked for: those of version 1.1 if it speaks that version and the line has room.
+pub fn scan_format(board: &BoardIdentity, settings: &Settings) -> ScanFormat {
+    let Some(extension) = &board.extension else { return ScanFormat::Short };
+    let (format, baud) = (extension.scan_format(), settings.baud);
+    let needed = required_baud(board.roles.len(), settings.rate_hz, format);
+    if baud < needed {
+        tracing::info!(baud, needed, "the line is too slow for scans of version 1.1; those of 1.0 are used");
+        return ScanFormat::Short;
+    }
+    format
 }
 
 /// The identity of the board as a source.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use trifacet_core::telemetry::Counters;
 use trifacet_core::time::{Mono, NS_PER_S};
-use trifacet_wire::board::message::BoardScan;
+use trifacet_wire::board::BoardScan;
 
 use crate::acquisition::timebase::TickFault;
 

@@ -3,6 +3,7 @@
 //! The messages are in [`trifacet_wire::board`]. [`Sequence`] detects lost scans, and [`Session`] is the
 //! state machine of the connection.
 
+mod boot_watch;
 mod compatibility;
 mod link_faults;
 mod sequence;

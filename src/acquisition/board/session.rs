@@ -8,9 +8,12 @@ use trifacet_core::signals::Scan;
 use trifacet_core::telemetry::Counters;
 use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_wire::actuator::OutputCommand;
-use trifacet_wire::board::message::{BoardScan, ErrorReason, Reply, StartResult};
-use trifacet_wire::board::{Answer, BoardIdentity, Deframer, MessageError, Request};
+use trifacet_wire::board::message::{ErrorReason, Reply, StartResult};
+use trifacet_wire::board::{
+    Answer, BoardIdentity, BoardScan, Deframer, MINOR, MessageError, Request, ScanFormat,
+};
 
+use super::boot_watch::BootWatch;
 use super::link_faults::{LinkFault, Tally};
 use super::{Arrival, Sequence, Settings, compatibility};
 use crate::acquisition::in_flight::InFlight;
@@ -31,10 +34,10 @@ const RATE_TOLERANCE: f64 = 1e-3;
 enum State {
     /// The port is not open.
     Unlinked,
-    /// IDENTIFY has been sent.
-    Identifying { until: Mono },
+    /// IDENTIFY has been sent. `minor`: the version that it states.
+    Identifying { minor: u8, until: Mono },
     /// START has been sent.
-    Starting { board: BoardIdentity, until: Mono },
+    Starting { board: BoardIdentity, format: ScanFormat, until: Mono },
     /// Scans are arriving.
     Running(Running),
     /// Pause after a fault. If scans have only stalled, scans that arrive in the meantime are accepted.
@@ -44,6 +47,7 @@ enum State {
 #[derive(Debug)]
 struct Running {
     channels: usize,
+    format: ScanFormat,
     timebase: Timebase,
     /// Silence that counts as a stall, nanoseconds.
     patience_ns: i64,
@@ -73,8 +77,9 @@ pub struct Session {
     command: Option<(OutputCommand, Mono)>,
     in_flight: InFlight,
     counters: Arc<Counters>,
-    /// Number of corrupted frames while waiting for an answer.
+    /// Corrupted frames while waiting for an answer.
     garbage: u32,
+    boot: BootWatch,
 }
 
 impl Session {
@@ -94,6 +99,7 @@ impl Session {
             out: Vec::new(),
             command: None,
             garbage: 0,
+            boot: BootWatch::default(),
         }
     }
 
@@ -155,9 +161,9 @@ impl Session {
     pub fn deadline(&self) -> Option<Mono> {
         match &self.state {
             State::Unlinked => None,
-            State::Identifying { until } | State::Starting { until, .. } | State::Resting { until, .. } => {
-                Some(*until)
-            }
+            State::Identifying { until, .. }
+            | State::Starting { until, .. }
+            | State::Resting { until, .. } => Some(*until),
             State::Running(running) => Some(running.last_arrival + running.patience_ns),
         }
     }
@@ -176,6 +182,10 @@ impl Session {
             State::Running(running) => {
                 let silence_ms = ((now - running.last_arrival) / MS) as u32;
                 self.rest(SourceError::Stalled { silence_ms }, now);
+                if self.boot.is_known() {
+                    // The boot id in the answer tells at once whether the board has restarted.
+                    Request::Identify { minor: MINOR }.encode(&mut self.out);
+                }
                 self.state = State::Resting { until: now + REST_NS, stalled: Some(running) };
             }
         }
@@ -205,13 +215,17 @@ impl Session {
         self.command = None;
         self.out.clear();
         self.out.push(0); // terminates an incomplete frame in the board's buffer
-        Request::Identify.encode(&mut self.out);
         self.garbage = 0;
-        self.state = State::Identifying { until: now + i64::from(ANSWER_MS) * MS };
+        self.ask_identity(0, now); // a board of version 1.0 understands no other
+    }
+
+    fn ask_identity(&mut self, minor: u8, now: Mono) {
+        Request::Identify { minor }.encode(&mut self.out);
+        self.state = State::Identifying { minor, until: now + i64::from(ANSWER_MS) * MS };
     }
 
     fn answered(&mut self, answer: Answer, now: Mono) {
-        match (answer, &mut self.state) {
+        match (answer, &self.state) {
             (Answer::Scan(scan), State::Running(_) | State::Resting { stalled: Some(_), .. }) => {
                 self.scanned(&scan, now);
             }
@@ -220,7 +234,15 @@ impl Session {
                     self.events.push_back(SourceEvent::Ack(result.ack(id)));
                 }
             }
+            (Answer::Identity(board), State::Identifying { minor: 0, .. }) if board.extensible => {
+                self.ask_identity(MINOR, now);
+            }
             (Answer::Identity(board), State::Identifying { .. }) => self.identified(board, now),
+            (Answer::Identity(board), State::Resting { stalled: Some(_), .. })
+                if self.boot.is_other(&board) =>
+            {
+                self.identified(board, now);
+            }
             (Answer::Reply(reply @ Reply { start: true, .. }), State::Starting { .. }) => {
                 self.started(reply, now);
             }
@@ -245,14 +267,18 @@ impl Session {
         if let Err(reason) = compatibility::check(&board, &self.settings) {
             return self.unfit(format!("{}: {reason}", board.name), now);
         }
+        self.counters.board_restarts.add(self.boot.note(&board).into());
+        let format = compatibility::scan_format(&board, &self.settings);
+        let minor = u8::from(format != ScanFormat::Short);
         let park = compatibility::output_codes(&board, self.settings.park);
         let rate_mhz = (self.settings.rate_hz * 1e3).round() as u32;
-        Request::Start { rate_mhz, park }.encode(&mut self.out);
-        self.state = State::Starting { board, until: now + i64::from(ANSWER_MS) * MS };
+        Request::Start { rate_mhz, park, minor }.encode(&mut self.out);
+        self.state = State::Starting { board, format, until: now + i64::from(ANSWER_MS) * MS };
     }
 
     fn started(&mut self, reply: Reply, now: Mono) {
-        let State::Starting { board, .. } = std::mem::replace(&mut self.state, State::Unlinked) else {
+        let State::Starting { board, format, .. } = std::mem::replace(&mut self.state, State::Unlinked)
+        else {
             return;
         };
         if reply.result != StartResult::Done || reply.rate_mhz == 0 {
@@ -266,7 +292,9 @@ impl Session {
         self.in_flight.clear();
         self.state = State::Running(Running {
             channels: board.roles.len(),
+            format,
             timebase: Timebase::new(board.tick_hz, rate_hz, self.settings.latency_ns, self.last)
+                .with_tick_bits(format.tick_bits())
                 .with_bursts(self.settings.silence),
             patience_ns: SilenceTimes::new(rate_hz, self.settings.silence).first.as_nanos() as i64,
             last_arrival: now,
@@ -292,7 +320,7 @@ impl Session {
         else {
             return;
         };
-        if usize::from(scan.channels) != running.channels {
+        if usize::from(scan.channels) != running.channels || scan.format != running.format {
             return self.tally.count(LinkFault::Unknown);
         }
         let (index, lost) = match self.sequence.arrived(scan.sequence) {
@@ -323,6 +351,7 @@ impl Session {
             lost,
             codes: scan.codes,
             output_railed: scan.output_railed,
+            applied: scan.applied,
         }));
         self.resume();
     }

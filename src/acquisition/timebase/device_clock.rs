@@ -35,19 +35,21 @@ pub enum TickFault {
     /// The tick is earlier than that of the scan before.
     Back {
         /// By this many ticks.
-        ticks: u32,
+        ticks: u64,
     },
     /// The tick advanced by another amount than the sequence numbers require.
     Jump {
         /// By this many ticks.
-        ticks: u32,
+        ticks: u64,
         /// Required number.
         expected: f64,
     },
-    /// The tick starts again at 2^bits, where 2^32 is required.
+    /// The tick starts again at 2^bits, below its declared width.
     Narrow {
         /// Width of the counter.
         bits: u32,
+        /// Declared width: 32 or 64.
+        declared: u32,
     },
     /// The tick runs at another rate than the board declares.
     Rate {
@@ -80,8 +82,8 @@ impl fmt::Display for TickFault {
             Self::Jump { ticks, expected } => {
                 write!(f, "the tick advanced by {ticks}; the sequence numbers require {expected:.0}")
             }
-            Self::Narrow { bits } => {
-                write!(f, "the tick starts again at 2^{bits}; the protocol requires 2^32")
+            Self::Narrow { bits, declared } => {
+                write!(f, "the tick starts again at 2^{bits}; the protocol requires 2^{declared}")
             }
             Self::Rate { measured_hz, declared_hz } => {
                 write!(f, "the tick runs at {measured_hz:.4e} Hz; the board declares {declared_hz:.4e} Hz")
@@ -105,7 +107,7 @@ impl fmt::Display for TickFault {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScanCounters {
     /// The tick of the board's clock.
-    pub tick: u32,
+    pub tick: u64,
     /// Number of periods since the previous scan that arrived; at least 1.
     pub periods: u32,
 }
@@ -138,15 +140,17 @@ enum Trust {
 #[derive(Clone, Debug)]
 pub(super) struct DeviceClock {
     tick_ns: f64,
+    /// The largest tick; the next one is 0.
+    largest: u64,
     answered_ns: f64,
     /// Time from scan to scan, nanoseconds: as answered, or as measured.
     period_ns: f64,
     /// Arrival of the previous scan.
     arrived: Mono,
     /// Tick of the previous scan.
-    last: u32,
+    last: u64,
     /// What the tick of the previous scan would have been without its fault.
-    expected: u32,
+    expected: u64,
     trust: Trust,
     /// Time from scan to scan by the tick, nanoseconds, if the last trial found the tick to be right.
     candidate: Option<f64>,
@@ -179,11 +183,12 @@ impl Trial {
 }
 
 impl DeviceClock {
-    /// A clock of `tick_hz` on a board that samples at `rate_hz`, at its first scan.
-    pub fn new(tick_hz: u32, rate_hz: f64, tick: u32, arrival: Mono) -> Self {
+    /// A clock of `tick_hz` with a tick of `tick_bits` on a board that samples at `rate_hz`, at its first scan.
+    pub fn new(tick_hz: u32, tick_bits: u32, rate_hz: f64, tick: u64, arrival: Mono) -> Self {
         let period_ns = NS_PER_S as f64 / rate_hz;
         Self {
             tick_ns: NS_PER_S as f64 / f64::from(tick_hz),
+            largest: u64::MAX >> (64 - tick_bits),
             answered_ns: period_ns,
             period_ns,
             arrived: arrival,
@@ -206,8 +211,8 @@ impl DeviceClock {
     /// arrival.
     pub fn step(&mut self, counters: ScanCounters, arrival: Mono, possible: impl Fn(f64) -> bool) -> Step {
         let sequence_ns = f64::from(counters.periods) * self.period_ns;
-        let by_last = self.unwrap(counters.tick.wrapping_sub(self.last), sequence_ns);
-        let by_expected = self.unwrap(counters.tick.wrapping_sub(self.expected), sequence_ns);
+        let by_last = self.unwrap(self.since(counters.tick, self.last), sequence_ns);
+        let by_expected = self.unwrap(self.since(counters.tick, self.expected), sequence_ns);
         // After a single wrong tick the expected one continues; after a jump of the clock, the last one.
         let agreeing = [by_expected, by_last].into_iter().find(|ns| self.agrees(*ns, sequence_ns));
         let fault = agreeing.is_none().then(|| self.name(counters.tick, sequence_ns));
@@ -229,7 +234,7 @@ impl DeviceClock {
         self.trial.ahead_ns += agreeing.map_or(0.0, |ns| ns - sequence_ns);
         self.expected = match agreeing {
             Some(_) => counters.tick,
-            None => self.expected.wrapping_add((ns / self.tick_ns).round() as i64 as u32),
+            None => self.expected.wrapping_add_signed((ns / self.tick_ns).round() as i64) & self.largest,
         };
         self.last = counters.tick;
         Step {
@@ -240,11 +245,16 @@ impl DeviceClock {
         }
     }
 
+    /// Ticks from one tick to another.
+    fn since(&self, tick: u64, before: u64) -> u64 {
+        tick.wrapping_sub(before) & self.largest
+    }
+
     /// Nanoseconds of a step in ticks. The tick gives it modulo the range of the counter; the sequence gives
     /// the number of wraps.
-    fn unwrap(&self, ticks: u32, sequence_ns: f64) -> f64 {
-        let turn_ns = (f64::from(u32::MAX) + 1.0) * self.tick_ns;
-        let step_ns = f64::from(ticks) * self.tick_ns;
+    fn unwrap(&self, ticks: u64, sequence_ns: f64) -> f64 {
+        let turn_ns = (self.largest as f64 + 1.0) * self.tick_ns;
+        let step_ns = ticks as f64 * self.tick_ns;
         step_ns + ((sequence_ns - step_ns) / turn_ns).round().max(0.0) * turn_ns
     }
 
@@ -261,17 +271,17 @@ impl DeviceClock {
     }
 
     /// What is wrong with a tick that disagrees.
-    fn name(&self, tick: u32, sequence_ns: f64) -> TickFault {
-        let step = tick.wrapping_sub(self.last);
-        let narrow = [8, 16, 24].into_iter().find(|bits| {
-            let turn = 1_u32 << bits;
-            let within = f64::from(step.wrapping_add(turn)) * self.tick_ns;
-            tick < turn && self.last < turn && self.agrees(within, sequence_ns)
+    fn name(&self, tick: u64, sequence_ns: f64) -> TickFault {
+        let step = self.since(tick, self.last);
+        let narrow = [8, 16, 24, 32].into_iter().find(|bits| {
+            let turn = 1_u64 << bits;
+            let within = (step.wrapping_add(turn) & self.largest) as f64 * self.tick_ns;
+            turn <= self.largest && tick < turn && self.last < turn && self.agrees(within, sequence_ns)
         });
         match narrow {
-            Some(bits) => TickFault::Narrow { bits },
+            Some(bits) => TickFault::Narrow { bits, declared: self.largest.count_ones() },
             None if step == 0 => TickFault::Still,
-            None if step > u32::MAX / 2 => TickFault::Back { ticks: step.wrapping_neg() },
+            None if step > self.largest / 2 => TickFault::Back { ticks: step.wrapping_neg() & self.largest },
             None => TickFault::Jump { ticks: step, expected: sequence_ns / self.tick_ns },
         }
     }

@@ -20,22 +20,24 @@ struct Board {
     tick: Box<dyn Fn(u64, u64) -> u64>,
     /// What it sends as the sequence number of scan `k`.
     sequence: Box<dyn Fn(u64) -> u64>,
+    /// Declared width of the tick.
+    tick_bits: u32,
 }
 
 impl Board {
     fn with_tick(tick: impl Fn(u64, u64) -> u64 + 'static) -> Self {
-        Self { rate_hz: 1000.0, tick: Box::new(tick), sequence: Box::new(|k| k) }
+        Self { rate_hz: 1000.0, tick: Box::new(tick), sequence: Box::new(|k| k), tick_bits: 32 }
     }
 
     /// The first `scans` scans: what the timebase returns, and its error in nanoseconds.
     fn run(&self, scans: u64) -> Vec<Outcome> {
         let mut random = Pcg64Mcg::seed_from_u64(11);
-        let mut timebase = Timebase::new(1_000_000, 1000.0, 0, None);
+        let mut timebase = Timebase::new(1_000_000, 1000.0, 0, None).with_tick_bits(self.tick_bits);
         let mut last = None;
         let mut last_arrival = START;
         let scan = |k: u64| {
             let t_s = k as f64 / self.rate_hz;
-            let tick = (self.tick)(k, (t_s * 1e6).round() as u64) as u32;
+            let tick = (self.tick)(k, (t_s * 1e6).round() as u64) & (u64::MAX >> (64 - self.tick_bits));
             let sequence = (self.sequence)(k) as u32;
             let periods = last.replace(sequence).map_or(1, |last| sequence.wrapping_sub(last));
             let late: f64 = Exp1.sample(&mut random);
@@ -116,8 +118,26 @@ fn a_narrow_tick_is_named_and_the_time_stays_right() {
     let outcomes = Board::with_tick(|_, ticks| ticks & 0xffff).run(5000);
     assert_honest(&outcomes);
     let found = faults(&outcomes);
-    assert!(found.len() > 70 && found.iter().all(|(_, f)| *f == TickFault::Narrow { bits: 16 }), "{found:?}");
+    assert!(
+        found.len() > 70 && found.iter().all(|(_, f)| *f == TickFault::Narrow { bits: 16, declared: 32 }),
+        "{found:?}"
+    );
     assert!(outcomes.iter().skip(1000).all(|o| o.error_ns.abs() < 50e3));
+}
+
+#[test]
+fn a_tick_of_64_bits_that_wraps_at_32_is_named() {
+    let begin = u64::from(u32::MAX) - 2_500_000;
+    let wraps = move |_, ticks: u64| (ticks + begin) & u64::from(u32::MAX);
+    let outcomes = Board { tick_bits: 64, ..Board::with_tick(wraps) }.run(5000);
+    assert_honest(&outcomes);
+    let found = faults(&outcomes);
+    assert_eq!(
+        found.iter().map(|(_, f)| *f).collect::<Vec<_>>(),
+        [TickFault::Narrow { bits: 32, declared: 64 }]
+    );
+    let healthy = Board { tick_bits: 64, ..Board::with_tick(move |_, ticks| ticks + begin) }.run(5000);
+    assert!(faults(&healthy).is_empty() && healthy.iter().skip(1000).all(|o| o.error_ns.abs() < 50e3));
 }
 
 #[test]
@@ -218,7 +238,7 @@ fn pauses_of_the_host_do_not_accuse_the_clock_of_the_board() {
     for seed in 0..1000 {
         let mut timebase = Timebase::new(1_000_000, 1000.0, 0, None);
         for (k, arrival) in (0..).zip(arrivals_with_pauses(seed)) {
-            let moment = timebase.moment(ScanCounters { tick: 1000 * k as u32, periods: 1 }, arrival);
+            let moment = timebase.moment(ScanCounters { tick: 1000 * k, periods: 1 }, arrival);
             let error_ns = (moment.time - START) as f64 - k as f64 * 1e6;
             // Nothing shows how late the first arrival of a burst was: 30 ms are the mean time between pauses.
             let honest = error_ns.abs() < 5.0 * moment.sigma_ns + 30e6;
@@ -235,7 +255,7 @@ fn a_host_that_slept_begins_again() {
         let device_ms = k + slept;
         let arrival = START + (k * 1_000_000) as i64;
         let periods = if k == 2000 && slept > 0 { 1 + slept as u32 } else { 1 };
-        let moment = timebase.moment(ScanCounters { tick: (device_ms * 1000) as u32, periods }, arrival);
+        let moment = timebase.moment(ScanCounters { tick: device_ms * 1000, periods }, arrival);
         ((moment.time - arrival).abs(), moment.fault)
     };
     for k in 0..2000 {
@@ -253,13 +273,14 @@ proptest! {
     /// Whatever a board sends, times are in order, and not after their arrival by more than what order needs.
     #[test]
     fn no_counters_make_a_time_that_the_arrival_excludes(
-        scans in prop::collection::vec((any::<u32>(), prop_oneof![1_u32..4, any::<u32>()], 0_i64..50_000_000), 1..200),
-        tick_hz in 10_000_u32..=1_000_000_000, rate_hz in 1.0_f64..20_000.0,
+        scans in prop::collection::vec((any::<u64>(), prop_oneof![1_u32..4, any::<u32>()], 0_i64..50_000_000), 1..200),
+        tick_hz in 10_000_u32..=1_000_000_000, rate_hz in 1.0_f64..20_000.0, wide: bool,
     ) {
-        let mut timebase = Timebase::new(tick_hz, rate_hz, 0, None);
+        let mut timebase = Timebase::new(tick_hz, rate_hz, 0, None).with_tick_bits(if wide { 64 } else { 32 });
         let (mut arrival, mut last, mut count) = (START, Mono(0), 0);
         for (tick, periods, pause_ns) in scans {
             arrival = arrival + pause_ns;
+            let tick = if wide { tick } else { tick >> 32 };
             let moment = timebase.moment(ScanCounters { tick, periods }, arrival);
             prop_assert!(moment.time <= arrival + MOST_AFTER_NS + count && moment.time > last);
             prop_assert!(moment.sigma_ns.is_finite());

@@ -25,13 +25,14 @@ S is a duration in seconds; without S, a fault is permanent:
   noise-burst FACTOR [S]    the noise of spots and powers is multiplied
   laser-bump X Y [S]        the laser is displaced by X, Y micrometres; the readback does not change
   unplug S                  the port disappears for S seconds
+  restart                   the board restarts: it stops, its outputs go to code 0, its clock begins anew
   status                    prints the state of the board, one line of JSON";
 
 /// The same list for error messages.
 const ALLOWED: &str = "allowed are: beam-blocked [S], psd-dark 0..2 [S], clipped 0..8 [S], frozen 0..8 [S], \
     clock-rate FACTOR [S], dropped 0..1 [S], \
-    corrupted 0..1 [S], stalled [S], bursts MS [S], mute-acks [S], wrong-acks [S], steering-stuck [S], laser-power FACTOR [S], flicker 0..1 HZ [S], \
-    noise-burst FACTOR [S], laser-bump X Y [S], unplug S, status (S: duration in seconds)";
+    corrupted 0..1 [S], stalled [S], bursts MS [S], mute-acks [S], wrong-acks [S], steering-stuck [S], laser-power FACTOR [S], \
+     flicker 0..1 HZ [S], noise-burst FACTOR [S], laser-bump X Y [S], unplug S, restart, status (S: duration in seconds)";
 
 /// Longest duration, seconds. A longer fault can be permanent.
 const LONGEST_S: f64 = 1e6;
@@ -43,6 +44,8 @@ pub(super) enum EmulatorCommand {
     Fault { kind: FaultKind, for_s: Option<f64> },
     /// Unplug the cable. `for_s`: duration, seconds.
     Unplug { for_s: f64 },
+    /// Restart the board.
+    Restart,
     /// Print the state of the board.
     Status,
 }
@@ -69,6 +72,7 @@ fn parse<'a>(words: &mut impl Iterator<Item = &'a str>) -> Option<EmulatorComman
     let name = words.next()?;
     let kind = match name {
         "status" => return Some(EmulatorCommand::Status),
+        "restart" => return Some(EmulatorCommand::Restart),
         "unplug" => return Some(EmulatorCommand::Unplug { for_s: seconds(words.next()?)? }),
         "beam-blocked" => FaultKind::BeamBlocked,
         "psd-dark" => FaultKind::PsdDark { psd: number(words.next()?)? },
@@ -143,6 +147,7 @@ mod tests {
         assert_eq!("flicker 0.05 100 2".parse(), fault(flicker, Some(2.0)));
         let bump = FaultKind::LaserBump { shift_um: [-30.0, 5.0] };
         assert_eq!("laser-bump -30 5 1".parse(), fault(bump, Some(1.0)));
+        assert_eq!("restart".parse(), Ok(EmulatorCommand::Restart));
         assert_eq!("unplug 1".parse(), Ok(EmulatorCommand::Unplug { for_s: 1.0 }));
         assert_eq!("status".parse(), Ok(EmulatorCommand::Status));
     }

@@ -61,7 +61,7 @@ prop_compose! {
         index: u64, time: i64, sigma in prop::option::of(0.0..1e9), lost: u32, codes: [i32; 16],
         output_railed: bool,
     ) -> Scan {
-        Scan { index, time: Mono(time / 4), time_sigma_ns: sigma, lost, codes, output_railed }
+        Scan { index, time: Mono(time / 4), time_sigma_ns: sigma, lost, codes, output_railed, applied: None }
     }
 }
 
@@ -73,7 +73,7 @@ prop_compose! {
         let Scan { index, time, time_sigma_ns, lost, output_railed, .. } = scan;
         let psds = psds.map(|n| [PsdState::Good, PsdState::Low, PsdState::Clipped][n]);
         let sample =
-            Sample { index, time, time_sigma_ns, lost, spots, powers, psds, steering: read, output_railed };
+            Sample { index, time, time_sigma_ns, lost, spots, powers, psds, steering: read, output_railed, applied: None };
         Entry::Sample { scan, sample, steering }
     }
 }
@@ -153,11 +153,19 @@ fn keyframe() -> Keyframe {
             psds: [PsdState::Good; 3],
             steering: Some([noise, 0.0]),
             output_railed: false,
+            applied: None,
         };
         estimation.sample(&sample, &LoopState::default());
         let codes = std::array::from_fn(|i| i as i32 - 5);
-        last =
-            Some(Scan { index, time: sample.time, time_sigma_ns: None, lost: 0, codes, output_railed: true });
+        last = Some(Scan {
+            index,
+            time: sample.time,
+            time_sigma_ns: None,
+            lost: 0,
+            codes,
+            output_railed: true,
+            applied: None,
+        });
     }
     let memory = estimation.memory().clone();
     Keyframe {

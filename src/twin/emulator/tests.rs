@@ -17,7 +17,7 @@ impl Bench {
         let mut bench = Self::new();
         let result = StartResult::Done;
         let done = Answer::Reply(Reply { start: true, result, rate_mhz: 1_000_000 });
-        assert_eq!(bench.ask(Request::Start { rate_mhz: 1_000_000, park: PARK }), [done]);
+        assert_eq!(bench.ask(Request::Start { rate_mhz: 1_000_000, park: PARK, minor: 0 }), [done]);
         bench
     }
 
@@ -65,11 +65,11 @@ impl Bench {
 fn nothing_is_sent_before_a_request_and_scans_are_numbered_from_the_start() {
     let mut bench = Bench::new();
     assert!(bench.run(50).is_empty());
-    bench.ask(Request::Start { rate_mhz: 1_000_000, park: PARK });
+    bench.ask(Request::Start { rate_mhz: 1_000_000, park: PARK, minor: 0 });
     let scans = bench.run(20);
     assert_eq!(scans.iter().map(|scan| scan.sequence).collect::<Vec<_>>(), (0..20).collect::<Vec<_>>());
-    assert_eq!(scans[1].tick - scans[0].tick, TICK_HZ / 1000);
-    assert_eq!(scans[0].tick, TICK_HZ / 1000 * 50, "the clock runs from power-up");
+    assert_eq!(scans[1].tick - scans[0].tick, u64::from(TICK_HZ) / 1000);
+    assert_eq!(scans[0].tick, u64::from(TICK_HZ) / 1000 * 50, "the clock runs from power-up");
     bench.ask(Request::Stop);
     assert!(bench.run(20).is_empty());
 }
@@ -82,7 +82,7 @@ fn values_out_of_range_are_refused_and_change_nothing() {
         [(999_000, PARK, StartResult::RateOutOfRange), (1_000_000, [0, 32_768], StartResult::ParkOutOfRange)]
     {
         let refused = Answer::Reply(Reply { start: true, result, rate_mhz: 0 });
-        assert_eq!(bench.ask(Request::Start { rate_mhz, park }), [refused]);
+        assert_eq!(bench.ask(Request::Start { rate_mhz, park, minor: 0 }), [refused]);
     }
     let mut bench = Bench::started();
     assert_eq!(bench.steer([100, 0], 50, LeaseAction::Park), SteerResult::Accepted);
@@ -116,7 +116,7 @@ fn lost_scans_use_up_sequence_numbers() {
     bench.run(10);
     bench.board.inject(FaultKind::Stalled, Some(0.01)).unwrap();
     bench.run(5);
-    assert_eq!(bench.ask(Request::Identify), [], "a stalled board ignores requests");
+    assert_eq!(bench.ask(Request::Identify { minor: 0 }), [], "a stalled board ignores requests");
     bench.run(5);
     assert_eq!(bench.run(1)[0].sequence, 20);
     let state = bench.board.state();
@@ -138,4 +138,44 @@ fn corrupted_messages_are_answered_and_unsent_scans_are_dropped() {
     }
     assert!(bench.board.output().len() < QUEUE + 250);
     assert!(bench.board.state().scans_unsent > 8_000);
+}
+
+#[test]
+fn version_1_1_names_the_applied_command_and_the_boot() {
+    let mut bench = Bench::new();
+    let identity = |bench: &mut Bench, minor| match &bench.ask(Request::Identify { minor })[..] {
+        [Answer::Identity(identity)] => identity.clone(),
+        other => panic!("{other:?}"),
+    };
+    let plain = identity(&mut bench, 0);
+    assert!(plain.extensible && plain.extension.is_none());
+    let boot = identity(&mut bench, 7).extension.unwrap();
+    assert_eq!((boot.minor, boot.wide_tick), (1, true));
+    bench.ask(Request::Start { rate_mhz: 1_000_000, park: PARK, minor: 1 });
+    assert!(bench.run(5).iter().all(|scan| scan.applied.is_none()));
+    bench.steer([1, 1], 200, LeaseAction::Hold);
+    let scans = bench.run(5);
+    assert!(scans.iter().all(|scan| scan.applied == Some(5)), "{scans:?}");
+    bench.steer([0, 40_000], 200, LeaseAction::Hold);
+    bench.board.restart(bench.now);
+    assert_eq!(bench.board.state().output_codes, [0, 0]);
+    assert!(bench.run(5).is_empty(), "stopped");
+    assert_ne!(identity(&mut bench, 1).extension.unwrap().boot_id, boot.boot_id);
+    bench.ask(Request::Start { rate_mhz: 1_000_000, park: PARK, minor: 1 });
+    let first = bench.run(1)[0];
+    assert_eq!((first.applied, first.tick < u64::from(TICK_HZ) / 50), (None, true), "{first:?}");
+}
+
+#[test]
+fn version_1_0_refuses_the_fields_of_1_1() {
+    let mut bench = Bench::new();
+    bench.board = bench.board.with_minor(0);
+    let [Answer::Identity(identity)] = &bench.ask(Request::Identify { minor: 0 })[..] else { panic!("none") };
+    assert!(!identity.extensible);
+    for (request, kind) in [
+        (Request::Identify { minor: 1 }, 1),
+        (Request::Start { rate_mhz: 1_000_000, park: PARK, minor: 1 }, 2),
+    ] {
+        assert_eq!(bench.ask(request), [Answer::Error { reason: ErrorReason::Length, kind }]);
+    }
 }

@@ -7,8 +7,11 @@ use std::process::{Command, Stdio};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use trifacet_wire::actuator::LeaseAction;
-use trifacet_wire::board::message::{BoardScan, ErrorReason, Reply, StartResult, SteerResult};
-use trifacet_wire::board::{Answer, BoardIdentity, Deframer, Request, framing};
+use trifacet_wire::board::message::{ErrorReason, Reply, StartResult, SteerResult};
+use trifacet_wire::board::{
+    Answer, BoardIdentity, BoardScan, ChannelUnit, Deframer, Extension, MINOR, Request, ScanFormat, Unit,
+    framing,
+};
 use trifacet_wire::channel::{Converter, MAX_CHANNELS, Role};
 
 use super::board::Program;
@@ -30,25 +33,32 @@ pub(super) fn hex(bytes: &[u8]) -> String {
     })
 }
 
-/// Asks all questions; the answers must be the expected ones.
-pub(super) fn compare(questions: &[Question]) {
+/// The answers of the codec in C to these lines.
+pub(super) fn ask(lines: &[String]) -> Vec<String> {
     let program = Program::compile("firmware/host/codec_host.c", &[]);
     let mut child =
         Command::new(program.path()).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
     let mut input = child.stdin.take().unwrap();
-    let text: String = questions.iter().flat_map(|question| [&question.line, "\n"]).collect();
+    let text: String = lines.iter().flat_map(|line| [line, "\n"]).collect();
     let writer = std::thread::spawn(move || input.write_all(text.as_bytes()).unwrap());
     let output = child.wait_with_output().unwrap();
     writer.join().unwrap();
     let answers = String::from_utf8(output.stdout).unwrap();
-    assert_eq!(answers.lines().count(), questions.len(), "every question has an answer");
-    for (question, answer) in questions.iter().zip(answers.lines()) {
-        assert_eq!(answer.trim_end(), question.expected, "{}", question.line);
+    let answers: Vec<_> = answers.lines().map(|line| line.trim_end().to_owned()).collect();
+    assert_eq!(answers.len(), lines.len(), "every question has an answer");
+    answers
+}
+
+/// Asks all questions; the answers must be the expected ones.
+pub(super) fn compare(questions: &[Question]) {
+    let lines: Vec<_> = questions.iter().map(|question| question.line.clone()).collect();
+    for (question, answer) in questions.iter().zip(ask(&lines)) {
+        assert_eq!(answer, question.expected, "{}", question.line);
     }
 }
 
 /// What the bytes of a line contain.
-fn receive(bytes: &[u8]) -> Question {
+pub(super) fn receive(bytes: &[u8]) -> Question {
     let (mut deframer, mut rest, mut found) = (Deframer::default(), bytes, Vec::new());
     while let Some(message) = deframer.next(&mut rest) {
         found.push(message.map_or("damaged".into(), hex));
@@ -57,11 +67,11 @@ fn receive(bytes: &[u8]) -> Question {
 }
 
 /// What a message of the host means.
-fn request(message: &[u8]) -> Question {
-    let expected = match Request::decode(message) {
-        Ok(Request::Identify) => "identify".into(),
+pub(super) fn request(message: &[u8], minor: u8) -> Question {
+    let expected = match Request::decode(message, minor) {
+        Ok(Request::Identify { minor }) => format!("identify {minor}"),
         Ok(Request::Stop) => "stop".into(),
-        Ok(Request::Start { rate_mhz, park: [x, y] }) => format!("start {rate_mhz} {x} {y}"),
+        Ok(Request::Start { rate_mhz, park: [x, y], minor }) => format!("start {rate_mhz} {x} {y} {minor}"),
         Ok(Request::Steer(c)) => {
             let park = u8::from(c.on_expiry == LeaseAction::Park);
             format!("steer {} {} {} {} {park}", c.id, c.codes[0], c.codes[1], c.lease_ms)
@@ -71,7 +81,7 @@ fn request(message: &[u8]) -> Question {
             other => panic!("{other:?}"),
         },
     };
-    Question { line: format!("request {}", hex(message)), expected }
+    Question { line: format!("request {minor} {}", hex(message)), expected }
 }
 
 /// The frame of a message.
@@ -81,8 +91,20 @@ fn frame(message: &[u8]) -> Question {
     Question { line: format!("frame {}", hex(message)), expected: hex(&out) }
 }
 
+/// What the codec in C needs to know of version 1.1: host and board, width of the tick, boot id, units.
+fn extension(id: &BoardIdentity) -> String {
+    let Some(extension) = &id.extension else { return format!("0 {} 0 0 0", u8::from(id.extensible)) };
+    let units = extension.units.iter().fold(String::new(), |mut all, unit| {
+        let ChannelUnit { channel, unit, scale, exponent, zero } = unit;
+        write!(all, " {channel} {} {scale} {exponent} {zero}", unit.number()).unwrap();
+        all
+    });
+    let (wide, count) = (u8::from(extension.wide_tick), extension.units.len());
+    format!("1 {} {wide} {} {count}{units}", extension.minor, extension.boot_id)
+}
+
 /// The frame of an answer of the board.
-fn answer(answer: &Answer) -> Question {
+pub(super) fn answer(answer: &Answer) -> Question {
     let line = match answer {
         Answer::Identity(id) => {
             let channels: String =
@@ -92,13 +114,14 @@ fn answer(answer: &Answer) -> Question {
                 });
             let (bits, range_mv) = (id.converter.bits, (id.converter.range_v * 1e3).round());
             format!(
-                "identity {} {bits} {} {range_mv} {} {} {} {}{channels} {}",
+                "identity {} {bits} {} {range_mv} {} {} {} {}{channels} {} {}",
                 id.tick_hz,
                 id.output_bits,
                 id.rate_mhz[0],
                 id.rate_mhz[1],
                 u8::from(id.simulated),
                 id.roles.len(),
+                extension(id),
                 id.name
             )
         }
@@ -107,12 +130,21 @@ fn answer(answer: &Answer) -> Question {
         }
         Answer::Ack { id, result } => format!("ack {id} {}", *result as u8),
         Answer::Scan(scan) => {
-            let status = u8::from(scan.output_railed)
+            let long = scan.format != ScanFormat::Short;
+            let status = u8::from(scan.applied.is_some()) << 3
+                | u8::from(scan.format.tick_bits() == 64) << 4
+                | u8::from(scan.output_railed)
                 | u8::from(scan.lease_expired) << 1
                 | u8::from(scan.overrun) << 2;
             let codes: Vec<String> =
                 scan.codes[..usize::from(scan.channels)].iter().map(i32::to_string).collect();
-            format!("scan {} {} {status} {} {}", scan.sequence, scan.tick, scan.channels, codes.join(" "))
+            let (name, applied) = if long {
+                ("long_scan", format!(" {}", scan.applied.unwrap_or(0)))
+            } else {
+                ("scan", String::new())
+            };
+            let BoardScan { sequence, tick, channels, .. } = scan;
+            format!("{name} {sequence} {tick} {status}{applied} {channels} {}", codes.join(" "))
         }
         Answer::Error { reason, kind } => format!("error {} {kind}", *reason as u8),
     };
@@ -168,19 +200,33 @@ fn requests_have_the_same_meaning_or_the_same_error() {
     let mut questions = Vec::new();
     for n in 0..INPUTS {
         // Types and lengths near those that exist.
-        let length = [2, 14, 17, random.random_range(2..25)][n % 4];
+        let length = [2, 14, 17, 3, 15, random.random_range(2..25)][n % 6];
         let mut message = bytes(&mut random, length);
         message[0] %= 6;
         message[1] = if n % 16 == 0 { message[1] } else { 1 };
-        if n % 2 == 0 && length == 17 {
-            message[16] %= 2;
+        if n % 4 < 2 && [15, 17].contains(&length) {
+            message[length - 1] %= 2;
         }
-        questions.push(request(&message));
+        questions.push(request(&message, (n % 5 > 1).into()));
     }
-    for name in ["identify", "start", "stop", "steer", "error 2", "error 3", "error 4", "error 5"] {
+    for name in
+        ["identify 0", "identify 1", "start", "stop", "steer", "error 2", "error 3", "error 4", "error 5"]
+    {
         assert!(questions.iter().any(|q| q.expected.starts_with(name)), "no {name} among the questions");
     }
     compare(&questions);
+}
+
+fn random_extension(random: &mut Pcg64Mcg, n: usize) -> Extension {
+    let unit = |random: &mut Pcg64Mcg| ChannelUnit {
+        channel: random.random(),
+        unit: Unit::of(random.random()),
+        scale: random.random(),
+        exponent: random.random(),
+        zero: random.random_range(-(1 << 23)..1 << 23),
+    };
+    let units = (0..n % 8).map(|_| unit(random)).collect();
+    Extension { minor: 1, wide_tick: random.random(), boot_id: random.random(), units }
 }
 
 fn random_answer(random: &mut Pcg64Mcg, n: usize) -> Answer {
@@ -199,6 +245,8 @@ fn random_answer(random: &mut Pcg64Mcg, n: usize) -> Answer {
                 roles: (0..channels).map(|_| Role::of(random.random())).collect(),
                 skew_ns: (0..channels).map(|_| random.random()).collect(),
                 name: "Prüfstand 7, µC 1.0"[..n % 15].trim().into(),
+                extensible: n.is_multiple_of(2),
+                extension: (n.is_multiple_of(2) && !n.is_multiple_of(3)).then(|| random_extension(random, n)),
             })
         }
         1 => Answer::Reply(Reply {
@@ -214,9 +262,13 @@ fn random_answer(random: &mut Pcg64Mcg, n: usize) -> Answer {
             let channels = random.random_range(0..=MAX_CHANNELS);
             let code = |i: usize| if i < channels { random.random_range(-(1 << 23)..1 << 23) } else { 0 };
             let codes = std::array::from_fn(code);
+            let format = [ScanFormat::Short, ScanFormat::LONG, ScanFormat::Long { wide_tick: true }][n % 3];
+            let tick: u64 = random.random();
             Answer::Scan(BoardScan {
+                format,
                 sequence: random.random(),
-                tick: random.random(),
+                tick: tick >> (64 - format.tick_bits()),
+                applied: (format != ScanFormat::Short && !n.is_multiple_of(4)).then(|| random.random()),
                 output_railed: random.random(),
                 lease_expired: random.random(),
                 overrun: random.random(),
@@ -252,9 +304,13 @@ fn the_examples_of_the_document_are_the_same() {
         let (received, framed) = (receive(&line), frame(body));
         assert_eq!((&received.expected, &framed.expected), (&hex(body), &hex(&line)));
         questions.extend([received, framed]);
-        questions.push(if body[0] < 0x80 { request(body) } else { answer(&Answer::decode(body).unwrap()) });
+        questions.push(if body[0] < 0x80 {
+            request(body, MINOR)
+        } else {
+            answer(&Answer::decode(body).unwrap())
+        });
         examples += 1;
     }
-    assert_eq!(examples, 9, "one example for each message");
+    assert_eq!(examples, 13, "one example for each message");
     compare(&questions);
 }

@@ -26,7 +26,7 @@ fn request(random: &mut Pcg64Mcg) -> Request {
         0 => Request::Stop,
         1..=3 => {
             let rate_mhz = if random.random_range(0..4) == 0 { random.random() } else { 1_000_000 };
-            Request::Start { rate_mhz, park: [code(random), code(random)] }
+            Request::Start { rate_mhz, park: [code(random), code(random)], minor: random.random_range(0..2) }
         }
         _ => Request::Steer(OutputCommand {
             id: random.random(),
@@ -38,7 +38,7 @@ fn request(random: &mut Pcg64Mcg) -> Request {
 }
 
 /// The frames of the emulator that are no scans.
-fn answers(board: &mut Emulator) -> String {
+pub(super) fn answers(board: &mut Emulator) -> String {
     let bytes = board.output().to_vec();
     board.written(bytes.len());
     let (mut rest, mut deframer, mut frames) = (&bytes[..], Deframer::default(), Vec::new());

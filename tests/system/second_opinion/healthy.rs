@@ -43,6 +43,22 @@ fn poses_of_a_moving_mirror_agree_with_the_model_in_c() {
 }
 
 #[test]
+fn boards_of_each_version_and_width_of_the_tick_lock() {
+    let program = Program::board();
+    for arguments in ["minor=0", "wide=1"] {
+        let board = Board::start(&program, arguments);
+        let mut daemon = board.daemon("");
+        let mut client = daemon.client();
+        client.locked();
+        assert!(client.samples(500).iter().all(Frame::valid), "{arguments}");
+        let counters = client.heartbeat().counters;
+        for name in ["frames_unknown", "frames_corrupted", "board_errors", "board_restarts", "clock_faults"] {
+            assert_eq!(counters[name], 0, "{arguments}: {name}");
+        }
+    }
+}
+
+#[test]
 fn the_board_parks_the_stage_when_the_daemon_is_gone() {
     let program = Program::board();
     let mut board = Board::start(&program, "");

@@ -5,7 +5,10 @@
 mod board;
 mod codec;
 mod conversation;
+mod delay;
 mod healthy;
 mod observation;
 mod situations;
 mod table;
+mod vectors;
+mod verdicts;

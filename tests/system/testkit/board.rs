@@ -46,11 +46,21 @@ impl Board {
 
     /// A board with this configuration, behind this link.
     pub(crate) fn plug_into(socket: Socket, config: &str) -> Self {
+        Self::launch(socket, config, &[])
+    }
+
+    /// A board that speaks this version of the protocol.
+    pub(crate) fn of_version(version: &str, config: &str) -> Self {
+        Self::launch(Socket::new(), config, &["--protocol", version])
+    }
+
+    fn launch(socket: Socket, config: &str, options: &[&str]) -> Self {
         let file = socket.0.write("emulate.toml", config);
         let mut child = trifacet(&["emulate", "--link"])
             .arg(socket.link())
             .arg("--config")
             .arg(&file)
+            .args(options)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()

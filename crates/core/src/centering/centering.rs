@@ -11,7 +11,7 @@ use crate::centering::apex_tracker::ApexTracker;
 use crate::centering::observation::BeamObservation;
 use crate::centering::open_loop::OpenLoopMove;
 use crate::centering::{
-    CommandBacklog, LoopMode, LoopParams, LoopState, LoopView, OnExit, Outcome, TimedPose,
+    CommandBacklog, DelayDoubt, LoopMode, LoopParams, LoopState, LoopView, OnExit, Outcome, TimedPose,
 };
 use crate::signals::Sample;
 use crate::steering::{BeamOffset, BeamPoint, Command, StageMove, StagePosition};
@@ -85,6 +85,8 @@ impl Centering {
             shadow: self.shadow,
             attempts: self.lock.attempts(),
             backlog: self.stage.backlog(),
+            delay_s: self.stage.delay_s(),
+            delay_doubt: self.delay_doubt(),
         }
     }
 
@@ -177,6 +179,17 @@ impl Centering {
         self.stage.backlog()
     }
 
+    /// Measured delay from a sample to the first one that has its command applied, seconds, if it is known.
+    pub fn delay_s(&self) -> Option<f64> {
+        self.stage.delay_s()
+    }
+
+    /// The doubt about the configured loop delay, if the measured one contradicts it.
+    pub fn delay_doubt(&self) -> Option<DelayDoubt> {
+        let LoopParams { loop_delay_s, period_s, .. } = self.params;
+        DelayDoubt::of(self.stage.delay_s()?, loop_delay_s, period_s)
+    }
+
     /// Records the position that the stage reports, metres.
     pub fn stage_at(&mut self, position: StagePosition) {
         self.stage.set_reported(position);
@@ -197,6 +210,7 @@ impl Centering {
         if self.last.is_some_and(|(_, time)| sample.time.seconds_since(time) >= self.params.lease_s()) {
             self.released(); // the lease has expired, and the board has acted on its own
         }
+        self.stage.shows(sample);
         self.note_lateness(sample, now);
         self.last = Some((sample.index, sample.time));
         self.stage.check_answers(&self.params, now, dt);
@@ -389,7 +403,9 @@ impl Centering {
         };
         let next = behind.map_or(next, |at| next.hold_if_stalled(&memory, at));
         self.stage.sent(next, sample, &self.params);
-        Some(self.command(next.position))
+        let command = self.command(next.position);
+        self.stage.computed(command.id, sample);
+        Some(command)
     }
 
     /// Shadow mode: computes what the loop would do next if it took over now.

@@ -5,7 +5,7 @@
 //! - [`state`]: inputs besides samples, and outputs.
 //! - [`observation`], [`apex_tracker`]: what a sample shows, and where the apex is.
 //! - [`stage`], [`command_history`]: the commanded position of the stage, and whether the stage follows.
-//! - [`unanswered`]: commands that the stage has not acknowledged.
+//! - [`unanswered`]: commands that the stage has not acknowledged. [`command_delay`]: the delay of the others.
 //! - [`lock`]: the lock state and the next action.
 //! - [`controller`], [`tracking`]: the PI controller with its limits, and the feed-forward.
 //! - [`open_loop`], [`search`]: moves while the offset is unknown.
@@ -14,6 +14,7 @@
 pub mod apex_tracker;
 #[allow(clippy::module_inception)] // the main type of the folder has its name
 pub mod centering;
+pub mod command_delay;
 pub mod command_history;
 pub mod controller;
 pub mod lock;
@@ -31,6 +32,7 @@ pub mod tracking;
 pub mod unanswered;
 
 pub use centering::Centering;
+pub use command_delay::DelayDoubt;
 pub use modes::{LoopMode, OnExit, Target};
 pub use params::LoopParams;
 pub use state::{LoopRefusal, LoopState, LoopView, Outcome, TimedPose};

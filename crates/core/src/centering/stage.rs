@@ -2,6 +2,7 @@
 
 use super::controller::ControllerState;
 use crate::centering::LoopParams;
+use crate::centering::command_delay::CommandDelay;
 use crate::centering::command_history::CommandHistory;
 use crate::centering::unanswered::{CommandBacklog, UnansweredCommands};
 use crate::signals::Sample;
@@ -32,6 +33,7 @@ pub struct StageModel {
     ours: bool,
     command_status: CommandStatus,
     unanswered: UnansweredCommands,
+    delay: CommandDelay,
     accepted: Option<StagePosition>,
     /// Position that the stage reports outside the samples.
     reported: Option<StagePosition>,
@@ -48,6 +50,7 @@ impl Default for StageModel {
             ours: false,
             command_status: CommandStatus::default(),
             unanswered: UnansweredCommands::default(),
+            delay: CommandDelay::default(),
             accepted: None,
             reported: None,
             history: CommandHistory::default(),
@@ -86,6 +89,21 @@ impl StageModel {
     /// Records a command that goes out with this id at `now`.
     pub fn commands(&mut self, id: u32, position: StagePosition, now: Mono) {
         self.unanswered.sent(id, position, now);
+    }
+
+    /// Records that the command with this id was computed from a sample.
+    pub fn computed(&mut self, id: u32, sample: &Sample) {
+        self.delay.sent(id, sample.time);
+    }
+
+    /// Records which command was applied when a sample was taken.
+    pub fn shows(&mut self, sample: &Sample) {
+        self.delay.applied(sample.applied, sample.time);
+    }
+
+    /// Measured delay from a sample to the first one that has its command applied, seconds, if it is known.
+    pub fn delay_s(&self) -> Option<f64> {
+        self.delay.median_s()
     }
 
     /// Records an acknowledgement of the command with this id. After a rejected command, the control
@@ -147,6 +165,7 @@ impl StageModel {
             self.command_status = CommandStatus::Obeys;
         }
         self.unanswered.forget();
+        self.delay.forget();
     }
 
     /// Takes over the stage at its actual position, unless the loop already controls the stage. Returns true

@@ -4,7 +4,7 @@ use trifacet_optics::Pose;
 use trifacet_wire::LockState;
 
 use super::lock::Transition;
-use crate::centering::{CommandBacklog, LoopMode};
+use crate::centering::{CommandBacklog, DelayDoubt, LoopMode};
 use crate::steering::{BeamOffset, Command, StagePosition};
 use crate::time::Mono;
 
@@ -46,6 +46,10 @@ pub struct LoopView {
     pub attempts: u32,
     /// The commands that the stage has not acknowledged.
     pub backlog: CommandBacklog,
+    /// Measured delay from a sample to the first one that has its command applied, seconds, if it is known.
+    pub delay_s: Option<f64>,
+    /// The doubt about the configured loop delay.
+    pub delay_doubt: Option<DelayDoubt>,
 }
 
 /// Result of one sample.

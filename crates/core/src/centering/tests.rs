@@ -58,6 +58,7 @@ impl Bench {
             psds: [PsdState::Good; 3],
             steering: self.readback.then(|| self.stage_um.map(|um| um * 1e-6)),
             output_railed: false,
+            applied: None,
         }
     }
 

@@ -1,7 +1,6 @@
 //! Commands that the stage has not acknowledged.
 
-use std::collections::VecDeque;
-
+use crate::sent_commands::SentCommands;
 use crate::steering::StagePosition;
 use crate::time::Mono;
 
@@ -29,8 +28,8 @@ impl CommandBacklog {
 /// The commands without an acknowledgement, and whether answers are overdue.
 #[derive(Clone, Debug, Default)]
 pub struct UnansweredCommands {
-    /// Ids, positions and times, oldest first.
-    list: VecDeque<(u32, StagePosition, Mono)>,
+    /// Positions and times.
+    list: SentCommands<(StagePosition, Mono)>,
     overdue: bool,
     /// How long the age of the oldest command has contradicted `overdue`, seconds.
     contrary_s: f64,
@@ -39,19 +38,12 @@ pub struct UnansweredCommands {
 impl UnansweredCommands {
     /// Records a command that is sent at `now`.
     pub fn sent(&mut self, id: u32, position: StagePosition, now: Mono) {
-        if self.list.len() >= MOST {
-            // The second: the first keeps the age of the oldest.
-            self.list.remove(1);
-        }
-        self.list.push_back((id, position, now));
+        self.list.push(id, (position, now), MOST);
     }
 
     /// Records the answer to a command. Returns its position, unless no such command waits for an answer.
     pub fn answered(&mut self, id: u32) -> Option<StagePosition> {
-        let place = self.list.iter().position(|(sent, ..)| *sent == id)?;
-        let position = self.list[place].1;
-        self.list.drain(..=place);
-        Some(position)
+        self.list.take(id).map(|(position, _)| position)
     }
 
     /// Forgets all commands: the stage was replaced, or has acted on its own. Only answers end `overdue`.
@@ -74,7 +66,7 @@ impl UnansweredCommands {
     pub fn backlog(&self) -> CommandBacklog {
         CommandBacklog {
             count: self.list.len() as u32,
-            oldest: self.list.front().map(|(.., sent)| *sent),
+            oldest: self.list.oldest().map(|(_, sent)| *sent),
             overdue: self.overdue,
         }
     }

@@ -172,6 +172,7 @@ impl ChannelMap {
             psds,
             steering: None,
             output_railed: scan.output_railed,
+            applied: scan.applied,
         };
         for (i, psd) in self.channels.psds.iter().enumerate() {
             // A channel that was dark or clipped in the last scan must not enter the interpolation.

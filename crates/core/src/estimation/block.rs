@@ -75,6 +75,7 @@ impl Block {
             psds: block.psds,
             steering: block.steering.map(|sum| sum.map(|s| s / n)),
             output_railed: block.output_railed,
+            applied: last.applied,
         };
         Mean { sample, count: block.count, gap: block.gap, power: block.power }
     }

@@ -240,6 +240,7 @@ impl Estimation {
             psds: [PsdState::Good; 3],
             steering: None,
             output_railed: false,
+            applied: None,
         };
         let mean = Mean { sample: nothing, count: 0, gap: false, power: Power::Steady };
         let mut report = self.blank(&mean, &steering.without_observation());

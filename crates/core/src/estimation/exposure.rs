@@ -137,6 +137,7 @@ mod tests {
             psds: [PsdState::Good; 3],
             steering: None,
             output_railed: false,
+            applied: None,
         };
         exposure.widen(&mut noise, &sample, &doubt);
         noise

@@ -44,6 +44,7 @@ fn sample(index: u64) -> Sample {
         psds: [PsdState::Good; 3],
         steering: None,
         output_railed: false,
+        applied: None,
     }
 }
 

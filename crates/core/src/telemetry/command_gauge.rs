@@ -1,7 +1,7 @@
-//! The commands that the stage has not acknowledged, for occasional readers.
+//! The commands that the stage has not acknowledged, and the delay of the others, for occasional readers.
 
 use std::sync::atomic::Ordering::Relaxed;
-use std::sync::atomic::{AtomicI64, AtomicU32};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU32, AtomicU64};
 
 use crate::centering::CommandBacklog;
 use crate::time::Mono;
@@ -14,31 +14,39 @@ const NONE: i64 = i64::MAX;
 pub struct CommandGauge {
     count: AtomicU32,
     oldest: AtomicI64,
+    overdue: AtomicBool,
+    /// The bits of the measured delay in seconds; NaN while it is unknown.
+    delay_s: AtomicU64,
 }
 
 impl Default for CommandGauge {
     fn default() -> Self {
-        Self { count: AtomicU32::new(0), oldest: AtomicI64::new(NONE) }
+        Self {
+            count: AtomicU32::new(0),
+            oldest: AtomicI64::new(NONE),
+            overdue: AtomicBool::new(false),
+            delay_s: AtomicU64::new(f64::NAN.to_bits()),
+        }
     }
 }
 
 impl CommandGauge {
-    /// Records the present state.
-    pub fn set(&self, backlog: &CommandBacklog) {
+    /// Records the present state; `delay_s` is the measured delay of commands, seconds.
+    pub fn set(&self, backlog: &CommandBacklog, delay_s: Option<f64>) {
         self.count.store(backlog.count, Relaxed);
         self.oldest.store(backlog.oldest.map_or(NONE, |oldest| oldest.0), Relaxed);
+        self.overdue.store(backlog.overdue, Relaxed);
+        self.delay_s.store(delay_s.unwrap_or(f64::NAN).to_bits(), Relaxed);
     }
 
-    /// Number of commands without an acknowledgement.
-    pub fn count(&self) -> u32 {
-        self.count.load(Relaxed)
+    /// The commands without an acknowledgement. Their age grows also while the centering task stalls.
+    pub fn backlog(&self) -> CommandBacklog {
+        let oldest = Some(self.oldest.load(Relaxed)).filter(|oldest| *oldest != NONE).map(Mono);
+        CommandBacklog { count: self.count.load(Relaxed), oldest, overdue: self.overdue.load(Relaxed) }
     }
 
-    /// Age of the oldest of them, seconds; 0 if all are acknowledged. It grows also while the centering task stalls.
-    pub fn age_s(&self, now: Mono) -> f64 {
-        match self.oldest.load(Relaxed) {
-            NONE => 0.0,
-            oldest => now.seconds_since(Mono(oldest)).max(0.0),
-        }
+    /// The measured delay of commands, seconds, if it is known.
+    pub fn delay_s(&self) -> Option<f64> {
+        Some(f64::from_bits(self.delay_s.load(Relaxed))).filter(|delay_s| !delay_s.is_nan())
     }
 }

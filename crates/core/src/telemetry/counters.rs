@@ -73,6 +73,8 @@ counters! {
     Loss leases_expired,
     /// Faults of the board's clock: its tick disagrees with its sequence numbers or with the clock of the host.
     Event clock_faults,
+    /// Restarts of the board that its boot id showed.
+    Event board_restarts,
     /// Times the source went down.
     Loss source_downs,
     /// Times the replay reached the end of the recording.

@@ -1,6 +1,7 @@
 //! Required data rate of the serial line.
 
 use super::framing::OVERHEAD;
+use super::scan::ScanFormat;
 
 /// Bits on the line per byte: start, eight data bits, stop.
 const BITS_PER_BYTE: f64 = 10.0;
@@ -10,8 +11,8 @@ const BITS_PER_BYTE: f64 = 10.0;
 const LOAD: f64 = 0.95;
 
 /// Bytes of a frame with one scan.
-pub fn scan_bytes(channels: usize) -> usize {
-    OVERHEAD + 9 + 3 * channels
+pub fn scan_bytes(channels: usize, format: ScanFormat) -> usize {
+    OVERHEAD + format.head_bytes() + 3 * channels
 }
 
 /// Bytes of a frame with an acknowledgement.
@@ -20,8 +21,8 @@ const ACK_BYTES: usize = OVERHEAD + 5;
 /// The lowest baud rate at which a board with this number of channels can send `rate_hz` scans per second
 /// while every scan is answered by a steering command. Both directions are in use at once. The direction from
 /// the board is the busier one: a scan and an acknowledgement per command.
-pub fn required_baud(channels: usize, rate_hz: f64) -> u32 {
-    let bytes = scan_bytes(channels) + ACK_BYTES;
+pub fn required_baud(channels: usize, rate_hz: f64, format: ScanFormat) -> u32 {
+    let bytes = scan_bytes(channels, format) + ACK_BYTES;
     let bits_per_s = bytes as f64 * rate_hz * BITS_PER_BYTE / LOAD;
     let whole = bits_per_s as u32;
     whole.saturating_add(u32::from(f64::from(whole) < bits_per_s))
@@ -31,8 +32,8 @@ pub fn required_baud(channels: usize, rate_hz: f64) -> u32 {
 mod tests {
     use super::*;
     use crate::actuator::{LeaseAction, OutputCommand};
-    use crate::board::message::{BoardScan, SteerResult};
-    use crate::board::{Answer, Request};
+    use crate::board::message::SteerResult;
+    use crate::board::{Answer, BoardScan, Request};
     use crate::channel::MAX_CHANNELS;
 
     #[test]
@@ -43,18 +44,21 @@ mod tests {
         let mut steer = Vec::new();
         let command = OutputCommand { id: 1, codes: [-1, 1], lease_ms: 200, on_expiry: LeaseAction::Park };
         Request::Steer(command).encode(&mut steer);
-        for channels in 9..=MAX_CHANNELS {
+        let formats = [ScanFormat::Short, ScanFormat::LONG, ScanFormat::Long { wide_tick: true }];
+        for (channels, format) in (9..=MAX_CHANNELS).flat_map(|n| formats.map(|format| (n, format))) {
             let mut scan = Vec::new();
-            Answer::Scan(BoardScan { channels: channels as u8, ..BoardScan::default() }).encode(&mut scan);
-            assert_eq!(scan.len(), scan_bytes(channels));
+            let channels_sent = channels as u8;
+            Answer::Scan(BoardScan { channels: channels_sent, format, ..BoardScan::default() })
+                .encode(&mut scan);
+            assert_eq!(scan.len(), scan_bytes(channels, format));
             assert!(steer.len() < scan.len() + ack.len());
         }
     }
 
     #[test]
     fn the_default_baud_rate_carries_a_kilohertz_of_sixteen_channels() {
-        assert!(required_baud(16, 1000.0) <= 921_600);
-        assert!(required_baud(9, 2000.0) > 921_600);
-        assert_eq!(required_baud(11, 1000.0), 663_158);
+        assert!(required_baud(16, 1000.0, ScanFormat::Long { wide_tick: true }) <= 921_600);
+        assert!(required_baud(9, 2000.0, ScanFormat::Short) > 921_600);
+        assert_eq!(required_baud(11, 1000.0, ScanFormat::Short), 663_158);
     }
 }

@@ -1,7 +1,10 @@
 //! Version of the board protocol, and what is wrong with a message.
 
-/// The implemented version of the protocol.
+/// The major version of the protocol: the version in every message.
 pub const VERSION: u8 = 1;
+
+/// The highest minor version that this program implements.
+pub const MINOR: u8 = 1;
 
 /// Reasons why an undamaged frame is not a message of this version.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]

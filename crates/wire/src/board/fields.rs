@@ -31,12 +31,25 @@ impl Writer {
         self.bytes(&x.to_le_bytes())
     }
 
+    pub(super) fn i8(self, x: i8) -> Self {
+        self.bytes(&x.to_le_bytes())
+    }
+
     pub(super) fn i32(self, x: i32) -> Self {
+        self.bytes(&x.to_le_bytes())
+    }
+
+    pub(super) fn u64(self, x: u64) -> Self {
         self.bytes(&x.to_le_bytes())
     }
 
     pub(super) fn i24(self, x: i32) -> Self {
         self.bytes(&x.to_le_bytes()[..3])
+    }
+
+    /// The minor version of a request; version 1.0 does not have this field.
+    pub(super) fn minor(self, minor: u8) -> Self {
+        if minor == 0 { self } else { self.u8(minor) }
     }
 
     pub(super) fn frame(self, out: &mut Vec<u8>) {
@@ -90,12 +103,31 @@ impl<'a> Reader<'a> {
         if self.rest.is_empty() { Ok(value) } else { Err(self.wrong_length()) }
     }
 
+    /// The minor version at the end of a request to a board of version 1.`own`; 0 if it is absent.
+    pub(super) fn minor(&mut self, own: u8) -> Result<u8, MessageError> {
+        if self.rest.is_empty() {
+            Ok(0)
+        } else if own == 0 {
+            Err(self.wrong_length())
+        } else {
+            self.last_u8()
+        }
+    }
+
     pub(super) fn u16(&mut self) -> Result<u16, MessageError> {
         self.array().map(u16::from_le_bytes)
     }
 
     pub(super) fn u32(&mut self) -> Result<u32, MessageError> {
         self.array().map(u32::from_le_bytes)
+    }
+
+    pub(super) fn u64(&mut self) -> Result<u64, MessageError> {
+        self.array().map(u64::from_le_bytes)
+    }
+
+    pub(super) fn i8(&mut self) -> Result<i8, MessageError> {
+        self.array().map(i8::from_le_bytes)
     }
 
     pub(super) fn i32(&mut self) -> Result<i32, MessageError> {

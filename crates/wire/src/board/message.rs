@@ -4,11 +4,11 @@
 
 use alloc::vec::Vec;
 
-use super::error::MessageError;
+use super::error::{MINOR, MessageError};
 use super::fields::{Reader, Writer};
 use super::identity::BoardIdentity;
+use super::scan::{BoardScan, ScanFormat};
 use crate::actuator::{Ack, LeaseAction, OutputCommand};
-use crate::channel::MAX_CHANNELS;
 
 mod kind {
     pub(super) const IDENTIFY: u8 = 0x01;
@@ -20,19 +20,25 @@ mod kind {
     pub(super) const ACK: u8 = 0x83;
     pub(super) const SCAN: u8 = 0x84;
     pub(super) const ERROR: u8 = 0x85;
+    pub(super) const LONG_SCAN: u8 = 0x86;
 }
 
 /// From host to board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request {
     /// Asks for the identity of the board.
-    Identify,
+    Identify {
+        /// Highest minor version that the host understands.
+        minor: u8,
+    },
     /// Starts scanning, from sequence number 0.
     Start {
         /// Scans per 1000 seconds.
         rate_mhz: u32,
         /// Parking position of the outputs, codes.
         park: [i32; 2],
+        /// Minor version of the scans: 0 for SCAN, 1 for LONG_SCAN.
+        minor: u8,
     },
     /// Stops scanning.
     Stop,
@@ -74,25 +80,6 @@ pub struct Reply {
     pub result: StartResult,
     /// The rate from now on, scans per 1000 seconds; 0 while stopped.
     pub rate_mhz: u32,
-}
-
-/// One scan, as sent by the board.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct BoardScan {
-    /// Counts the scans since `Start`, those not sent included; wraps.
-    pub sequence: u32,
-    /// Clock of the board at the scan, ticks; wraps.
-    pub tick: u32,
-    /// The outputs are at a limit of the stage.
-    pub output_railed: bool,
-    /// The lease of the last command has expired, and the outputs hold or park.
-    pub lease_expired: bool,
-    /// The board read its converter too late just before this scan.
-    pub overrun: bool,
-    /// Number of codes.
-    pub channels: u8,
-    /// The codes; zero beyond the last channel.
-    pub codes: [i32; MAX_CHANNELS],
 }
 
 macro_rules! numbered {
@@ -167,9 +154,9 @@ impl Request {
     /// Appends the frame of this request to `out`.
     pub fn encode(&self, out: &mut Vec<u8>) {
         let message = match *self {
-            Self::Identify => Writer::new(kind::IDENTIFY),
-            Self::Start { rate_mhz, park } => {
-                Writer::new(kind::START).u32(rate_mhz).i32(park[0]).i32(park[1])
+            Self::Identify { minor } => Writer::new(kind::IDENTIFY).minor(minor),
+            Self::Start { rate_mhz, park, minor } => {
+                Writer::new(kind::START).u32(rate_mhz).i32(park[0]).i32(park[1]).minor(minor)
             }
             Self::Stop => Writer::new(kind::STOP),
             Self::Steer(OutputCommand { id, codes, lease_ms, on_expiry }) => Writer::new(kind::STEER)
@@ -182,15 +169,22 @@ impl Request {
         message.frame(out);
     }
 
-    /// Reads a message (type, version, body).
+    /// Reads a message (type, version, body), as a board of version 1.`minor`.
     ///
     /// # Errors
     /// The version, type, length or a value is wrong.
-    pub fn decode(message: &[u8]) -> Result<Self, MessageError> {
+    pub fn decode(message: &[u8], minor: u8) -> Result<Self, MessageError> {
         let mut body = Reader::new(message)?;
         let request = match body.kind {
-            kind::IDENTIFY => Self::Identify,
-            kind::START => Self::Start { rate_mhz: body.u32()?, park: [body.i32()?, body.i32()?] },
+            kind::IDENTIFY => Self::Identify { minor: body.minor(minor)? },
+            kind::START => Self::Start {
+                rate_mhz: body.u32()?,
+                park: [body.i32()?, body.i32()?],
+                minor: match body.minor(minor)? {
+                    known @ 0..=MINOR => known,
+                    _ => return Err(body.meaningless("minor version")),
+                },
+            },
             kind::STOP => Self::Stop,
             kind::STEER => Self::Steer(OutputCommand {
                 id: body.u32()?,
@@ -218,7 +212,10 @@ impl Answer {
                 .u8(*result as u8)
                 .u32(*rate_mhz),
             Self::Ack { id, result } => Writer::new(kind::ACK).u32(*id).u8(*result as u8),
-            Self::Scan(scan) => scan.write(Writer::new(kind::SCAN)),
+            Self::Scan(scan) => scan.write(Writer::new(match scan.format {
+                ScanFormat::Short => kind::SCAN,
+                ScanFormat::Long { .. } => kind::LONG_SCAN,
+            })),
             Self::Error { reason, kind } => Writer::new(kind::ERROR).u8(*reason as u8).u8(*kind),
         };
         message.frame(out);
@@ -245,7 +242,8 @@ impl Answer {
                 id: body.u32()?,
                 result: SteerResult::from_number(body.u8()?).ok_or_else(|| body.meaningless("result"))?,
             },
-            kind::SCAN => Self::Scan(BoardScan::read(&mut body)?),
+            kind::SCAN => Self::Scan(BoardScan::read_short(&mut body)?),
+            kind::LONG_SCAN => Self::Scan(BoardScan::read_long(&mut body)?),
             kind::ERROR => Self::Error {
                 reason: ErrorReason::from_number(body.u8()?).ok_or_else(|| body.meaningless("reason"))?,
                 kind: body.u8()?,
@@ -269,36 +267,6 @@ impl SteerResult {
     }
 }
 
-impl BoardScan {
-    fn write(&self, message: Writer) -> Writer {
-        let status =
-            u8::from(self.output_railed) | u8::from(self.lease_expired) << 1 | u8::from(self.overrun) << 2;
-        let message = message.u32(self.sequence).u32(self.tick).u8(status);
-        self.codes.iter().take(usize::from(self.channels)).fold(message, |message, code| message.i24(*code))
-    }
-
-    fn read(body: &mut Reader) -> Result<Self, MessageError> {
-        let (sequence, tick, status) = (body.u32()?, body.u32()?, body.u8()?);
-        let channels = body.rest.len() / 3;
-        let mut codes = [0; MAX_CHANNELS];
-        if channels > MAX_CHANNELS {
-            return Err(body.wrong_length());
-        }
-        for code in &mut codes[..channels] {
-            *code = body.i24()?;
-        }
-        Ok(Self {
-            sequence,
-            tick,
-            output_railed: status & 1 != 0,
-            lease_expired: status & 2 != 0,
-            overrun: status & 4 != 0,
-            channels: channels as u8,
-            codes,
-        })
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
@@ -313,9 +281,11 @@ mod tests {
                 // Half of the messages get a valid type and version.
                 (*kind, *version) = if *kind & 8 == 0 { (*kind & 0x87, crate::board::VERSION) } else { (*kind, *version) };
             }
-            let _ = Request::decode(&bytes);
+            for minor in 0..=2 {
+                let _ = Request::decode(&bytes, minor);
+            }
             if let Ok(Answer::Scan(scan)) = Answer::decode(&bytes) {
-                prop_assert_eq!(11 + 3 * usize::from(scan.channels), bytes.len());
+                prop_assert_eq!(2 + scan.format.head_bytes() + 3 * usize::from(scan.channels), bytes.len());
                 prop_assert!(scan.codes.iter().all(|code| (-(1 << 23)..1 << 23).contains(code)));
             }
         }

@@ -1,6 +1,7 @@
 use std::time::Duration;
 
 use trifacet_wire::actuator::{Ack, LeaseAction};
+use trifacet_wire::board::Extension;
 use trifacet_wire::board::message::SteerResult;
 use trifacet_wire::channel::{Converter, Role, SIGNALS};
 
@@ -18,6 +19,8 @@ fn board() -> BoardIdentity {
         roles: SIGNALS.to_vec(),
         skew_ns: vec![0; 9],
         name: "bench board".into(),
+        extensible: false,
+        extension: None,
     }
 }
 
@@ -52,7 +55,7 @@ impl Bench {
     }
 
     fn start(&mut self, board: &BoardIdentity) {
-        assert_eq!(self.requests(), [Request::Identify]);
+        assert_eq!(self.requests(), [Request::Identify { minor: 0 }]);
         self.answer(&Answer::Identity(board.clone()));
         self.requests();
         self.answer(&Answer::Reply(Reply { start: true, result: StartResult::Done, rate_mhz: 1_000_000 }));
@@ -82,7 +85,7 @@ impl Bench {
             }
             let mut rest = &bytes[..];
             while let Some(frame) = deframer.next(&mut rest) {
-                requests.push(Request::decode(frame.unwrap()).unwrap());
+                requests.push(Request::decode(frame.unwrap(), MINOR).unwrap());
             }
             self.session.written(bytes.len());
         }
@@ -97,7 +100,7 @@ impl Bench {
     /// The scan number `sequence` of the board arrives, one period after the last event.
     fn scan(&mut self, sequence: u32) -> Option<SourceEvent> {
         self.now = self.now + MS;
-        let tick = ((self.now - START) / 1000) as u32;
+        let tick = ((self.now - START) / 1000) as u64;
         self.answer(&Answer::Scan(BoardScan { sequence, tick, channels: 9, ..BoardScan::default() }));
         self.session.event()
     }
@@ -119,11 +122,11 @@ impl Bench {
 fn a_board_is_identified_started_and_its_scans_arrive() {
     let mut bench = Bench::new();
     bench.session.connected(bench.now);
-    assert_eq!(bench.requests(), [Request::Identify]);
+    assert_eq!(bench.requests(), [Request::Identify { minor: 0 }]);
     bench.answer(&Answer::Scan(BoardScan { sequence: 77, channels: 9, ..BoardScan::default() }));
     bench.answer(&Answer::Identity(board()));
     let park = [6554, -6554];
-    assert_eq!(bench.requests(), [Request::Start { rate_mhz: 1_000_000, park }]);
+    assert_eq!(bench.requests(), [Request::Start { rate_mhz: 1_000_000, park, minor: 0 }]);
     bench.answer(&Answer::Reply(Reply { start: true, result: StartResult::Done, rate_mhz: 999_000 }));
     let Some(SourceEvent::Up(identity)) = bench.session.event() else { panic!("not up") };
     assert_eq!((identity.rate_hz, identity.roles.len(), identity.simulated), (999.0, 9, false));
@@ -154,6 +157,76 @@ fn each_kind_of_fault_has_its_counter() {
     assert_eq!(bench.index(4), (4, 0));
 }
 
+/// The same board with version 1.1.
+fn newer_board(boot_id: u32) -> BoardIdentity {
+    let extension = Extension { minor: 1, wide_tick: true, boot_id, units: Vec::new() };
+    BoardIdentity { extensible: true, extension: Some(extension), ..board() }
+}
+
+const WIDE: ScanFormat = ScanFormat::Long { wide_tick: true };
+
+impl Bench {
+    /// A board of version 1.1 is identified and started.
+    fn start_newer(&mut self, boot_id: u32) {
+        let newer = newer_board(boot_id);
+        assert_eq!(self.requests(), [Request::Identify { minor: 0 }]);
+        self.answer(&Answer::Identity(BoardIdentity { extension: None, ..newer.clone() }));
+        assert_eq!(self.requests(), [Request::Identify { minor: 1 }]);
+        self.answer(&Answer::Identity(newer));
+        assert!(matches!(self.requests()[..], [Request::Start { minor: 1, .. }]));
+        self.answer(&Answer::Reply(Reply { start: true, result: StartResult::Done, rate_mhz: 1_000_000 }));
+        assert!(matches!(self.session.event(), Some(SourceEvent::Up(_))));
+    }
+}
+
+#[test]
+fn a_board_of_version_1_1_sends_long_scans_and_others_are_dropped() {
+    let mut bench = Bench::new();
+    bench.session.connected(bench.now);
+    bench.start_newer(1);
+    assert_eq!(bench.scan(0), None, "a short scan");
+    assert_eq!(bench.counters.frames_unknown.get(), 1);
+    let tick = 1 << 40;
+    bench.answer(&Answer::Scan(BoardScan { format: WIDE, tick, channels: 9, ..BoardScan::default() }));
+    assert!(matches!(bench.session.event(), Some(SourceEvent::Scan(_))));
+}
+
+#[test]
+fn a_line_without_room_for_long_scans_carries_short_ones() {
+    let mut bench = Bench::new();
+    bench.session.settings.baud = 610_000;
+    bench.session.connected(bench.now);
+    bench.requests();
+    bench.answer(&Answer::Identity(newer_board(1)));
+    bench.requests();
+    bench.answer(&Answer::Identity(newer_board(1)));
+    assert!(matches!(bench.requests()[..], [Request::Start { minor: 0, .. }]));
+}
+
+#[test]
+fn a_restart_of_the_board_is_noticed_at_once_by_its_boot_id() {
+    let mut bench = Bench::new();
+    bench.session.connected(bench.now);
+    bench.start_newer(1);
+    bench.wait(20 * MS);
+    assert!(matches!(bench.session.event(), Some(SourceEvent::Down(SourceError::Stalled { .. }))));
+    assert_eq!(bench.requests(), [Request::Identify { minor: 1 }]);
+    bench.answer(&Answer::Identity(newer_board(1)));
+    assert_eq!(bench.requests(), [], "the same boot: it may resume");
+    bench.answer(&Answer::Identity(newer_board(2)));
+    assert!(matches!(bench.requests()[..], [Request::Start { minor: 1, .. }]), "without a pause");
+    assert_eq!(bench.counters.board_restarts.get(), 1);
+    // Unplugged and plugged in again: the same boot, then another one.
+    let gone = SourceError::Unplugged { port: "/dev/null".into(), reason: "pulled".into() };
+    for (boot_id, restarts) in [(2, 1), (3, 2)] {
+        bench.session.disconnected(gone.clone());
+        bench.session.connected(bench.now);
+        while bench.session.event().is_some() {}
+        bench.start_newer(boot_id);
+        assert_eq!(bench.counters.board_restarts.get(), restarts);
+    }
+}
+
 #[test]
 fn a_stall_is_reported_and_scans_may_resume_by_themselves() {
     let mut bench = Bench::running();
@@ -181,7 +254,7 @@ fn a_board_is_restarted_after_a_power_failure_and_the_index_continues() {
     assert!(matches!(bench.session.event(), Some(SourceEvent::Down(SourceError::Stalled { .. }))));
     bench.steer(1);
     bench.wait(NS_PER_S);
-    assert_eq!(bench.requests(), [Request::Identify], "an old command is dropped");
+    assert_eq!(bench.requests(), [Request::Identify { minor: 0 }], "an old command is dropped");
     bench.wait(500 * MS);
     let timeout = SourceError::Timeout { step: "identify", timeout_ms: 500 };
     assert_eq!(bench.session.event(), Some(SourceEvent::Down(timeout)));
@@ -277,7 +350,7 @@ fn an_unusable_board_is_reported_with_the_reason() {
             other => panic!("{reason}: {other:?}"),
         }
         bench.wait(NS_PER_S);
-        assert_eq!(bench.requests(), [Request::Identify], "a new request after the pause");
+        assert_eq!(bench.requests(), [Request::Identify { minor: 0 }], "a new request after the pause");
     }
 }
 
