@@ -81,23 +81,19 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let (to_monitor, monitored) = mpsc::channel(TO_MAIN);
     let [server, monitor] = main.block_on(async { listeners(config) })?;
     let (lock, lock_now) = watch::channel(None);
+    let (source_down, source_down_now) = watch::channel(None);
     let (config_in_force, config_now) = watch::channel(config.clone());
     let (records, recording, recorder) =
         recording::recorder::start(&config.recording, &counters).context("cannot start the recorder")?;
     let (subscription_server, supervisor, datagrams) = main.block_on(datagrams(&config.publishing))?;
-    let publisher = Publisher::new(
-        facts.id,
-        SystemClock,
-        Utc::system(),
-        Arc::clone(&counters),
-        Outlets {
-            datagrams,
-            tcp: server.is_some().then_some(to_tcp),
-            monitor: monitor.is_some().then_some(to_monitor),
-            recording_fault: Arc::clone(&recording.state.fault),
-            descriptor: descriptor.clone(),
-        },
-    );
+    let outlets = Outlets {
+        datagrams,
+        tcp: server.is_some().then_some(to_tcp),
+        monitor: monitor.is_some().then_some(to_monitor),
+        recording_fault: Arc::clone(&recording.state.fault),
+        descriptor: descriptor.clone(),
+    };
+    let publisher = Publisher::new(facts.id, SystemClock, Utc::system(), Arc::clone(&counters), outlets);
     let parts = Parts {
         commands: Arc::clone(&commands),
         pipeline,
@@ -107,6 +103,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         heartbeats: Arc::clone(&heartbeats),
         glance,
         lock,
+        source_down,
         stop: CancellationToken::new(),
         records,
         context: Arc::clone(context),
@@ -133,6 +130,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         recording: recording.clone(),
         receivers: supervisor.states(),
         lock: lock_now.clone(),
+        source_down: source_down_now.clone(),
         started,
     }));
     let view = View::new(view::Sources {
@@ -141,6 +139,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         config: config_now,
         receivers: supervisor.states(),
         lock: lock_now.clone(),
+        source_down: source_down_now,
         heartbeats,
         control: PageControls::of(&config.monitor, &live),
         recording: recording.state,

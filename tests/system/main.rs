@@ -21,6 +21,7 @@ mod experiment;
 mod kits;
 mod monitor;
 mod page;
+mod ports;
 mod recording;
 mod replay;
 mod rewriting;

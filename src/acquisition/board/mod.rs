@@ -4,11 +4,13 @@
 //! state machine of the connection.
 
 mod compatibility;
+mod foreign;
 mod link_faults;
 mod sequence;
 mod session;
 mod settings;
 
+pub use foreign::Foreign;
 pub use sequence::{Arrival, Sequence};
 pub use session::Session;
 pub use settings::Settings;

@@ -1,4 +1,5 @@
-//! Checks whether the daemon's datagrams reach their receivers, from what its control socket tells.
+//! Reports why the source is down and which receivers of datagrams fail, from what the control socket of the daemon
+//! tells.
 
 use std::time::Duration;
 
@@ -12,7 +13,8 @@ use super::Report;
 /// Longest time to wait for the control socket.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Reports the receivers that fail. Without a control socket on this machine, nothing is known of them.
+/// Reports a source that is down, and receivers that fail. Without a control socket on this machine, nothing is
+/// known of them.
 pub(super) async fn look(config: &Config, report: &mut Report) {
     let Some(socket) = config.control.socket.clone().filter(|socket| socket.exists()) else { return };
     let name = socket.display().to_string();
@@ -22,6 +24,9 @@ pub(super) async fn look(config: &Config, report: &mut Report) {
         Ok(Ok(Err(error))) => return unknown(&error.message, report),
         Ok(Err(_)) | Err(_) => return unknown(&format!("{name} does not answer"), report),
     };
+    if let Some(why) = status["source"]["down"].as_str() {
+        report.wrong(&format!("the source is down: {why}"), "");
+    }
     let receivers = status["receivers"].as_array().map(Vec::as_slice).unwrap_or_default();
     let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
     let failing: Vec<_> = receivers.iter().filter(|receiver| !receiver["failing"].is_null()).collect();
@@ -38,7 +43,7 @@ pub(super) async fn look(config: &Config, report: &mut Report) {
 
 fn unknown(why: &str, report: &mut Report) {
     report.note(
-        &format!("it is not known whether datagrams reach their receivers: {why}"),
+        &format!("the state of the source and of the receivers of datagrams is not known: {why}"),
         "run doctor as a user who may use the control socket ([control] mode)",
     );
 }
