@@ -26,6 +26,7 @@ mod recording;
 mod replay;
 mod rewriting;
 mod second_opinion;
+mod security;
 mod serial_board;
 mod shipped_files;
 mod simulate;
