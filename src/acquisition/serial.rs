@@ -21,7 +21,7 @@ use super::board::{Session, Settings};
 use super::{Source, SourceError, SourceEvent};
 use crate::config::Config;
 use crate::exit::{Failure, IN_USE};
-use crate::serial_port::{self, PortError};
+use crate::serial_port::{self, Identity, Opened, PortError};
 
 /// Pause between two attempts to open the port.
 const RETRY: Duration = Duration::from_millis(200);
@@ -34,7 +34,7 @@ enum Port {
     /// Opened, but not yet registered with the runtime.
     Opened(TTYPort),
     /// Being opened, after a pause.
-    Opening(JoinHandle<Result<TTYPort, PortError>>),
+    Opening(JoinHandle<Result<Opened, PortError>>),
     /// In use.
     Open(SerialStream),
     /// Closed; to be opened.
@@ -49,6 +49,8 @@ pub struct SerialSource<C> {
     clock: C,
     session: Session,
     port: Port,
+    /// The device that was at the port last.
+    device: Identity,
     buffer: Box<[u8; 4096]>,
 }
 
@@ -61,8 +63,12 @@ impl<C: Clock> SerialSource<C> {
     pub fn open(config: &Config, clock: C, counters: Arc<Counters>) -> Result<Self, Failure> {
         let serial = &config.acquisition.serial;
         let mut session = Session::new(Settings::from(config), counters);
-        let port = match serial_port::open(&serial.port, serial.baud) {
-            Ok(port) => Port::Opened(port),
+        let mut device = Identity::default();
+        let port = match serial_port::open(&serial.port, serial.baud, &device) {
+            Ok(opened) => {
+                device = opened.identity;
+                Port::Opened(opened.tty)
+            }
             Err(error @ PortError::InUse { .. }) => return Err(Failure::new(IN_USE, error.to_string())),
             Err(error) => {
                 session.disconnected(error.into());
@@ -75,6 +81,7 @@ impl<C: Clock> SerialSource<C> {
             clock,
             session,
             port,
+            device,
             buffer: Box::new([0; 4096]),
         })
     }
@@ -84,10 +91,10 @@ impl<C: Clock> SerialSource<C> {
     async fn step(&mut self) {
         match &mut self.port {
             Port::Closed => {
-                let (path, baud) = (self.path.clone(), self.baud);
+                let (path, baud, last) = (self.path.clone(), self.baud, self.device.clone());
                 self.port = Port::Opening(tokio::task::spawn_blocking(move || {
                     std::thread::sleep(RETRY);
-                    serial_port::open(&path, baud)
+                    serial_port::open(&path, baud, &last)
                 }));
             }
             Port::Opening(opening) => {
@@ -98,7 +105,10 @@ impl<C: Clock> SerialSource<C> {
                     }
                 };
                 self.port = match opened {
-                    Ok(port) => Port::Opened(port),
+                    Ok(opened) => {
+                        self.device = opened.identity;
+                        Port::Opened(opened.tty)
+                    }
                     Err(error) => {
                         self.session.disconnected(error.into());
                         Port::Closed

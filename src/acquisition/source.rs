@@ -6,6 +6,7 @@ use trifacet_core::signals::{Identity, Scan};
 use trifacet_core::time::Mono;
 use trifacet_wire::actuator::{Ack, OutputCommand};
 
+use super::board::Foreign;
 use crate::serial_port::PortError;
 
 /// Reasons why there are no scans.
@@ -28,12 +29,14 @@ pub enum SourceError {
         reason: String,
     },
     /// The board does not answer a request in time.
-    #[error("no answer to {step} within {timeout_ms} ms")]
+    #[error("no answer to {step} within {timeout_ms} ms; {line}")]
     Timeout {
         /// The request: "identify", "start".
         step: &'static str,
         /// The time limit, milliseconds.
         timeout_ms: u32,
+        /// What arrives instead.
+        line: Foreign,
     },
     /// The board answers, but cannot be used.
     #[error("the board cannot be used: {0}")]

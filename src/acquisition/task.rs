@@ -56,6 +56,8 @@ pub struct AcquisitionLinks {
     pub newest: watch::Sender<Option<Sample>>,
     /// Acknowledgements of the steering outputs, to their driver.
     pub answers: watch::Sender<Answers>,
+    /// Why the source is down; `None` while samples arrive.
+    pub down: watch::Sender<Option<SourceError>>,
     /// Steering commands, from the driver.
     pub commands: watch::Receiver<Option<OutputCommand>>,
     /// Changes of settings, from outside the fast side.
@@ -71,13 +73,14 @@ pub async fn run<S: Source, C: Clock>(
     links: AcquisitionLinks,
     stop: CancellationToken,
 ) {
-    let AcquisitionLinks { samples, newest, answers, mut commands, mut changes } = links;
+    let AcquisitionLinks { samples, newest, answers, down, mut commands, mut changes } = links;
     let mut intake = Intake {
         mapping,
         counters,
         samples,
         newest,
         answers,
+        why_down: down,
         up: false,
         frozen: Vec::new(),
         dropped: 0,
@@ -109,6 +112,7 @@ struct Intake {
     samples: mpsc::Sender<SampleEvent>,
     newest: watch::Sender<Option<Sample>>,
     answers: watch::Sender<Answers>,
+    why_down: watch::Sender<Option<SourceError>>,
     /// Scans are arriving.
     up: bool,
     /// Channels that repeat the same code.
@@ -128,6 +132,7 @@ impl Intake {
                 if let Some(sample) = self.mapping.sample(&scan) {
                     if !std::mem::replace(&mut self.up, true) {
                         tracing::info!("receiving scans");
+                        self.why_down.send_replace(None);
                         let identity = self.mapping.identity().cloned();
                         self.answers.send_modify(|answers| answers.source = identity);
                     }
@@ -175,6 +180,7 @@ impl Intake {
             self.counters.source_downs.inc();
         }
         tracing::warn!(reason = %down, "source is down");
+        self.why_down.send_replace(Some(down.clone()));
         self.tell(SampleEvent::Down(down));
     }
 
@@ -265,6 +271,7 @@ mod tests {
             samples,
             newest: watch::Sender::default(),
             answers: watch::Sender::default(),
+            why_down: watch::Sender::default(),
             up: false,
             frozen: Vec::new(),
             dropped: 0,

@@ -116,7 +116,7 @@ impl Line {
     /// # Errors
     /// The port cannot be opened.
     pub(super) fn open(options: &Options) -> Result<Self, TestError> {
-        let port = serial_port::open(&options.port, options.baud)?;
+        let port = serial_port::open(&options.port, options.baud, &serial_port::Identity::default())?.tty;
         let path = options.port.display().to_string();
         let mut line = Self { path, port, deframer: Deframer::default(), inbox: VecDeque::new() };
         line.send(&[0])?;

@@ -181,6 +181,7 @@ async fn with<S: Source + 'static>(
             samples: samples_in,
             newest: watch::Sender::default(),
             answers: answers_in,
+            down: watch::Sender::default(),
             commands,
             changes: mpsc::channel(1).1,
         },

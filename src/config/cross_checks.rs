@@ -1,5 +1,8 @@
 //! Checks across sections: each value is within its own range, but they may conflict.
 
+use std::net::SocketAddr;
+use std::path::Path;
+
 use trifacet_core::centering::stability::is_stable;
 use trifacet_optics::{Optics, Pose, Vec2};
 use trifacet_wire::board::{ScanFormat, required_baud};
@@ -19,6 +22,7 @@ pub(super) fn check(config: &Config, at: &mut Checker<'_>) {
         SourceKind::Serial => serial_speed(config, at),
         SourceKind::Replay => replay(config, at),
     }
+    ports(config, at);
     edge_margin(config, at);
     fusion(config, at);
     gains(config, at);
@@ -104,6 +108,48 @@ fn serial_speed(config: &Config, at: &mut Checker<'_>) {
         acquisition.serial.baud,
         format_args!("{needed} or more, for nine channels at {} Hz", acquisition.rate_hz),
     );
+}
+
+/// The board and the stage are at different serial ports, also if these have several names, and the servers listen at
+/// different addresses.
+fn ports(config: &Config, at: &mut Checker<'_>) {
+    let board = &config.acquisition.serial.port;
+    let stage = config.steering.gcs.port.as_ref();
+    let used = config.acquisition.source == SourceKind::Serial && config.steering.kind == SteeringKind::Gcs;
+    if let Some(stage) = stage.filter(|stage| used && is_same_device(stage, board)) {
+        at.agree(
+            false,
+            "steering.gcs.port",
+            &["acquisition.serial.port"],
+            format!("{:?}", stage.display().to_string()),
+            format_args!(
+                "another device than acquisition.serial.port = {:?}: the board and the controller of the stage cannot \
+                 share a port",
+                board.display().to_string()
+            ),
+        );
+    }
+    if let (Some(tcp), Some(monitor)) = (config.publishing.tcp, config.monitor.listen) {
+        at.agree(
+            !collide(tcp, monitor),
+            "monitor.listen",
+            &["publishing.tcp"],
+            format!("\"{monitor}\""),
+            format_args!("another port than publishing.tcp = \"{tcp}\": only one server can listen at it"),
+        );
+    }
+}
+
+/// Whether two paths lead to the same device. A device that is not connected has only its name.
+fn is_same_device(a: &Path, b: &Path) -> bool {
+    let target = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    target(a) == target(b)
+}
+
+/// Whether two servers would listen at the same address. Port 0 stands for any free port.
+fn collide(a: SocketAddr, b: SocketAddr) -> bool {
+    let any = a.ip().is_unspecified() || b.ip().is_unspecified();
+    a.port() == b.port() && a.port() != 0 && (any || a.ip() == b.ip())
 }
 
 /// A replay has a recording, steers no real stage, and records nothing.

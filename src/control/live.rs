@@ -19,6 +19,7 @@ use trifacet_wire::stream::{Descriptor, Replayed};
 use super::config_file::{Access, ConfigFile};
 use super::reload::take_over_file;
 use super::{Command, FastRequests};
+use crate::acquisition::SourceError;
 use crate::acquisition::task::SettingsChange;
 use crate::centering::CenteringRequest;
 use crate::clock::SystemClock;
@@ -76,6 +77,8 @@ pub struct RunningConfig {
     pub lock: watch::Receiver<Option<LockCondition>>,
     /// The doubts that stand.
     pub doubts: Doubts,
+    /// Why the source is down.
+    pub source_down: watch::Receiver<Option<SourceError>>,
     /// Time of the daemon's start.
     pub started: Mono,
 }
@@ -289,6 +292,7 @@ impl RunningConfig {
             "session": format!("{:08x}", self.descriptor.borrow().session),
             "config": self.id(),
             "replay": replay,
+            "source": { "down": self.source_down.borrow().as_ref().map(ToString::to_string) },
             "loop": self.loop_now().await?,
             "pose": pose,
             "doubts": self.doubts.shown(),

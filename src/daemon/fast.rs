@@ -16,7 +16,7 @@ use trifacet_core::telemetry::heartbeat::{Heartbeats, Task, counted};
 use trifacet_core::telemetry::{CommandGauge, Counters, LatestStatus};
 use trifacet_wire::stream::Descriptor;
 
-use crate::acquisition::{SerialSource, Source};
+use crate::acquisition::{SerialSource, Source, SourceError};
 use crate::clock::SystemClock;
 use crate::config::{CalibrationContext, Config, RealtimeConfig, SourceKind};
 use crate::control::FastLink;
@@ -45,6 +45,8 @@ pub(super) struct Parts {
     pub(super) glance: Arc<LatestStatus>,
     /// The lock state and its cause; stays `None` in a replay, which has no loop.
     pub(super) lock: watch::Sender<Option<LockCondition>>,
+    /// Why the source is down.
+    pub(super) source_down: watch::Sender<Option<SourceError>>,
     pub(super) control: FastLink,
     pub(super) context: Arc<CalibrationContext>,
     /// The beginning of the recording, if that is the source.
@@ -103,7 +105,7 @@ async fn fast<S: Source + 'static>(
     parts: Parts,
     source: impl FnOnce() -> io::Result<S>,
 ) -> anyhow::Result<()> {
-    let Parts { config, pipeline, gcs, mut publisher, .. } = parts;
+    let Parts { config, pipeline, gcs, mut publisher, source_down, .. } = parts;
     let Parts {
         counters,
         heartbeats,
@@ -124,8 +126,9 @@ async fn fast<S: Source + 'static>(
     let (newest_in, newest) = watch::channel(None);
     let (commands_in, commands) = watch::channel(None);
     let (answers_in, answers) = watch::channel(steering::outputs::Answers::default());
-    let outputs = || Outputs::new(config.steering.full_scale_um * 1e-6, commands_in, answers);
-    let driver = gcs.map_or_else(|| StageDriver::Outputs(outputs()), StageDriver::Gcs);
+    let full_scale = config.steering.full_scale_um * 1e-6;
+    let outputs = || StageDriver::Outputs(Outputs::new(full_scale, commands_in, answers));
+    let driver = gcs.map_or_else(outputs, StageDriver::Gcs);
     let (state_in, steering) = watch::channel(centering.state());
     let steering = estimation::loop_liveness::LoopLiveness::new(steering, Arc::clone(&heartbeats));
     let (poses_in, poses) = watch::channel(None);
@@ -141,6 +144,7 @@ async fn fast<S: Source + 'static>(
                 samples: samples_in,
                 newest: newest_in,
                 answers: answers_in,
+                down: source_down,
                 commands,
                 changes,
             },
@@ -214,8 +218,7 @@ async fn until_stopped(
         end = &mut estimation => Some(("estimation", end)),
     };
     if let Some((task, end)) = ended {
-        let why = end.err().map_or_else(|| "it returned".into(), |e| e.to_string());
-        return Err(Failure::new(exit::SOFTWARE, format!("task {task} ended by itself: {why}")).into());
+        return Err(ended_by_itself(task, end));
     }
     // In order: centering sends the last command to the stage while acquisition can still transmit it. Then
     // acquisition ends, which closes the channel of samples; this ends estimation.
@@ -223,6 +226,11 @@ async fn until_stopped(
     stop_acquisition.cancel();
     acquisition.await.context("task acquisition failed while stopping")?;
     estimation.await.context("task estimation failed while stopping")
+}
+
+fn ended_by_itself(task: &str, end: Result<(), task::JoinError>) -> anyhow::Error {
+    let why = end.err().map_or_else(|| "it returned".into(), |e| e.to_string());
+    Failure::new(exit::SOFTWARE, format!("task {task} ended by itself: {why}")).into()
 }
 
 /// Runs one task in place of the three: it replays a recording.

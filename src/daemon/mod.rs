@@ -83,6 +83,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let (to_monitor, monitored) = mpsc::channel(TO_MAIN);
     let [server, monitor] = main.block_on(async { listeners(config) })?;
     let (lock, lock_now) = watch::channel(None);
+    let (source_down, source_down_now) = watch::channel(None);
     let (config_in_force, config_now) = watch::channel(config.clone());
     let (records, recording, recorder) =
         recording::recorder::start(&config.recording, &counters).context("cannot start the recorder")?;
@@ -105,6 +106,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         heartbeats: Arc::clone(&heartbeats),
         glance,
         lock,
+        source_down,
         stop: CancellationToken::new(),
         records,
         context: Arc::clone(context),
@@ -132,6 +134,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         receivers: supervisor.states(),
         lock: lock_now.clone(),
         doubts: doubts.clone(),
+        source_down: source_down_now.clone(),
         started,
     }));
     let view = View::new(view::Sources {
@@ -140,6 +143,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         config: config_now,
         receivers: supervisor.states(),
         lock: lock_now.clone(),
+        source_down: source_down_now,
         heartbeats,
         control: PageControls::of(&config.monitor, &live),
         recording: recording.state,

@@ -50,9 +50,12 @@ impl Subject {
 
     /// Why the condition fails for this frame: names of status bits, or the lock state with its cause. Without
     /// a known cause, the status bits that are fatal are the reason.
-    fn reason(self, frame: &PoseFrame, cause: Option<LockCause>) -> String {
+    fn reason(self, frame: &PoseFrame, causes: &Causes) -> String {
         match self {
-            Subject::Samples => names(frame.status, NO_SAMPLES),
+            Subject::Samples => match &causes.source {
+                Some(why) => format!("{}: {why}", names(frame.status, NO_SAMPLES)),
+                None => names(frame.status, NO_SAMPLES),
+            },
             Subject::Time => names(frame.status, Status::CLOCK_UNSYNCED),
             Subject::Consistency => names(frame.status, Status::INCONSISTENT),
             Subject::Optics => {
@@ -61,8 +64,9 @@ impl Subject {
                 if fatal.is_empty() { "SAMPLE_GAP".into() } else { fatal }
             }
             Subject::Lock => {
-                let why =
-                    cause.map_or_else(|| names(frame.status, Status::FATAL), |cause| cause.text().into());
+                let why = causes
+                    .lock
+                    .map_or_else(|| names(frame.status, Status::FATAL), |cause| cause.text().into());
                 if why.is_empty() {
                     frame.lock.name().into()
                 } else {
@@ -71,6 +75,15 @@ impl Subject {
             }
         }
     }
+}
+
+/// What the daemon knows beyond the newest frame.
+#[derive(Clone, Debug, Default)]
+pub struct Causes {
+    /// The cause of the lock state of that frame.
+    pub lock: Option<LockCause>,
+    /// Why the source is down.
+    pub source: Option<String>,
 }
 
 /// Status bits of frames without live samples.
@@ -115,12 +128,12 @@ impl Checks {
     }
 
     /// The readiness with `newest` as the newest frame. Nothing is ready while a part of the daemon stalls
-    /// (`dead`). `cause` is that of the newest frame's lock state, if it is known.
+    /// (`dead`).
     pub fn readiness(
         &self,
         newest: Option<&PoseFrame>,
         dead: Option<&Standstill>,
-        cause: Option<LockCause>,
+        causes: &Causes,
     ) -> Readiness {
         let checks = Subject::ALL.iter().zip(self.0).map(|(subject, check)| {
             let (Some(frame), Some(check)) = (newest, check) else {
@@ -132,7 +145,7 @@ impl Checks {
                     let since_ns = still.since_ns.unwrap_or(frame.time_ns);
                     (false, if check.ok { since_ns } else { check.since_ns }, Some(still.why.clone()))
                 }
-                None => (check.ok, check.since_ns, (!check.ok).then(|| subject.reason(frame, cause))),
+                None => (check.ok, check.since_ns, (!check.ok).then(|| subject.reason(frame, causes))),
             };
             Finding { name: subject.name(), ok, since: utc(since_ns), reason }
         });
@@ -194,12 +207,13 @@ mod tests {
         let [good, held, lost] = frames();
         let mut checks = Checks::default();
         checks.frame(&good);
-        let readiness = checks.readiness(Some(&good), None, None);
+        let readiness = checks.readiness(Some(&good), None, &Causes::default());
         assert!(readiness.ready);
         assert_eq!(checks_of(&readiness), [(true, "1970-01-01T00:00:01Z", ""); 5]);
         checks.frame(&held);
         checks.frame(&lost);
-        let readiness = checks.readiness(Some(&lost), None, Some(LockCause::NoLight));
+        let readiness =
+            checks.readiness(Some(&lost), None, &Causes { lock: Some(LockCause::NoLight), source: None });
         assert!(!readiness.ready);
         let at = "1970-01-01T00:00:02Z";
         let dark = (false, at, "PSD_A_LOW, PSD_B_LOW");
@@ -213,7 +227,7 @@ mod tests {
         let replayed = PoseFrame { status: good.status | Status::REPLAYED, ..good };
         let mut checks = Checks::default();
         checks.frame(&replayed);
-        let readiness = checks.readiness(Some(&replayed), None, None);
+        let readiness = checks.readiness(Some(&replayed), None, &Causes::default());
         assert!(!readiness.ready);
         let at = "1970-01-01T00:00:01Z";
         let fine = (true, at, "");
@@ -227,7 +241,7 @@ mod tests {
             let frame = PoseFrame { status: good.status | *bit, ..good };
             let mut checks = Checks::default();
             checks.frame(&frame);
-            let ready = checks.readiness(Some(&frame), None, None).ready;
+            let ready = checks.readiness(Some(&frame), None, &Causes::default()).ready;
             // POSE_HELD is set for single clients only; with a fatal bit the estimator does not set POSE_VALID.
             if *bit != Status::POSE_HELD && !Status::FATAL.has(*bit) {
                 assert_eq!(ready, frame.status.usable(Status::SIMULATED), "{name}");
@@ -240,19 +254,25 @@ mod tests {
         let [good, held, _] = frames();
         let mut checks = Checks::default();
         assert_eq!(
-            checks_of(&checks.readiness(None, None, None)),
+            checks_of(&checks.readiness(None, None, &Causes::default())),
             [(false, "", "no frame has been made yet"); 5]
         );
         let dead = Standstill { why: "dead".into(), since_ns: Some(4_000_000_000), silent: true };
-        assert_eq!(checks_of(&checks.readiness(None, Some(&dead), None)), [(false, "", "dead"); 5]);
+        assert_eq!(
+            checks_of(&checks.readiness(None, Some(&dead), &Causes::default())),
+            [(false, "", "dead"); 5]
+        );
         checks.frame(&good);
         let at = "1970-01-01T00:00:04Z";
-        assert_eq!(checks_of(&checks.readiness(Some(&good), Some(&dead), None)), [(false, at, "dead"); 5]);
+        assert_eq!(
+            checks_of(&checks.readiness(Some(&good), Some(&dead), &Causes::default())),
+            [(false, at, "dead"); 5]
+        );
         checks.frame(&held);
         let down = PoseFrame { status: Status::SOURCE_DOWN, time_ns: 5_000_000_000, ..held };
         checks.frame(&down);
         assert_eq!(
-            checks_of(&checks.readiness(Some(&down), None, None))[0],
+            checks_of(&checks.readiness(Some(&down), None, &Causes::default()))[0],
             (false, "1970-01-01T00:00:05Z", "SOURCE_DOWN")
         );
     }

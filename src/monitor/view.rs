@@ -15,10 +15,11 @@ use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::PoseFrame;
 use trifacet_wire::stream::Descriptor;
 
-use super::health::{Checks, Readiness, Standstill};
+use super::health::{Causes, Checks, Readiness, Standstill};
 use super::page::bins::History;
 use super::page::state::PageState;
 use super::tally::Tally;
+use crate::acquisition::SourceError;
 use crate::clock::SystemClock;
 use crate::config::Config;
 use crate::control::PageControls;
@@ -55,6 +56,8 @@ pub struct Sources {
     pub receivers: watch::Receiver<Arc<[ReceiverState]>>,
     /// The lock state and its cause; `None` in a replay.
     pub lock: watch::Receiver<Option<LockCondition>>,
+    /// Why the source is down.
+    pub source_down: watch::Receiver<Option<SourceError>>,
     /// Heartbeats of the tasks of the fast side.
     pub heartbeats: Arc<Heartbeats>,
     /// State of the recorder.
@@ -170,8 +173,9 @@ impl View {
     pub fn readiness(&self) -> Readiness {
         let dead = self.dead();
         let newest = self.newest.borrow().map(|newest| newest.frame);
-        let cause = self.lock().map(|now| now.cause);
-        let readiness = self.aggregates().checks.readiness(newest.as_ref(), dead.as_ref(), cause);
+        let source = self.sources.source_down.borrow().as_ref().map(ToString::to_string);
+        let causes = Causes { lock: self.lock().map(|now| now.cause), source };
+        let readiness = self.aggregates().checks.readiness(newest.as_ref(), dead.as_ref(), &causes);
         Readiness { doubts: self.sources.doubts.shown(), ..readiness }
     }
 

@@ -1,8 +1,8 @@
 //! The folder of the recordings: file names, free space.
 
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io;
-use std::os::unix::fs::OpenOptionsExt as _;
+use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 
 use jiff::Timestamp;
@@ -12,6 +12,8 @@ use rustix::fs::{Access, access, statvfs};
 pub const UNFINISHED: &str = "part";
 /// Permissions of a file, before the umask.
 const MODE: u32 = 0o640;
+/// Permissions of the folder, before the umask.
+const FOLDER_MODE: u32 = 0o750;
 
 /// A folder of recordings. Other files in it are left alone.
 #[derive(Clone, Debug)]
@@ -75,7 +77,7 @@ impl Folder {
     /// # Errors
     /// The folder cannot be created.
     pub fn make(&self) -> io::Result<()> {
-        match fs::create_dir(&self.0) {
+        match DirBuilder::new().mode(FOLDER_MODE).create(&self.0) {
             Err(e) if e.kind() == io::ErrorKind::AlreadyExists => Ok(()),
             made => made,
         }

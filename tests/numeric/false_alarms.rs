@@ -84,7 +84,7 @@ impl Sensor {
         let late: f64 = Exp1.sample(&mut self.random);
         let arrival = Mono(((scan.t_s + DELAY_S * late) * 1e9) as i64).max(self.last_arrival);
         self.last_arrival = arrival;
-        let tick = (scan.t_s * (1.0 + GAIN) * f64::from(TICK_HZ)) as u64 as u32;
+        let tick = (scan.t_s * (1.0 + GAIN) * f64::from(TICK_HZ)) as u64;
         let moment = self.timebase.moment(ScanCounters { tick, periods: 1 }, arrival);
         let mut arrived = scan.arrived(moment.time, 0).unwrap();
         arrived.time_sigma_ns = Some(moment.sigma_ns);

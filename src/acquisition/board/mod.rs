@@ -5,11 +5,13 @@
 
 mod boot_watch;
 mod compatibility;
+mod foreign;
 mod link_faults;
 mod sequence;
 mod session;
 mod settings;
 
+pub use foreign::Foreign;
 pub use sequence::{Arrival, Sequence};
 pub use session::Session;
 pub use settings::Settings;

@@ -14,6 +14,7 @@ use trifacet_wire::board::{
 };
 
 use super::boot_watch::BootWatch;
+use super::foreign::ForeignBytes;
 use super::link_faults::{LinkFault, Tally};
 use super::{Arrival, Sequence, Settings, compatibility};
 use crate::acquisition::in_flight::InFlight;
@@ -77,8 +78,8 @@ pub struct Session {
     command: Option<(OutputCommand, Mono)>,
     in_flight: InFlight,
     counters: Arc<Counters>,
-    /// Corrupted frames while waiting for an answer.
-    garbage: u32,
+    /// What arrives while the board does not answer.
+    foreign: ForeignBytes,
     boot: BootWatch,
 }
 
@@ -87,6 +88,7 @@ impl Session {
     pub fn new(settings: Settings, counters: Arc<Counters>) -> Self {
         Self {
             in_flight: InFlight::new(settings.most_in_flight, Arc::clone(&counters)),
+            foreign: ForeignBytes::new(settings.baud),
             settings,
             state: State::Unlinked,
             deframer: Deframer::default(),
@@ -98,7 +100,6 @@ impl Session {
             reported: None,
             out: Vec::new(),
             command: None,
-            garbage: 0,
             boot: BootWatch::default(),
         }
     }
@@ -106,6 +107,7 @@ impl Session {
     /// Records that the port is open.
     pub fn connected(&mut self, now: Mono) {
         self.deframer = Deframer::default();
+        self.foreign.opened();
         self.identify(now);
     }
 
@@ -193,17 +195,35 @@ impl Session {
 
     /// Takes bytes that arrived at `now`.
     pub fn received(&mut self, mut bytes: &[u8], now: Mono) {
+        if !self.scanning() {
+            self.foreign.bytes(bytes);
+            self.counters.bytes_foreign.add(bytes.len() as u64);
+        }
         let mut deframer = std::mem::take(&mut self.deframer);
         while let Some(frame) = deframer.next(&mut bytes) {
-            match frame.map(Answer::decode) {
-                Ok(Ok(answer)) => self.answered(answer, now),
-                Ok(Err(error)) => self.not_understood(error, now),
+            match frame {
+                Ok(message) => self.message(message, now),
                 Err(_) if self.scanning() => self.tally.count(LinkFault::Corrupted),
-                Err(_) => self.garbage += 1,
+                Err(_) => {}
             }
         }
         self.deframer = deframer;
         self.tally.tell(now);
+    }
+
+    fn message(&mut self, message: &[u8], now: Mono) {
+        match Answer::decode(message) {
+            Ok(answer) => {
+                self.foreign.frame();
+                self.answered(answer, now);
+            }
+            Err(error) => {
+                if (0..=MINOR).any(|minor| Request::decode(message, minor).is_ok()) {
+                    self.foreign.echo();
+                }
+                self.not_understood(error, now);
+            }
+        }
     }
 
     /// Whether scans are expected, so that damaged data counts as a loss.
@@ -215,7 +235,7 @@ impl Session {
         self.command = None;
         self.out.clear();
         self.out.push(0); // terminates an incomplete frame in the board's buffer
-        self.garbage = 0;
+        self.foreign.asked();
         self.ask_identity(0, now); // a board of version 1.0 understands no other
     }
 
@@ -368,13 +388,8 @@ impl Session {
     }
 
     fn unanswered(&mut self, step: &'static str, now: Mono) {
-        if self.garbage > 0 {
-            let (frames, baud) = (self.garbage, self.settings.baud);
-            tracing::warn!(
-                "{frames} corrupted frames instead of an answer: does the board run at {baud} baud?"
-            );
-        }
-        self.rest(SourceError::Timeout { step, timeout_ms: ANSWER_MS }, now);
+        let line = self.foreign.describe();
+        self.rest(SourceError::Timeout { step, timeout_ms: ANSWER_MS, line }, now);
     }
 
     fn unfit(&mut self, reason: String, now: Mono) {

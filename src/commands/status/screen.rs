@@ -17,12 +17,14 @@ pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
     lines.extend(replay(known).map(|what| row("replay", &what)));
     let Some(frame) = &known.frame else {
         lines.push(row("pose", "no frame since the last update"));
+        lines.extend(source_down(known));
         lines.push(row("losses", &losses(known)));
         lines.extend(receivers(known));
         lines.extend(known.unanswered.as_ref().map(|why| row("control", why)));
         return lines;
     };
     lines.push(row("pose", &validity(frame, known.between)));
+    lines.extend(source_down(known));
     for (i, [length, angle]) in [["tx", "roll"], ["ty", "pitch"], ["tz", "yaw"]].into_iter().enumerate() {
         let [length_um, angle_urad] = [i, i + 3].map(|i| deviated(frame.pose[i], frame.deviations[i]));
         lines.push(format!("{:<9} {length:<5}{length_um} um   {angle:<6}{angle_urad} urad", ""));
@@ -42,6 +44,12 @@ pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
     lines.extend(known.unanswered.as_ref().map(|why| row("control", why)));
     lines.push(row("status", &names(Status(frame.status.0 & !SHOWN_ELSEWHERE.0))));
     lines
+}
+
+/// Why no samples arrive.
+fn source_down(known: &Known) -> Option<String> {
+    let why = known.control.as_ref()?["source"]["down"].as_str()?;
+    Some(row("source", &format!("down: {why}")))
 }
 
 fn row(name: &str, text: &str) -> String {

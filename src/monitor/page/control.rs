@@ -2,20 +2,26 @@
 
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::Json;
-use axum::extract::rejection::JsonRejection;
-use axum::extract::{ConnectInfo, State};
+use axum::extract::{ConnectInfo, FromRequest, Request, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use serde_json::json;
+use tokio::time::timeout;
 use trifacet_core::centering::LoopMode;
 
 use crate::control::{self, Command};
 use crate::monitor::host_filter::own_page;
 use crate::monitor::view::View;
 use crate::recording::RecorderCommand;
+
+/// Largest body of a request, bytes.
+pub const LONGEST: usize = 4096;
+/// Longest time until the body of a request has arrived.
+const BODY_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// A command from the page: `{"command": "loop on"}`.
 #[derive(Debug, Deserialize)]
@@ -25,12 +31,12 @@ pub struct PageCommand {
 }
 
 /// Executes a command if the request is authorized. Its content type must be JSON, which a form of another
-/// site cannot send.
+/// site cannot send. Nothing of the body is read before the request is authorized.
 pub async fn obey(
     State(view): State<Arc<View>>,
     ConnectInfo(peer): ConnectInfo<SocketAddr>,
     headers: HeaderMap,
-    order: Result<Json<PageCommand>, JsonRejection>,
+    request: Request,
 ) -> Response {
     let counters = &view.sources.counters;
     let Some(controls) = &view.sources.control else {
@@ -47,13 +53,14 @@ pub async fn obey(
         tracing::warn!(%peer, "monitor: a command with a wrong token");
         return refusal(StatusCode::UNAUTHORIZED, "wrong token: use monitor.token of the configuration");
     }
-    let order = match order {
-        Ok(Json(order)) => order,
+    let order = match timeout(BODY_TIMEOUT, Json::<PageCommand>::from_request(request, &())).await {
+        Ok(Ok(Json(order))) => order,
         // Clients need no distinction between invalid JSON and unexpected JSON.
-        Err(e) if e.status() == StatusCode::UNPROCESSABLE_ENTITY => {
+        Ok(Err(e)) if e.status() == StatusCode::UNPROCESSABLE_ENTITY => {
             return refusal(StatusCode::BAD_REQUEST, &e.body_text());
         }
-        Err(e) => return refusal(e.status(), &e.body_text()),
+        Ok(Err(e)) => return refusal(e.status(), &e.body_text()),
+        Err(_) => return refusal(StatusCode::REQUEST_TIMEOUT, "the request did not arrive within 5 s"),
     };
     match order.command.parse() {
         Ok(command) if allowed(&command) => {

@@ -16,6 +16,7 @@ pub mod viewer;
 use std::sync::Arc;
 
 use axum::Router;
+use axum::extract::DefaultBodyLimit;
 use axum::http::{HeaderName, header};
 use axum::routing::{MethodRouter, get, post};
 
@@ -41,7 +42,7 @@ pub fn routes() -> Router<Arc<View>> {
         .route("/words.js", asset("text/javascript", include_str!("assets/words.js")))
         .route("/icon.svg", asset("image/svg+xml", include_str!("assets/icon.svg")))
         .route("/live", get(viewer::open))
-        .route("/control", post(control::obey))
+        .route("/control", post(control::obey).layer(DefaultBodyLimit::max(control::LONGEST)))
 }
 
 /// A handler that answers with a file of the page.

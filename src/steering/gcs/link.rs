@@ -52,10 +52,11 @@ impl Link {
             }
             Line::Serial { port, baud } => {
                 let (path, baud) = (port.clone(), *baud);
-                let opening = tokio::task::spawn_blocking(move || serial_port::open(&path, baud)).await;
+                let open = move || serial_port::open(&path, baud, &serial_port::Identity::default());
+                let opening = tokio::task::spawn_blocking(open).await;
                 let opened = opening.map_err(|error| no_way(error.to_string()))?;
-                let tty = opened.map_err(|error| no_way(error.reason()))?;
-                Box::new(SerialStream::try_from(tty).map_err(|error| no_way(error.to_string()))?)
+                let opened = opened.map_err(|error| no_way(error.reason()))?;
+                Box::new(SerialStream::try_from(opened.tty).map_err(|error| no_way(error.to_string()))?)
             }
         };
         let mut link = Self { wire, name, patience_ms: settings.timeout_ms };

@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::os::fd::OwnedFd;
+use std::path::PathBuf;
 
 use rustix::fs::{Mode, OFlags};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
@@ -15,6 +16,24 @@ impl Terminal {
         grantpt(&window).unwrap();
         unlockpt(&window).unwrap();
         Self(window)
+    }
+
+    /// The path of the side of the programs in it.
+    pub(crate) fn name(&self) -> PathBuf {
+        ptsname(&self.0, Vec::new()).unwrap().into_string().unwrap().into()
+    }
+
+    /// Sends bytes to the programs in it. Bytes for which there is no room are dropped.
+    pub(crate) fn send(&self, bytes: &[u8]) {
+        rustix::io::write(&self.0, bytes).unwrap();
+    }
+
+    /// Sends everything back that the programs in it write, until the last of them has closed it.
+    pub(crate) fn echo(&self) {
+        let mut bytes = [0; 256];
+        while let Ok(n @ 1..) = rustix::io::read(&self.0, &mut bytes) {
+            self.send(&bytes[..n]);
+        }
     }
 
     /// The side of the programs in it.

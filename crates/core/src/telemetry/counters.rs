@@ -65,6 +65,8 @@ counters! {
     Loss frames_corrupted,
     /// Undamaged frames of the board with invalid contents.
     Loss frames_unknown,
+    /// Bytes that arrived on the port of the board while it did not answer.
+    Event bytes_foreign,
     /// Frames of the daemon that the board did not understand.
     Loss board_errors,
     /// Times the board read its converter too late.

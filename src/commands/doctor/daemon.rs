@@ -1,4 +1,5 @@
-//! What the control socket of the daemon tells: whether datagrams reach their receivers, and the doubts.
+//! Reports what the control socket of the daemon tells: why the source is down, which receivers of datagrams fail, and
+//! the doubts.
 
 use std::time::Duration;
 
@@ -12,8 +13,8 @@ use super::Report;
 /// Longest time to wait for the control socket.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Reports the receivers that fail, and the doubts that stand. Without a control socket on this machine, nothing
-/// is known of them.
+/// Reports a source that is down, receivers that fail, and the doubts that stand. Without a control socket on this
+/// machine, nothing is known of them.
 pub(super) async fn look(config: &Config, report: &mut Report) {
     let Some(socket) = config.control.socket.clone().filter(|socket| socket.exists()) else { return };
     let name = socket.display().to_string();
@@ -23,6 +24,9 @@ pub(super) async fn look(config: &Config, report: &mut Report) {
         Ok(Ok(Err(error))) => return unknown(&error.message, report),
         Ok(Err(_)) | Err(_) => return unknown(&format!("{name} does not answer"), report),
     };
+    if let Some(why) = status["source"]["down"].as_str() {
+        report.wrong(&format!("the source is down: {why}"), "");
+    }
     let receivers = status["receivers"].as_array().map(Vec::as_slice).unwrap_or_default();
     let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
     let failing: Vec<_> = receivers.iter().filter(|receiver| !receiver["failing"].is_null()).collect();
@@ -44,7 +48,7 @@ pub(super) async fn look(config: &Config, report: &mut Report) {
 fn unknown(why: &str, report: &mut Report) {
     report.note(
         &format!(
-            "it is not known whether datagrams reach their receivers, and whether there are doubts: {why}"
+            "the state of the source, of the receivers of datagrams and of the doubts is not known: {why}"
         ),
         "run doctor as a user who may use the control socket ([control] mode)",
     );
