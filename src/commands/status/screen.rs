@@ -36,6 +36,7 @@ pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
     let how = if frame.status.has(Status::STEERING_MEASURED) { "read back" } else { "as commanded" };
     lines.push(row("steering", &format!("x    {x} um          y     {y} um    {how}")));
     lines.extend(commands(known.control.as_ref()));
+    lines.extend(doubts(known));
     lines.push(row("losses", &losses(known)));
     lines.extend(receivers(known));
     lines.extend(known.unanswered.as_ref().map(|why| row("control", why)));
@@ -158,6 +159,16 @@ fn commands(control: Option<&Value>) -> Option<String> {
     })
 }
 
+/// The doubts that stand. Only the control socket tells them.
+fn doubts(known: &Known) -> Vec<String> {
+    let all = known.control.as_ref().and_then(|control| control["doubts"].as_array());
+    let shown = |doubt: &Value| {
+        let (since, text) = (doubt["since"].as_str()?, doubt["text"].as_str()?);
+        Some(row("doubt", &format!("since {since}: {text}")))
+    };
+    all.into_iter().flatten().filter_map(shown).collect()
+}
+
 /// The receivers of datagrams that fail. Only the control socket tells them.
 fn receivers(known: &Known) -> Vec<String> {
     let all = known.control.as_ref().and_then(|control| control["receivers"].as_array());
@@ -220,7 +231,7 @@ pub(super) fn mood(line: &str) -> Option<&'static str> {
         "pose" | "commands" => "31",
         "lock" if is(LockState::Locked) => "32",
         "lock" if is(LockState::Lost) || is(LockState::Railed) => "31",
-        "lock" | "cause" | "control" | "replay" | "receiver" => "33",
+        "lock" | "cause" | "doubt" | "control" | "replay" | "receiver" => "33",
         "losses" if text != "none" => "33",
         _ => return None,
     })
