@@ -39,6 +39,7 @@ pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
     lines.push(row("steering", &format!("x    {x} um          y     {y} um    {how}")));
     lines.extend(commands(known.control.as_ref()));
     lines.extend(delay(known.control.as_ref()));
+    lines.extend(doubts(known));
     lines.push(row("losses", &losses(known)));
     lines.extend(receivers(known));
     lines.extend(known.unanswered.as_ref().map(|why| row("control", why)));
@@ -172,6 +173,16 @@ fn delay(control: Option<&Value>) -> Option<String> {
     Some(row("delay", control?["loop"]["commands"]["delay_doubt"].as_str()?))
 }
 
+/// The doubts that stand. Only the control socket tells them.
+fn doubts(known: &Known) -> Vec<String> {
+    let all = known.control.as_ref().and_then(|control| control["doubts"].as_array());
+    let shown = |doubt: &Value| {
+        let (since, text) = (doubt["since"].as_str()?, doubt["text"].as_str()?);
+        Some(row("doubt", &format!("since {since}: {text}")))
+    };
+    all.into_iter().flatten().filter_map(shown).collect()
+}
+
 /// The receivers of datagrams that fail. Only the control socket tells them.
 fn receivers(known: &Known) -> Vec<String> {
     let all = known.control.as_ref().and_then(|control| control["receivers"].as_array());
@@ -234,7 +245,7 @@ pub(super) fn mood(line: &str) -> Option<&'static str> {
         "pose" | "commands" => "31",
         "lock" if is(LockState::Locked) => "32",
         "lock" if is(LockState::Lost) || is(LockState::Railed) => "31",
-        "lock" | "cause" | "control" | "replay" | "receiver" => "33",
+        "lock" | "cause" | "doubt" | "control" | "replay" | "receiver" => "33",
         "losses" if text != "none" => "33",
         _ => return None,
     })

@@ -28,8 +28,11 @@ fn stands(daemon: &mut Daemon, subject: &str, text: &str) {
     assert_eq!((&line["level"], &line["doubt"]), (&"WARN".into(), &subject.into()), "{line}");
     let metrics = get(at, "/metrics").body;
     assert!(metrics.contains(&format!("trifacet_doubt{{subject=\"{subject}\"}} 1")), "{metrics}");
-    let config = daemon.file();
-    let doctor = run(trifacet(&["doctor", &format!("tcp://{}", daemon.address()), "--config"]).arg(config));
+    let (config, endpoint) = (daemon.file(), format!("tcp://{}", daemon.address()));
+    let status = run(trifacet(&["status", &endpoint, "--socket"]).arg(daemon.socket()));
+    let line = status.out.lines().find(|line| line.starts_with("doubt "));
+    assert!(line.is_some_and(|line| line.contains(text)), "{}", status.out);
+    let doctor = run(trifacet(&["doctor", &endpoint, "--config"]).arg(config));
     assert!(doctor.out.contains("doubt since") && doctor.out.contains(text), "{} {}", doctor.out, doctor.err);
 }
 
