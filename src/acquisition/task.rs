@@ -13,12 +13,11 @@ use trifacet_core::signals::{Identity, Sample, Scan};
 use trifacet_core::telemetry::Counters;
 use trifacet_core::telemetry::heartbeat::HEARTBEAT;
 use trifacet_core::time::Clock;
-use trifacet_wire::actuator::OutputCommand;
 use trifacet_wire::channel::Role;
 
 use super::{Source, SourceError, SourceEvent};
 use crate::config::CalibrationContext;
-use crate::steering::outputs::Answers;
+use crate::steering::outputs::{Answers, OutputLink};
 
 /// Events for estimation, in order.
 #[derive(Debug)]
@@ -54,12 +53,10 @@ pub struct AcquisitionLinks {
     pub samples: mpsc::Sender<SampleEvent>,
     /// The newest sample, to centering.
     pub newest: watch::Sender<Option<Sample>>,
-    /// Acknowledgements of the steering outputs, to their driver.
-    pub answers: watch::Sender<Answers>,
     /// Why the source is down; `None` while samples arrive.
     pub down: watch::Sender<Option<SourceError>>,
-    /// Steering commands, from the driver.
-    pub commands: watch::Receiver<Option<OutputCommand>>,
+    /// Steering commands from the driver of the outputs, and acknowledgements to it.
+    pub outputs: OutputLink,
     /// Changes of settings, from outside the fast side.
     pub changes: mpsc::Receiver<SettingsChange>,
 }
@@ -73,7 +70,8 @@ pub async fn run<S: Source, C: Clock>(
     links: AcquisitionLinks,
     stop: CancellationToken,
 ) {
-    let AcquisitionLinks { samples, newest, answers, down, mut commands, mut changes } = links;
+    let AcquisitionLinks { samples, newest, outputs, down, mut changes } = links;
+    let OutputLink { mut commands, answers } = outputs;
     let mut intake = Intake {
         mapping,
         counters,

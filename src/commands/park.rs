@@ -8,10 +8,10 @@ use tokio::sync::watch;
 use tokio::time::timeout;
 use trifacet::acquisition::{SerialSource, Source, SourceEvent};
 use trifacet::clock::SystemClock;
-use trifacet::config::{Config, SourceKind, SteeringKind};
+use trifacet::config::{Config, SourceKind};
 use trifacet::control;
 use trifacet::exit::{self, Failure};
-use trifacet::steering::{Driver, StageEvent, gcs};
+use trifacet::steering::{self, Driver, Stage, StageDriver, StageEvent, StageTask};
 use trifacet_core::centering::OnExit;
 use trifacet_core::steering::{Command, StagePosition, codes};
 use trifacet_core::telemetry::Counters;
@@ -56,11 +56,14 @@ pub(crate) fn park(args: &ParkArgs) -> anyhow::Result<()> {
         SourceKind::Twin | SourceKind::Replay => None,
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    // The limits do not change in the meantime, so the sender can be dropped.
+    let limits = watch::channel(steering.clone()).1;
+    let Stage { driver, task, .. } = steering::configured(&config, limits)?;
     let parking = async {
-        match (steering.kind, source) {
-            (SteeringKind::Outputs, None) => Ok(None),
-            (SteeringKind::Outputs, Some(source)) => outputs(source, &config).await.map(Some),
-            (SteeringKind::Gcs, _held) => stage(&config, &counters).await.map(Some),
+        match (task, source) {
+            (Some(task), _held) => stage(driver, task, &config, &counters).await.map(Some),
+            (None, Some(source)) => outputs(source, &config).await.map(Some),
+            (None, None) => Ok(None),
         }
     };
     let parked = runtime.block_on(parking);
@@ -107,11 +110,12 @@ async fn outputs(mut source: impl Source, config: &Config) -> Result<[f64; 2], F
 }
 
 /// Parks a stage that has its own controller.
-async fn stage(config: &Config, counters: &Counters) -> Result<[f64; 2], Failure> {
-    let (_limits, limits) = watch::channel(config.steering.clone());
-    let Some((mut driver, task)) = gcs::pair(config, limits) else {
-        return Err(Failure::new(exit::SOFTWARE, "the stage has no driver"));
-    };
+async fn stage(
+    mut driver: StageDriver,
+    task: StageTask,
+    config: &Config,
+    counters: &Counters,
+) -> Result<[f64; 2], Failure> {
     let position = config.steering.park_um.map(|um| um * 1e-6);
     let command = Command {
         id: 1,

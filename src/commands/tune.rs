@@ -25,8 +25,7 @@ use trifacet::identification::observation::Observer;
 use trifacet::identification::plan::{Choices, Settings};
 use trifacet::identification::record::Recording;
 use trifacet::identification::task;
-use trifacet::steering::outputs::Answers;
-use trifacet::steering::{Outputs, StageDriver, gcs};
+use trifacet::steering::{self, Stage};
 use trifacet::twin::{Twin, TwinSource};
 use trifacet::{acquisition, realtime};
 use trifacet_core::pipeline::Mapping;
@@ -169,8 +168,9 @@ async fn with<S: Source + 'static>(
     counters: Arc<Counters>,
 ) -> anyhow::Result<Option<Recording>> {
     let (samples_in, samples) = mpsc::channel(QUEUE);
-    let (commands_in, commands) = watch::channel(None);
-    let (answers_in, answers) = watch::channel(Answers::default());
+    // The limits do not change in the meantime, so the sender can be dropped.
+    let limits = watch::channel(config.steering.clone()).1;
+    let Stage { driver, task: stage, outputs } = steering::configured(config, limits)?;
     let stop_acquisition = CancellationToken::new();
     let acquisition = tokio::task::spawn_local(acquisition::task::run(
         source().context("cannot start the source")?,
@@ -180,9 +180,8 @@ async fn with<S: Source + 'static>(
         acquisition::task::AcquisitionLinks {
             samples: samples_in,
             newest: watch::Sender::default(),
-            answers: answers_in,
+            outputs,
             down: watch::Sender::default(),
-            commands,
             changes: mpsc::channel(1).1,
         },
         stop_acquisition.clone(),
@@ -197,13 +196,9 @@ async fn with<S: Source + 'static>(
     let settings = Settings::new(config, observer.beam_sigma(), choices);
     let links = task::IdentificationLinks { samples, stop: interrupted()? };
     let mut show = Show::new(args.dry_run);
-    // The limits do not change in the meantime, so the sender can be dropped.
-    let gcs = gcs::pair(config, watch::channel(config.steering.clone()).1).map(|(driver, stage)| {
+    if let Some(stage) = stage {
         tokio::task::spawn_local(async move { stage.run(&counters).await });
-        driver
-    });
-    let outputs = || Outputs::new(config.steering.full_scale_um * 1e-6, commands_in, answers);
-    let driver = gcs.map_or_else(|| StageDriver::Outputs(outputs()), StageDriver::Gcs);
+    }
     let result = task::run(settings, observer, driver, SystemClock, links, &mut show).await;
     show.end();
     stop_acquisition.cancel();

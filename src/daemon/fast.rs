@@ -26,7 +26,7 @@ use crate::exit::{self, Failure};
 use crate::publishing::Publisher;
 use crate::recording::{Entry, EstimationRecorder, RecordSender};
 use crate::replay::{self, RecordingHeader};
-use crate::steering::{self, Gcs, Outputs, StageDriver};
+use crate::steering::{OutputLink, StageDriver};
 use crate::twin::{Twin, TwinSource};
 use crate::{acquisition, centering, estimation, realtime};
 
@@ -37,8 +37,9 @@ const QUEUE: usize = 1024;
 pub(super) struct Parts {
     pub(super) config: Config,
     pub(super) pipeline: Pipeline,
-    /// The stage, if the source does not drive it.
-    pub(super) gcs: Option<Gcs>,
+    /// The driver of the stage; without use in a replay, as `outputs` is.
+    pub(super) driver: StageDriver,
+    pub(super) outputs: OutputLink,
     pub(super) publisher: Publisher<SystemClock>,
     pub(super) counters: Arc<Counters>,
     pub(super) heartbeats: Arc<Heartbeats>,
@@ -105,7 +106,7 @@ async fn fast<S: Source + 'static>(
     parts: Parts,
     source: impl FnOnce() -> io::Result<S>,
 ) -> anyhow::Result<()> {
-    let Parts { config, pipeline, gcs, mut publisher, source_down, .. } = parts;
+    let Parts { config, pipeline, driver, outputs, mut publisher, source_down, .. } = parts;
     let Parts {
         counters,
         heartbeats,
@@ -124,11 +125,6 @@ async fn fast<S: Source + 'static>(
     let (mapping, centering, estimation) = pipeline.into_parts();
     let (samples_in, samples) = mpsc::channel(QUEUE);
     let (newest_in, newest) = watch::channel(None);
-    let (commands_in, commands) = watch::channel(None);
-    let (answers_in, answers) = watch::channel(steering::outputs::Answers::default());
-    let full_scale = config.steering.full_scale_um * 1e-6;
-    let outputs = || StageDriver::Outputs(Outputs::new(full_scale, commands_in, answers));
-    let driver = gcs.map_or_else(outputs, StageDriver::Gcs);
     let (state_in, steering) = watch::channel(centering.state());
     let steering = estimation::loop_liveness::LoopLiveness::new(steering, Arc::clone(&heartbeats));
     let (poses_in, poses) = watch::channel(None);
@@ -143,9 +139,8 @@ async fn fast<S: Source + 'static>(
             acquisition::task::AcquisitionLinks {
                 samples: samples_in,
                 newest: newest_in,
-                answers: answers_in,
+                outputs,
                 down: source_down,
-                commands,
                 changes,
             },
             stop_acquisition.clone(),

@@ -49,7 +49,7 @@ use crate::publishing::{Outlets, Publisher, StreamId, subscription_server, tcp, 
 use crate::recording;
 use crate::replay::RecordingHeader;
 use crate::service::Service;
-use crate::steering::gcs;
+use crate::steering::{self, Stage};
 
 /// Frames that can wait for TCP or for the monitor: 1.6 s at 10 kHz. The system may stop an ordinary thread
 /// for that long. Memory is used only for frames that are waiting.
@@ -78,7 +78,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let (to_fast, at_fast) = control::ways();
     let (descriptor, descriptor_now) = watch::channel(described(facts, config, header.as_ref()));
     let (steering, steering_now) = watch::channel(config.steering.clone());
-    let (gcs, gcs_task) = gcs::pair(config, steering_now).unzip();
+    let Stage { driver, task: stage, outputs } = steering::configured(config, steering_now)?;
     let (to_tcp, frames) = mpsc::channel(TO_MAIN);
     let (to_monitor, monitored) = mpsc::channel(TO_MAIN);
     let [server, monitor] = main.block_on(async { listeners(config) })?;
@@ -100,7 +100,8 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         commands: Arc::clone(&commands),
         doubter,
         pipeline,
-        gcs,
+        driver,
+        outputs,
         publisher,
         counters: Arc::clone(&counters),
         heartbeats: Arc::clone(&heartbeats),
@@ -157,7 +158,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         monitor: monitor.map(|listener| Monitor { listener, frames: monitored, view }),
         subscription_server,
         supervisor,
-        stage: gcs_task,
+        stage,
         descriptor: descriptor_now,
     };
     let control = control(live, socket, Hangups { signal: hangup, terminal }, &service.notify);

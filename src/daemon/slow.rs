@@ -28,7 +28,7 @@ use crate::monitor::host_filter::Hosts;
 use crate::monitor::view::View;
 use crate::publishing::{subscription, subscription_server, tcp, udp};
 use crate::service::{Notify, Service};
-use crate::steering::gcs;
+use crate::steering::StageTask;
 
 /// Interval of the checks whether the terminal is still there.
 const TERMINAL_LOOK: Duration = Duration::from_millis(250);
@@ -40,7 +40,7 @@ pub(super) struct Slow<'a> {
     pub(super) monitor: Option<Monitor>,
     pub(super) subscription_server: Option<subscription_server::SubscriptionServer>,
     pub(super) supervisor: udp::Supervisor,
-    pub(super) stage: Option<gcs::task::Task>,
+    pub(super) stage: Option<StageTask>,
     pub(super) descriptor: watch::Receiver<Descriptor>,
 }
 

@@ -1,6 +1,7 @@
 //! Stages that steer the laser: two axes, behind one trait.
 //!
-//! - [`Driver`]: takes the newest command, and reports events of the stage.
+//! - [`configured`]: the stage of the configuration. [`Driver`]: takes the newest command, and reports events
+//!   of the stage.
 //! - [`outputs`]: the two outputs of the board or of the twin, on the connection of the samples.
 //! - [`gcs`]: stages of PI with a controller of their own.
 //!
@@ -13,9 +14,14 @@ pub mod outputs;
 use std::future::Future;
 
 pub use gcs::Gcs;
-pub use outputs::Outputs;
+pub use outputs::{OutputLink, Outputs};
+use tokio::sync::watch;
 use trifacet_core::steering::{Command, StagePosition};
+use trifacet_core::telemetry::Counters;
 use trifacet_wire::actuator::Ack;
+
+use crate::config::{Config, SteeringConfig, SteeringKind};
+use crate::exit::Failure;
 
 /// Events of a driver.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,7 +45,48 @@ pub trait Driver {
     fn next(&mut self) -> impl Future<Output = StageEvent>;
 }
 
-/// The configured stage.
+/// The configured stage, in its parts.
+pub struct Stage {
+    /// The driver, for whoever commands the stage.
+    pub driver: StageDriver,
+    /// The task that must run on an ordinary thread; `None` if the source drives the stage.
+    pub task: Option<StageTask>,
+    /// For the source. Never carries a command if the stage is not at the outputs of the source.
+    pub outputs: OutputLink,
+}
+
+/// The stage that `steering.kind` selects. `limits` receives the present limits.
+///
+/// # Errors
+/// [`crate::exit::CONFIG`] if the configuration does not describe a connection to the stage.
+pub fn configured(config: &Config, limits: watch::Receiver<SteeringConfig>) -> Result<Stage, Failure> {
+    let (at_outputs, outputs) = outputs::pair(config.steering.full_scale_um * 1e-6);
+    let (driver, task) = match config.steering.kind {
+        SteeringKind::Outputs => (StageDriver::Outputs(at_outputs), None),
+        SteeringKind::Gcs => {
+            let (driver, task) = gcs::pair(&config.steering.gcs, limits)?;
+            (StageDriver::Gcs(driver), Some(StageTask::Gcs(task)))
+        }
+    };
+    Ok(Stage { driver, task, outputs })
+}
+
+/// The task of a stage that the source does not drive.
+pub enum StageTask {
+    /// A stage of PI.
+    Gcs(gcs::task::Task),
+}
+
+impl StageTask {
+    /// Runs until the driver is dropped, and its last command was acknowledged or given up.
+    pub async fn run(self, counters: &Counters) {
+        match self {
+            Self::Gcs(task) => task.run(counters).await,
+        }
+    }
+}
+
+/// The driver of the configured stage.
 #[derive(Debug)]
 pub enum StageDriver {
     /// The outputs of the board or the twin.

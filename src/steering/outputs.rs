@@ -22,6 +22,23 @@ pub struct Answers {
     pub ack: Option<Ack>,
 }
 
+/// The outputs on the side of the source.
+#[derive(Debug)]
+pub struct OutputLink {
+    /// Commands of the driver.
+    pub commands: watch::Receiver<Option<OutputCommand>>,
+    /// State of the outputs, for the driver.
+    pub answers: watch::Sender<Answers>,
+}
+
+/// A driver for outputs whose full-scale code is at `full_scale` metres, and the other end of its channels.
+pub fn pair(full_scale: f64) -> (Outputs, OutputLink) {
+    let (commands_in, commands) = watch::channel(None);
+    let (answers_in, answers) = watch::channel(Answers::default());
+    let driver = Outputs { full_scale, commands: commands_in, answers, source: None, ack: None };
+    (driver, OutputLink { commands, answers: answers_in })
+}
+
 /// The driver of the outputs of the source.
 #[derive(Debug)]
 pub struct Outputs {
@@ -35,15 +52,6 @@ pub struct Outputs {
 }
 
 impl Outputs {
-    /// A driver for outputs whose full-scale code is at `full_scale` metres.
-    pub fn new(
-        full_scale: f64,
-        commands: watch::Sender<Option<OutputCommand>>,
-        answers: watch::Receiver<Answers>,
-    ) -> Self {
-        Self { full_scale, commands, answers, source: None, ack: None }
-    }
-
     /// The next unreported event; a new source comes first.
     fn news(&mut self) -> Option<StageEvent> {
         let answers = self.answers.borrow_and_update();
@@ -97,9 +105,7 @@ mod tests {
 
     #[tokio::test]
     async fn commands_become_codes_within_range_and_only_changes_are_reported() {
-        let (commands, sent) = watch::channel(None);
-        let (answers, answered) = watch::channel(Answers::default());
-        let mut outputs = Outputs::new(500e-6, commands, answered);
+        let (mut outputs, OutputLink { commands: sent, answers }) = pair(500e-6);
         let command = |position| Command { id: 7, position, lease_ms: 200, on_expiry: LeaseAction::Park };
         outputs.steer(command(StagePosition([1e-6, 0.0])));
         assert_eq!(*sent.borrow(), None, "no source yet");

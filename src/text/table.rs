@@ -2,8 +2,8 @@
 //!
 //! The fields are separated by commas, semicolons or tabs: by what separates the names of the needed columns
 //! in the first line. With semicolons or tabs, numbers may have a decimal comma, as spreadsheet programs write
-//! them in many countries. Between commas a decimal comma would be ambiguous. So is `1,234` between tabs, unless
-//! another number has shown that the comma is the decimal mark: it can be a thousands separator.
+//! them in many countries. Between commas a decimal comma would be ambiguous. So is `1,234` in any table, unless
+//! an earlier number has shown that the comma is the decimal mark: it can be a thousands separator.
 
 use std::borrow::Cow;
 use std::cell::Cell;
@@ -283,8 +283,9 @@ impl<'t> Row<'t> {
             return Err(field(column, text, allowed));
         }
         let before = self.mark.get();
-        if self.separator == b'\t' && before.is_none() && has_thousands(text) {
-            let allowed = "a number with a clear decimal mark; this can be a comma or a thousands separator";
+        if before.is_none() && has_thousands(text) {
+            let allowed = "a number with a clear decimal mark; this comma can be a decimal comma or a thousands \
+                           separator";
             return Err(field(column, text, allowed));
         }
         if let (Some(before), Some(mark)) = (before, mark)

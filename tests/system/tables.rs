@@ -176,6 +176,24 @@ fn separators_decimal_commas_and_line_ends_do_not_matter() {
     }
 }
 
+/// An earlier number has shown that the comma is the decimal mark.
+#[test]
+fn a_comma_that_is_known_as_the_decimal_mark_is_not_ambiguous() {
+    let plain =
+        "u_a_m,v_a_m,u_b_m,v_b_m,u_c_m,v_c_m,power_a,power_b,power_c\n0.0,0,0,0,0,0,1.250,1.250,1.250\n";
+    let expected = trifacet(&["solve"], plain.as_bytes());
+    assert!(expected.status.success(), "{}", stderr(&expected));
+    for separator in [";", "\t"] {
+        let german = plain.replace(',', separator).replace('.', ",");
+        let output = trifacet(&["solve"], german.as_bytes());
+        assert!(output.status.success(), "{german:?}: {}", stderr(&output));
+        assert_eq!(output.stdout, expected.stdout, "{german:?}");
+        let ambiguous = trifacet(&["solve"], german.replace("0,0", "0").as_bytes());
+        assert_eq!(ambiguous.status.code(), Some(65), "{german:?}");
+        assert!(stderr(&ambiguous).contains(":2: power_a is \"1,250\""), "{}", stderr(&ambiguous));
+    }
+}
+
 #[test]
 fn ambiguous_numbers_and_other_encodings_are_named() {
     let header = "tx_m,ty_m,tz_m,roll_rad,pitch_rad,yaw_rad";
@@ -196,7 +214,11 @@ fn ambiguous_numbers_and_other_encodings_are_named() {
         ),
         (
             format!("{}\n1,234\t0\t0\t0\t0\t0\n", header.replace(',', "\t")).into_bytes(),
-            ":2: tx_m is \"1,234\": allowed is a number with a clear decimal mark",
+            ":2: tx_m is \"1,234\": allowed is a number with a clear decimal mark; this comma can be",
+        ),
+        (
+            format!("{semicolons}\n0;-12,500;0;0;0;0,5\n").into_bytes(),
+            ":2: ty_m is \"-12,500\": allowed is a number with a clear decimal mark; this comma can be",
         ),
         (format!("{header},beam_dx_m,beam_dx_m\n").into_bytes(), ":1: the column beam_dx_m occurs twice"),
         (

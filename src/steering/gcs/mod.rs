@@ -22,7 +22,8 @@ use trifacet_core::steering::{Command, StagePosition};
 use trifacet_wire::actuator::Ack;
 
 use super::{Driver, StageEvent};
-use crate::config::{Config, SteeringConfig};
+use crate::config::{GcsConfig, SteeringConfig};
+use crate::exit::Failure;
 
 /// A command, and the connection that its sender assumed.
 type Addressed = (u32, Command);
@@ -62,14 +63,17 @@ pub struct Gcs {
     reported: Report,
 }
 
-/// The driver and its task, if such a stage is configured. `steering` receives the present limits.
-pub fn pair(config: &Config, steering: watch::Receiver<SteeringConfig>) -> Option<(Gcs, Task)> {
+/// The driver and its task. `steering` receives the present limits.
+///
+/// # Errors
+/// [`crate::exit::CONFIG`] if the configuration contains no connection.
+pub fn pair(config: &GcsConfig, steering: watch::Receiver<SteeringConfig>) -> Result<(Gcs, Task), Failure> {
     let settings = Settings::new(config)?;
     let (commands, commanded) = watch::channel(None);
     let unknown = Report { down: Some("no controller has answered yet".into()), ..Report::default() };
     let (reports_in, reports) = watch::channel(unknown);
     let driver = Gcs { commands, reports, reported: Report::default() };
-    Some((driver, Task { settings, steering, commands: commanded, reports: reports_in }))
+    Ok((driver, Task { settings, steering, commands: commanded, reports: reports_in }))
 }
 
 impl Gcs {
@@ -133,7 +137,7 @@ mod tests {
         let text = "steering.kind = 'gcs'\nsteering.gcs.address = 'stage:50000'\ntwin.steering.readback_noise_um = 'off'";
         let config = config::parse(text, None).unwrap();
         let (_steering_in, steering) = watch::channel(config.steering.clone());
-        let (mut driver, task) = pair(&config, steering).unwrap();
+        let (mut driver, task) = pair(&config.steering.gcs, steering).unwrap();
         driver.steer(command(1));
         assert_eq!(*task.commands.borrow(), None, "no connection yet");
         assert_eq!(driver.next().await, StageEvent::Down("no controller has answered yet".into()));

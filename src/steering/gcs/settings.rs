@@ -6,7 +6,8 @@ use std::path::PathBuf;
 use trifacet_core::steering::StagePosition;
 
 use super::protocol::Axes;
-use crate::config::{Config, SteeringKind};
+use crate::config::GcsConfig;
+use crate::exit::{self, Failure};
 
 /// Connection to a controller.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -49,16 +50,21 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// Settings from a checked configuration, if it has such a stage.
-    pub fn new(config: &Config) -> Option<Self> {
-        let gcs = &config.steering.gcs;
+    /// Settings from the section `[steering.gcs]` of a checked configuration.
+    ///
+    /// # Errors
+    /// [`exit::CONFIG`] if it contains neither an address nor a port.
+    pub fn new(gcs: &GcsConfig) -> Result<Self, Failure> {
         let line = match (&gcs.address, &gcs.port) {
-            _ if config.steering.kind != SteeringKind::Gcs => return None,
             (Some(address), _) => Line::Tcp(address.clone()),
             (None, Some(port)) => Line::Serial { port: port.clone(), baud: gcs.baud },
-            (None, None) => return None,
+            (None, None) => {
+                let why =
+                    "steering.gcs has no connection: allowed is steering.gcs.address or steering.gcs.port";
+                return Err(Failure::new(exit::CONFIG, why));
+            }
         };
-        Some(Self {
+        Ok(Self {
             line,
             axes: gcs.axes.clone(),
             unit: gcs.um_per_unit * 1e-6,
