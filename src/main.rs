@@ -19,7 +19,7 @@ struct Cli {
     command: Command,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 success, 1 a replay that differs, 64 wrong command line, 65 bad data (rows, or a recording with gaps), \
+const EXIT_CODES: &str = "Exit codes: 0 success, 1 a replay that differs, 64 wrong command line, 65 bad data (rows, a recording with gaps, or a board that breaks a rule), \
     69 nothing to communicate with, 70 a defect, 74 a file or socket failed, 75 in use by another process, \
     78 wrong configuration, 130 interrupted.";
 
@@ -33,6 +33,8 @@ enum Command {
     Check(commands::CheckArgs),
     /// Emulate an acquisition board on a pseudo-terminal
     Emulate(commands::EmulateArgs),
+    /// Put an acquisition board through the rules of the board protocol
+    BoardTest(commands::BoardTestArgs),
     /// Measure the dark offsets with the laser off, and write them into the configuration
     Dark(commands::DarkArgs),
     /// Measure the loop with small steps of the stage, and write it into the configuration
@@ -82,6 +84,7 @@ fn main() -> ExitCode {
         Command::Ctl(args) => commands::ctl(&args),
         Command::Check(args) => commands::check(&args),
         Command::Emulate(args) => commands::emulate(&args),
+        Command::BoardTest(args) => commands::board_test(&args),
         Command::Dark(args) => commands::dark(&args),
         Command::Tune(args) => commands::tune(&args),
         Command::Trace(args) => commands::trace(&args),

@@ -238,6 +238,47 @@ static bool wait_for_work(const host *h)
     return ends[1].revents == 0;
 }
 
+/* Acknowledges a command that nobody has sent. */
+static void acknowledge_another(host *h)
+{
+    uint8_t message[TF_MAX_BODY], frame[TF_MAX_FRAME];
+    size_t length = tf_write_ack(message, h->board.applied ^ 0x80000000u, TF_ACCEPTED);
+    put(h, frame, tf_frame_encode(message, length, frame));
+}
+
+/* Type of the answer that begins at this byte of the ring. */
+static int answer_type(const tf_board *board, size_t begin)
+{
+    return board->transmit[(board->waiting_from + begin + 1u) % TF_TRANSMIT]; /* after the COBS prefix */
+}
+
+/* A byte reaches the board, with the faults of a wrong firmware. */
+static void reach(host *h, uint8_t byte)
+{
+    tf_board *board = &h->board;
+    transmit(h);
+    uint32_t sequence = board->sequence;
+    size_t before = board->waiting;
+    h->identity.boot_id += h->o.new_boots > 0 ? 1 : 0;
+    tf_board_receive(board, byte, now(h));
+    if (board->waiting > before) {
+        int type = answer_type(board, before);
+        if (type == TF_REPLY && board->started) {
+            board->sequence = h->o.keep_number > 0 ? sequence : board->sequence;
+            board->period = (uint32_t)((double)board->period / h->o.rate_factor);
+        }
+        if (type == h->o.mute || (type == TF_ACK && h->o.wrong_ids > 0)) {
+            board->waiting = before;
+        }
+        if (type == TF_ACK && h->o.wrong_ids > 0) {
+            acknowledge_another(h);
+        }
+    }
+    board->lease_running = board->lease_running && h->o.no_lease <= 0;
+    board->park_on_expiry = board->park_on_expiry && h->o.no_park <= 0;
+    board->any_applied = board->any_applied && h->o.no_applied <= 0;
+}
+
 /* Takes bytes from the line; they reach the board after the delay of the line. */
 static void receive(host *h)
 {
@@ -254,7 +295,7 @@ static void receive(host *h)
     size_t arrived = 0;
     int64_t now_ns = clock_ns(CLOCK_MONOTONIC);
     while (arrived < h->received_length && h->received[arrived].arrival_ns <= now_ns) {
-        tf_board_receive(&h->board, h->received[arrived++].byte, now(h));
+        reach(h, h->received[arrived++].byte);
     }
     h->received_length -= arrived;
     memmove(h->received, h->received + arrived, h->received_length * sizeof *h->received);

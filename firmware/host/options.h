@@ -18,6 +18,14 @@
     X(minor, 1, "minor version of the protocol: 0 or 1")                                                               \
     X(boot, 1, "boot id")                                                                                              \
     X(wide, 0, "1: the tick of version 1.1 has 64 bits")                                                               \
+    X(mute, 0, "the board sends no answer of this type: 131 for ACK, 133 for ERROR")                                   \
+    X(wrong_ids, 0, "1: the board acknowledges other ids")                                                             \
+    X(no_lease, 0, "1: leases never expire")                                                                           \
+    X(no_park, 0, "1: the outputs hold where they should park")                                                        \
+    X(keep_number, 0, "1: START does not reset the numbers of the scans")                                              \
+    X(rate_factor, 1, "the board samples at this multiple of the rate that it replies")                                \
+    X(new_boots, 0, "1: each IDENTITY states another boot id")                                                         \
+    X(no_applied, 0, "1: no command is stated as applied")                                                             \
     X(line_ms, 0, "delay of the bytes from the host, milliseconds")                                                    \
     X(tick_bits, 64, "the tick wraps at this width, although the protocol requires another one")                       \
     X(tick_factor, 1, "the tick advances by this multiple of the clock; 0: it stops")                                  \

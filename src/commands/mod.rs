@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use trifacet::config::{self, Config};
 
+mod board_test;
 mod check;
 mod ctl;
 mod dark;
@@ -28,6 +29,7 @@ mod trace;
 mod tune;
 mod watch;
 
+pub(crate) use board_test::{BoardTestArgs, board_test};
 pub(crate) use check::{CheckArgs, check};
 pub(crate) use ctl::{CtlArgs, ctl};
 pub(crate) use dark::{DarkArgs, dark};

@@ -79,6 +79,11 @@ impl Board {
         Self { _child: Killed(child), home, lines, truth: Vec::new() }
     }
 
+    /// Its port.
+    pub(crate) fn port(&self) -> PathBuf {
+        self.home.path("board")
+    }
+
     /// A daemon with this board. `config` does not contain `[acquisition]`.
     pub(crate) fn daemon(&self, config: &str) -> Daemon {
         Daemon::on_port(&self.home.path("board"), config)

@@ -11,3 +11,4 @@ mod observation;
 mod situations;
 mod table;
 mod vectors;
+mod verdicts;
