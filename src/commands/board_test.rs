@@ -51,7 +51,7 @@ fn rate_mhz(text: &str) -> Result<u32, String> {
 pub(crate) fn board_test(args: &BoardTestArgs) -> anyhow::Result<()> {
     let options =
         Options { port: args.port.clone(), baud: args.baud, rate_mhz: args.rate, amplitude: args.amplitude };
-    let mut bench = Bench::open(options).map_err(failure)?;
+    let mut bench = Bench::open(options).map_err(|error| failure(&error))?;
     let name = bench.identity.name.clone();
     let mut printed = Ok(());
     if !args.json {
@@ -62,7 +62,7 @@ pub(crate) fn board_test(args: &BoardTestArgs) -> anyhow::Result<()> {
             printed = written(writeln!(io::stdout(), "{outcome}"));
         }
     });
-    let outcomes = outcomes.map_err(failure)?;
+    let outcomes = outcomes.map_err(|error| failure(&error))?;
     printed?;
     let failed: Vec<_> =
         outcomes.iter().filter(|outcome| outcome.failed()).map(|outcome| outcome.rule).collect();
@@ -89,8 +89,8 @@ fn summarise(args: &BoardTestArgs, name: &str, outcomes: &[Outcome], failed: &[&
 }
 
 /// The failure with its exit code.
-fn failure(error: TestError) -> Failure {
-    let code = match &error {
+fn failure(error: &TestError) -> Failure {
+    let code = match error {
         TestError::Port(PortError::InUse { .. }) => exit::IN_USE,
         TestError::Port(PortError::Other { .. }) | TestError::NoBoard { .. } => exit::UNAVAILABLE,
         TestError::Io { .. } => exit::IO,

@@ -75,6 +75,7 @@ pub(super) fn tick(bench: &mut Bench) -> Result<String, Broken> {
 }
 
 fn check_ticks(scans: &[Taken], ticks_per_scan: f64) -> Result<(), Broken> {
+    let (mut since, mut required) = (0.0, 0.0);
     for (ticks, expected, scan) in steps(scans, ticks_per_scan) {
         let tolerance = (0.5 * ticks_per_scan).max(1e-3 * expected) + 2.0;
         let wide = expected >= f64::from(u32::MAX); // it has wrapped, perhaps several times
@@ -82,6 +83,15 @@ fn check_ticks(scans: &[Taken], ticks_per_scan: f64) -> Result<(), Broken> {
             return fail(
                 format!("scan {}: the tick advanced by {ticks}", scan.sequence),
                 format!("{expected:.0} within {tolerance:.0}, as the numbers require"),
+            );
+        }
+        // A small difference that repeats is a wrong rate.
+        (since, required) = (since + if wide { expected } else { f64::from(ticks) }, required + expected);
+        let tolerance = (0.5 * ticks_per_scan).max(1e-3 * required) + 2.0;
+        if (since - required).abs() > tolerance {
+            return fail(
+                format!("scan {}: the tick has advanced by {since:.0} since the first scan", scan.sequence),
+                format!("{required:.0} within {tolerance:.0}, as the numbers require"),
             );
         }
     }

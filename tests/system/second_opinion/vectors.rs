@@ -245,7 +245,7 @@ fn fill_the_buffer(entry: &Value) {
         "scans 1".into(),
         "board 2000 00".into(),
     ];
-    let found = ask(&lines.map(|line| line.to_string()));
+    let found = ask(&lines);
     let line_of =
         |answer: &str| bytes(&serde_json::json!({ "hex": answer.split(' ').next().unwrap() }), "hex");
     check_full_buffer(&line_of(&found[3]), taken, &bytes(entry, "ack"));
@@ -258,7 +258,9 @@ fn conversations_have_the_stated_answers_and_outputs() {
     let mut questions = Vec::new();
     let entries = entries(include_str!("../../../firmware/vectors/conversations.json"));
     let (full, steps): (Vec<_>, Vec<_>) = entries.iter().partition(|entry| entry["steps"].is_null());
-    steps.iter().for_each(|entry| converse(entry, &mut questions));
+    for entry in steps {
+        converse(entry, &mut questions);
+    }
     compare(&questions);
     assert_eq!(full.len(), 1);
     fill_the_buffer(full[0]);

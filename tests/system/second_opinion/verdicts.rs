@@ -72,29 +72,40 @@ const FAULTS: [(&str, &[&str]); 11] = [
         ],
     ),
     ("wrong_ids=1", &["steer-accepted", "steer-each-scan", "steer-range", "steer-refused", "steer-stopped"]),
-    ("no_lease=1", &["lease-expires", "lease-refused", "lease-renewed", "lease-stop"]),
+    ("no_lease=1", &["lease-expires", "lease-parks", "lease-refused", "lease-renewed", "lease-stop"]),
     ("no_park=1", &["lease-parks"]),
-    ("keep_number=1", &["start-repeated"]),
-    ("rate_factor=1.2", &["full-buffer", "sample-rate"]),
+    ("keep_number=1", &["start", "start-repeated"]),
+    ("rate_factor=1.2", &["full-buffer", "sample-rate", "tick"]),
     ("tick_factor=1.2", &["full-buffer", "sample-rate", "tick"]),
-    ("at=1500 tick_step=-5000", &["tick"]),
+    ("at=1700 until=1701 tick_step=-5000", &["tick"]),
     ("new_boots=1", &["boot-id"]),
     ("no_applied=1", &["applied-command"]),
 ];
 
+/// A test takes half a minute, in which the processor has little to do.
+const AT_ONCE: usize = 4;
+
+fn check_fault(program: &Program, arguments: &str, broken: &[&str]) {
+    let board = Board::start(program, arguments);
+    let (found, code, errors) = report(&board.port(), &["--move", "3000"]);
+    assert_eq!(rules(&found, "FAIL"), broken.iter().copied().collect(), "{arguments}: {found}");
+    assert_eq!((code, &found["passed"]), (65, &false.into()), "{arguments}");
+    assert!(broken.iter().all(|rule| errors.contains(rule)), "{arguments}: {errors}");
+    let all = found["rules"].as_array().unwrap();
+    let details =
+        |rule: &Value| rule["details"]["seen"].is_string() && rule["details"]["expected"].is_string();
+    assert!(all.iter().filter(|rule| rule["verdict"] == "FAIL").all(details), "{found}");
+}
+
 #[test]
 fn a_wrong_board_breaks_the_rules_that_its_fault_concerns() {
-    let program = Program::board();
-    for (arguments, broken) in FAULTS {
-        let board = Board::start(&program, arguments);
-        let (found, code, errors) = report(&board.port(), &["--move", "3000"]);
-        assert_eq!(rules(&found, "FAIL"), broken.iter().copied().collect(), "{arguments}: {found}");
-        assert_eq!((code, &found["passed"]), (65, &false.into()), "{arguments}");
-        assert!(broken.iter().all(|rule| errors.contains(rule)), "{arguments}: {errors}");
-        let all = found["rules"].as_array().unwrap();
-        let details =
-            |rule: &Value| rule["details"]["seen"].is_string() && rule["details"]["expected"].is_string();
-        assert!(all.iter().filter(|rule| rule["verdict"] == "FAIL").all(details), "{found}");
+    let program = &Program::board();
+    for faults in FAULTS.chunks(AT_ONCE) {
+        std::thread::scope(|scope| {
+            for (arguments, broken) in faults {
+                scope.spawn(move || check_fault(program, arguments, broken));
+            }
+        });
     }
 }
 
