@@ -10,3 +10,4 @@ mod centering;
 mod misprints;
 mod optics;
 mod optics_reference;
+mod year;
