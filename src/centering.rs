@@ -21,7 +21,7 @@ use trifacet_wire::actuator::Ack;
 use crate::recording::{Entry, RecordSender};
 use crate::steering::{Driver, StageEvent};
 
-/// A pose older than this is not used for the wedges of the facets. Seconds.
+/// A pose older than this, and than five periods, is not used for the wedges of the facets. Seconds.
 const FRESH_S: f64 = 0.1;
 /// Longest wait for the acknowledgement of the last command.
 const LAST_ACK: Duration = Duration::from_secs(1);
@@ -77,7 +77,9 @@ pub async fn run<C: Clock>(
     let lock = LockReporter::new(lock, &centering, last_arrival);
     let mut heartbeat = interval(HEARTBEAT);
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let fresh_s = silence.as_secs_f64().max(FRESH_S);
     let mut side = Side {
+        fresh_s,
         centering,
         driver,
         clock,
@@ -132,6 +134,8 @@ pub async fn run<C: Clock>(
 /// The loop with its stage.
 struct Side<D, C> {
     centering: Centering,
+    /// Largest age of a pose that is used, seconds.
+    fresh_s: f64,
     driver: D,
     clock: C,
     counters: Arc<Counters>,
@@ -205,7 +209,7 @@ impl<D: Driver, C: Clock> Side<D, C> {
 
     /// Acts on a sample, unless the sample is too old.
     fn act(&mut self, sample: &Sample, now: Mono) {
-        let pose = fresh_pose(&self.poses, sample);
+        let pose = fresh_pose(&self.poses, sample, self.fresh_s);
         let outcome = self.centering.sample(sample, pose.as_ref(), now);
         self.counters.centering_skips.add(u64::from(outcome.late));
         self.send(outcome.command);
@@ -296,8 +300,12 @@ impl<D: Driver, C: Clock> Side<D, C> {
     }
 }
 
-fn fresh_pose(poses: &watch::Receiver<Option<PoseReport>>, sample: &Sample) -> Option<TimedPose> {
+fn fresh_pose(
+    poses: &watch::Receiver<Option<PoseReport>>,
+    sample: &Sample,
+    fresh_s: f64,
+) -> Option<TimedPose> {
     let PoseReport { pose, time, .. } = (*poses.borrow())?;
-    let fresh = sample.time.seconds_since(time).abs() <= FRESH_S;
+    let fresh = sample.time.seconds_since(time).abs() <= fresh_s;
     pose.filter(|_| fresh).map(|pose| TimedPose { pose, time })
 }

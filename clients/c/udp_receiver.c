@@ -57,13 +57,16 @@ int main(int argc, char **argv)
     int fd = open_port(port);
     struct trifacet_losses losses = {0};
     uint64_t frames = 0, valid = 0, usable = 0, refused = 0;
+    int64_t interval_ns = 0, last_ns = 0; /* with long means, frames are rare */
+    int silence_s = 0;
 
     while (frames < left) {
         uint8_t bytes[TRIFACET_FRAME_SIZE + 1]; /* a longer datagram must not look like a frame */
         ssize_t length = recv(fd, bytes, sizeof bytes, 0);
         struct trifacet_frame frame;
         if (length < 0) {
-            fprintf(stderr, "udp_receiver: no frame for one second: is the daemon running?\n");
+            if (++silence_s * INT64_C(1000000000) > 3 * interval_ns)
+                fprintf(stderr, "udp_receiver: no frame for %d s: is the daemon running?\n", silence_s);
             continue;
         }
         if (trifacet_decode(&frame, bytes, (size_t)length) != TRIFACET_OK) {
@@ -73,6 +76,9 @@ int main(int argc, char **argv)
         if (!trifacet_in_order(&losses, &frame))
             continue;
         frames++;
+        interval_ns = last_ns ? frame.time_ns - last_ns : 0;
+        last_ns = frame.time_ns;
+        silence_s = 0;
         valid += (frame.status & TRIFACET_POSE_VALID) != 0;
         usable += (uint64_t)trifacet_usable(&frame, trifacet_age_ns(&frame, utc_ns()), MAX_AGE_NS);
         if (frames % 1000 == 0 || frames == left)

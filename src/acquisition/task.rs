@@ -5,6 +5,7 @@ use std::sync::Arc;
 use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::mpsc::{self};
 use tokio::sync::{oneshot, watch};
+use tokio::task::yield_now;
 use tokio::time::interval;
 use tokio_util::sync::CancellationToken;
 use trifacet_core::channels::Channels;
@@ -18,6 +19,10 @@ use trifacet_wire::channel::Role;
 use super::{Source, SourceError, SourceEvent};
 use crate::config::CalibrationContext;
 use crate::steering::outputs::{Answers, OutputLink};
+
+/// After this number of events the other tasks of the thread run, also if more events wait: on a machine that is too
+/// slow, a source always has one.
+const BATCH: u32 = 64;
 
 /// Events for estimation, in order.
 #[derive(Debug)]
@@ -85,6 +90,7 @@ pub async fn run<S: Source, C: Clock>(
         change: None,
     };
     let mut heartbeat = interval(HEARTBEAT);
+    let mut events = 0_u32;
     loop {
         tokio::select! {
             biased;
@@ -96,7 +102,13 @@ pub async fn run<S: Source, C: Clock>(
                 }
             }
             Some(change) = changes.recv() => intake.change(change),
-            event = source.next() => intake.take(event),
+            event = source.next() => {
+                intake.take(event);
+                events = events.wrapping_add(1);
+                if events.is_multiple_of(BATCH) {
+                    yield_now().await;
+                }
+            }
             _ = heartbeat.tick() => {}
         }
     }

@@ -22,6 +22,7 @@ pub use command::Command;
 pub use config_file::ConfigFile;
 pub use live::RunningConfig;
 pub use page::PageControls;
+pub use reload::warn_of_unverified_origin;
 use tokio::sync::mpsc;
 
 use crate::acquisition::task::SettingsChange;

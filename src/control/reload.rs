@@ -10,7 +10,7 @@ use super::RunningConfig;
 use super::config_file::Access;
 use super::live::ChannelMap;
 use crate::config::reload::{Reload, reload};
-use crate::config::{self, CalibrationContext};
+use crate::config::{self, CalibrationContext, SteeringConfig};
 use crate::exit::{self, Failure};
 
 /// Reads the file again, and takes over the changes that do not need a restart. The daemon executes other
@@ -31,6 +31,14 @@ fn read(file: &Path) -> Result<Box<CalibrationContext>, Failure> {
     CalibrationContext::read(config).map(Box::new).map_err(|e| wrong(&e))
 }
 
+/// A large origin that `tune --accept-origin` wrote may hide a displaced PSD: said at the start and at each reload.
+pub fn warn_of_unverified_origin(steering: &SteeringConfig) {
+    if !steering.origin_verified {
+        let origin_um = steering.origin_um;
+        tracing::warn!(?origin_um, "steering.origin_um is not verified: it may hide a displaced PSD");
+    }
+}
+
 fn unchanged(code: u8, why: &dyn Display) -> Failure {
     Failure::new(code, format!("configuration unchanged: {why}"))
 }
@@ -41,6 +49,7 @@ impl RunningConfig {
         let Reload { running, taken, changed, refused } = *plan;
         self.go_on_with(running, channels).await?;
         self.taken = taken;
+        warn_of_unverified_origin(&self.running.steering);
         let mut answer = json!({ "changed": changed, "refused": refused, "config": self.id() });
         if !refused.is_empty() {
             answer["error"] = format!("these changes need a restart: {}", refused.join(", ")).into();

@@ -169,14 +169,6 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     result
 }
 
-/// A large origin that `tune --accept-origin` wrote may hide a displaced PSD.
-fn warn_of_unverified_origin(config: &Config) {
-    if !config.steering.origin_verified {
-        let origin_um = config.steering.origin_um;
-        tracing::warn!(?origin_um, "steering.origin_um is not verified: it may hide a displaced PSD");
-    }
-}
-
 /// Logs all counters that have counted something.
 fn log_totals(counters: &Counters) {
     let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
@@ -197,7 +189,7 @@ async fn datagrams(
 
 /// The configuration in force with its context; for a replay, those at the beginning of the recording.
 fn holding(config: &Config) -> anyhow::Result<(Config, Arc<CalibrationContext>, Option<RecordingHeader>)> {
-    warn_of_unverified_origin(config);
+    control::warn_of_unverified_origin(&config.steering);
     Ok(match RecordingHeader::of_source(config)? {
         None => (config.clone(), Arc::new(CalibrationContext::read(config.clone())?), None),
         Some(then) => (then.holding(config), Arc::clone(&then.context), Some(then)),

@@ -15,8 +15,9 @@ const SILENCE: Duration = Duration::from_secs(3);
 /// Time for which all frames must have been usable before one is taken, nanoseconds. The operator has then
 /// released the stage, and the filters have settled.
 const SETTLE_NS: i64 = 600_000_000;
-/// Time without a usable frame after which an error is reported, nanoseconds.
-const FRAME_TIMEOUT_NS: i64 = 5_000_000_000;
+/// Time without a usable frame after which an error is reported, seconds; at least five frame periods.
+const FRAME_TIMEOUT_S: f64 = 5.0;
+const FRAME_TIMEOUT_PERIODS: f64 = 5.0;
 
 /// Why there is no reading.
 #[derive(Debug, thiserror::Error)]
@@ -25,8 +26,13 @@ pub enum Trouble {
     #[error("{0}")]
     Lost(String),
     /// The daemon sends frames, but their poses are not usable.
-    #[error("no usable pose for 5 s: {0}")]
-    NoPose(UnusablePose),
+    #[error("no usable pose for {timeout_s:.0} s: {why}")]
+    NoPose {
+        /// The time limit, seconds.
+        timeout_s: f64,
+        /// Why the last frame was not usable.
+        why: UnusablePose,
+    },
     /// The readings do not belong together: a gap, or a change of the configuration.
     #[error("{0}")]
     Parted(String),
@@ -71,7 +77,7 @@ impl DaemonStream {
     /// all readings so far.
     ///
     /// # Errors
-    /// Fails if the stream ends, if there is no usable pose for 5 s, or if `taken` returns an error.
+    /// Fails if the stream ends, if there is no usable pose for 5 s and five frame periods, or if `taken` returns an error.
     pub async fn readings(
         &mut self,
         count: u32,
@@ -85,8 +91,9 @@ impl DaemonStream {
             let now = frame.time_ns;
             if let Some(why) = objection(&frame) {
                 (calm_since, mean) = (None, Mean::default());
-                if now - *vain_since.get_or_insert(now) > FRAME_TIMEOUT_NS {
-                    return Err(Trouble::NoPose(why));
+                let timeout_s = FRAME_TIMEOUT_S.max(FRAME_TIMEOUT_PERIODS / self.rate_hz);
+                if (now - *vain_since.get_or_insert(now)) as f64 > timeout_s * 1e9 {
+                    return Err(Trouble::NoPose { timeout_s, why });
                 }
             } else if now - *calm_since.get_or_insert(now) >= SETTLE_NS {
                 vain_since = None;

@@ -11,3 +11,4 @@ mod false_alarms;
 mod misprints;
 mod optics;
 mod optics_reference;
+mod year;

@@ -30,6 +30,7 @@ mod security;
 mod serial_board;
 mod shipped_files;
 mod simulate;
+mod soak;
 mod stream;
 mod tables;
 mod tune;

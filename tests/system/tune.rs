@@ -364,6 +364,9 @@ fn a_large_origin_is_written_only_on_request_and_stays_visible() {
     let text = std::fs::read_to_string(&lab.file).unwrap();
     let mut daemon = Daemon::start(&text);
     daemon.message("steering.origin_um is not verified");
+    daemon.message("control socket is open");
+    daemon.told(&["reload"]);
+    daemon.message("steering.origin_um is not verified");
     let frame = daemon.client().until("a pose", super::testkit::Frame::valid);
     let error = frame.pose[..3].iter().fold(0.0_f64, |a, b| a.max(b.abs()));
     let stated = frame.deviations[..3].iter().fold(0.0_f32, |a, b| a.max(*b));

@@ -37,6 +37,8 @@ pub struct Foreign {
 pub(super) struct ForeignBytes {
     baud: u32,
     total: u64,
+    /// Bytes that have not been counted yet.
+    uncounted: u64,
     /// Number of bytes of each value.
     values: [u64; 256],
     example: Vec<u8>,
@@ -47,8 +49,16 @@ pub(super) struct ForeignBytes {
 
 impl ForeignBytes {
     pub(super) fn new(baud: u32) -> Self {
-        let (example, described) = (Vec::new(), None);
-        Self { baud, total: 0, values: [0; 256], example, frames: false, echo: false, described }
+        Self {
+            baud,
+            total: 0,
+            uncounted: 0,
+            values: [0; 256],
+            example: Vec::new(),
+            frames: false,
+            echo: false,
+            described: None,
+        }
     }
 
     /// The port was opened.
@@ -63,6 +73,7 @@ impl ForeignBytes {
             self.total = self.values.iter().sum();
         }
         self.total += bytes.len() as u64;
+        self.uncounted += bytes.len() as u64;
         for byte in bytes {
             self.values[usize::from(*byte)] += 1;
         }
@@ -86,6 +97,11 @@ impl ForeignBytes {
     /// A request of the host was among them.
     pub(super) fn echo(&mut self) {
         self.echo = true;
+    }
+
+    /// Number of bytes since the last call that no frame has followed.
+    pub(super) fn count(&mut self) -> u64 {
+        std::mem::take(&mut self.uncounted)
     }
 
     /// Describes what has arrived. The description stays the same while its kind does.

@@ -197,7 +197,6 @@ impl Session {
     pub fn received(&mut self, mut bytes: &[u8], now: Mono) {
         if !self.scanning() {
             self.foreign.bytes(bytes);
-            self.counters.bytes_foreign.add(bytes.len() as u64);
         }
         let mut deframer = std::mem::take(&mut self.deframer);
         while let Some(frame) = deframer.next(&mut bytes) {
@@ -389,6 +388,7 @@ impl Session {
 
     fn unanswered(&mut self, step: &'static str, now: Mono) {
         let line = self.foreign.describe();
+        self.counters.bytes_foreign.add(self.foreign.count());
         self.rest(SourceError::Timeout { step, timeout_ms: ANSWER_MS, line }, now);
     }
 

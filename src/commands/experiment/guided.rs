@@ -197,7 +197,7 @@ impl GuidedSession<'_> {
         progress.finish_and_clear();
         let looks = match looks {
             Ok(looks) => looks,
-            Err(why @ Trouble::NoPose(_)) => {
+            Err(why @ Trouble::NoPose { .. }) => {
                 let why = format!("{why}\nsolve this and try again; `trifacet doctor` may find the cause");
                 return once_more(exit::UNAVAILABLE, &why).map(|()| false);
             }
@@ -259,7 +259,7 @@ impl GuidedSession<'_> {
                 self.record.readings.extend((1..).zip(looks).map(at_rest));
                 self.keep()
             }
-            Err(why @ (Trouble::NoPose(_) | Trouble::Parted(_))) => {
+            Err(why @ (Trouble::NoPose { .. } | Trouble::Parted(_))) => {
                 let what =
                     "solve this and try again; or stop with q, and continue with --resume and --rest 0";
                 once_more(exit::UNAVAILABLE, &format!("{why}\n{what}"))
