@@ -16,7 +16,7 @@
 //! - [`centering`], [`estimation`], [`publishing`]: the fast side. The pure cores are in
 //!   [`trifacet_core`], the sensor model in [`trifacet_optics`], the byte formats in [`trifacet_wire`].
 //! - [`daemon`]: the wiring. [`control`]: commands to the running daemon. [`config`]: the configuration.
-//! - [`doubts`], [`monitor`], [`logging`], [`service`]: state of the daemon for operators and supervisors.
+//! - [`condition`], [`doubts`], [`monitor`], [`logging`], [`service`]: state of the daemon for operators and supervisors.
 //! - [`listening`]: opening of listeners, and their errors.
 //! - [`recording`], [`replay`]: records of inputs and results, and their recomputation.
 //! - [`text`]: text files and tables from people and spreadsheet programs.
@@ -31,6 +31,7 @@ pub mod centering;
 pub mod charts;
 pub mod clock;
 pub mod closed_loop_sim;
+pub mod condition;
 pub mod config;
 pub mod control;
 pub mod daemon;

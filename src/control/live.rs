@@ -6,12 +6,10 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use tokio::sync::{Mutex, mpsc, oneshot, watch};
 use tokio::time::timeout;
-use trifacet_core::centering::lock::LockCondition;
 use trifacet_core::centering::{LoopMode, LoopRefusal};
 use trifacet_core::channels::Channels;
 use trifacet_core::steering::StagePosition;
-use trifacet_core::telemetry::Counters;
-use trifacet_core::telemetry::heartbeat::{Drill, Heartbeats, Task};
+use trifacet_core::telemetry::heartbeat::{Drill, Task};
 use trifacet_core::time::{Clock, Mono};
 use trifacet_optics::Pose;
 use trifacet_wire::stream::{Descriptor, Replayed};
@@ -19,21 +17,19 @@ use trifacet_wire::stream::{Descriptor, Replayed};
 use super::config_file::{Access, ConfigFile};
 use super::reload::take_over_file;
 use super::{Command, FastRequests};
-use crate::acquisition::SourceError;
 use crate::acquisition::task::SettingsChange;
 use crate::centering::CenteringRequest;
 use crate::clock::SystemClock;
+use crate::condition::Condition;
 use crate::config::reload::changes;
 use crate::config::{
     CalibrationContext, Config, SourceKind, SteeringConfig, SteeringKind, Tables, TransformConfig,
 };
-use crate::doubts::Doubts;
 use crate::estimation::EstimationRequest;
 use crate::exit::{self, Failure};
 use crate::logging::Logging;
 use crate::publishing::descriptor::StreamFacts;
 use crate::publishing::lock_event::lock_event;
-use crate::publishing::udp::ReceiverState;
 use crate::recording::{Handle, RecorderCommand};
 
 /// Time limit for an answer of the fast side.
@@ -65,20 +61,10 @@ pub struct RunningConfig {
     pub steering: watch::Sender<SteeringConfig>,
     /// The log.
     pub log: Arc<Logging>,
-    /// All counters.
-    pub counters: Arc<Counters>,
-    /// Heartbeats of the tasks of the fast side.
-    pub heartbeats: Arc<Heartbeats>,
     /// The recorder.
     pub recording: Handle,
-    /// The receivers of datagrams.
-    pub receivers: watch::Receiver<Arc<[ReceiverState]>>,
-    /// The lock state and its cause; `None` in a replay.
-    pub lock: watch::Receiver<Option<LockCondition>>,
-    /// The doubts that stand.
-    pub doubts: Doubts,
-    /// Why the source is down.
-    pub source_down: watch::Receiver<Option<SourceError>>,
+    /// The condition of the daemon.
+    pub condition: Condition,
     /// Time of the daemon's start.
     pub started: Mono,
 }
@@ -173,7 +159,7 @@ impl RunningConfig {
             let why = "a drill is for the twin with its own stage only: acquisition.source, steering.kind";
             return Err(Failure::new(exit::USAGE, why));
         }
-        self.heartbeats.of(task).drill(drill);
+        self.condition.heartbeats.of(task).drill(drill);
         Ok(json!({ "drill": drill.name(), "task": task.name() }))
     }
 
@@ -283,7 +269,7 @@ impl RunningConfig {
             })
         });
         let counters: serde_json::Map<_, _> =
-            self.counters.list().into_iter().map(|(name, n)| (name.to_owned(), n.into())).collect();
+            self.condition.counters.list().into_iter().map(|(name, n)| (name.to_owned(), n.into())).collect();
         Ok(json!({
             "version": env!("CARGO_PKG_VERSION"),
             "pid": std::process::id(),
@@ -292,13 +278,13 @@ impl RunningConfig {
             "session": format!("{:08x}", self.descriptor.borrow().session),
             "config": self.id(),
             "replay": replay,
-            "source": { "down": self.source_down.borrow().as_ref().map(ToString::to_string) },
+            "source": { "down": self.condition.source_down.borrow().as_ref().map(ToString::to_string) },
             "loop": self.loop_now().await?,
             "pose": pose,
-            "doubts": self.doubts.shown(),
+            "doubts": self.condition.doubts.shown(),
             "frames": self.running.frames,
             "recording": self.recording.state.tell(),
-            "receivers": &**self.receivers.borrow(),
+            "receivers": &**self.condition.receivers.borrow(),
             "counters": counters,
         }))
     }
@@ -306,7 +292,7 @@ impl RunningConfig {
     /// Description of the replay, with `at_end`.
     fn replay(&self) -> Option<Value> {
         let replay = self.descriptor.borrow().replay.clone()?;
-        let at_end = !replay.repeat && self.counters.replay_ends.get() > 0;
+        let at_end = !replay.repeat && self.condition.counters.replay_ends.get() > 0;
         let Replayed { recorded, speed, repeat, .. } = replay;
         let file = &self.running.replay.file;
         Some(json!({
@@ -317,7 +303,7 @@ impl RunningConfig {
     async fn loop_now(&self) -> Result<Value, Failure> {
         let view = ask(&self.fast.orders, FAST_SIDE_TIMEOUT, CenteringRequest::View).await?;
         let um = |metres: &[f64; 2]| metres.map(|m| m * 1e6);
-        let condition = (*self.lock.borrow()).and_then(|now| now.explaining(view.lock));
+        let condition = (*self.condition.lock.borrow()).and_then(|now| now.explaining(view.lock));
         let condition = condition.as_ref().map(lock_event);
         let centering = &self.running.centering;
         let gains = centering.gains(self.running.acquisition.rate_hz);

@@ -25,17 +25,18 @@ use anyhow::Context;
 use fast::{Parts, start};
 use slow::{Hangups, Monitor, Server, Slow, control, listeners, serve};
 use terminal::Terminal;
-use tokio::runtime::Builder;
+use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{Mutex, mpsc, watch};
 use tokio_util::sync::CancellationToken;
 use trifacet_core::telemetry::heartbeat::Heartbeats;
 use trifacet_core::telemetry::{CommandGauge, Counters, LatestStatus};
-use trifacet_core::time::Clock;
+use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::stream::Descriptor;
 
 use crate::clock::SystemClock;
 use crate::clock::utc::Utc;
+use crate::condition::Condition;
 use crate::config::{CalibrationContext, Config, PublishingConfig};
 use crate::control::server::Socket;
 use crate::control::{self, ConfigFile, PageControls, RunningConfig};
@@ -71,9 +72,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let pipeline = config.pipeline(&context.tables, context.id())?;
     let facts = StreamFacts::new(StreamId::new(context.id()), config, context.calibrated());
     let main = Builder::new_current_thread().enable_all().build().context("cannot start a runtime")?;
-    let terminal = Terminal::of_process(started);
-    // First of all: without a handler SIGHUP would end the process.
-    let hangup = main.block_on(async { signal(SignalKind::hangup()) }).context("cannot listen for SIGHUP")?;
+    let hangups = hangups(&main, started)?; // first of all: without a handler SIGHUP would end the process
     let socket = main.block_on(async { Socket::open(&config.control) })?;
     let (to_fast, at_fast) = control::ways();
     let (descriptor, descriptor_now) = watch::channel(described(facts, config, header.as_ref()));
@@ -96,7 +95,8 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         descriptor: descriptor.clone(),
     };
     let publisher = Publisher::new(facts.id, SystemClock, Utc::system(), Arc::clone(&counters), outlets);
-    let parts = Parts {
+    let stop = CancellationToken::new();
+    let fast = start(Parts {
         commands: Arc::clone(&commands),
         doubter,
         pipeline,
@@ -108,16 +108,22 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         glance,
         lock,
         source_down,
-        stop: CancellationToken::new(),
+        stop: stop.clone(),
         records,
         context: Arc::clone(context),
         header: header.clone(),
         descriptor: descriptor.clone(),
         control: at_fast,
         config: config.clone(),
+    })?;
+    let condition = Condition {
+        counters: Arc::clone(&counters),
+        heartbeats,
+        receivers: supervisor.states(),
+        lock: lock_now.clone(),
+        source_down: source_down_now,
+        doubts,
     };
-    let stop = parts.stop.clone();
-    let fast = start(parts)?;
     let live = Arc::new(Mutex::new(RunningConfig {
         file: file.map(ConfigFile::new),
         running: config.clone(),
@@ -129,27 +135,17 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         fast: to_fast,
         steering,
         log: Arc::clone(log),
-        counters: Arc::clone(&counters),
-        heartbeats: Arc::clone(&heartbeats),
         recording: recording.clone(),
-        receivers: supervisor.states(),
-        lock: lock_now.clone(),
-        doubts: doubts.clone(),
-        source_down: source_down_now.clone(),
+        condition: condition.clone(),
         started,
     }));
     let view = View::new(view::Sources {
-        counters: Arc::clone(&counters),
+        condition,
         descriptor: descriptor_now.clone(),
         config: config_now,
-        receivers: supervisor.states(),
-        lock: lock_now.clone(),
-        source_down: source_down_now,
-        heartbeats,
         control: PageControls::of(&config.monitor, &live),
         recording: recording.state,
         commands,
-        doubts,
     });
     let sources = tcp::Sources { descriptor: descriptor_now.clone(), lock: lock_now };
     let slow = Slow {
@@ -161,12 +157,19 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         stage,
         descriptor: descriptor_now,
     };
-    let control = control(live, socket, Hangups { signal: hangup, terminal }, &service.notify);
+    let control = control(live, socket, hangups, &service.notify);
     let result = serve(&main, config, slow, control, fast, &counters, &stop);
     recorder.join();
     log_totals(&counters);
     main.shutdown_background(); // do not wait for pending opens of ports or name look-ups
     result
+}
+
+/// Notices a terminal that is closed.
+fn hangups(main: &Runtime, started: Mono) -> anyhow::Result<Hangups> {
+    let terminal = Terminal::of_process(started);
+    let signal = main.block_on(async { signal(SignalKind::hangup()) }).context("cannot listen for SIGHUP")?;
+    Ok(Hangups { signal, terminal })
 }
 
 /// Logs all counters that have counted something.

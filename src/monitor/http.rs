@@ -126,7 +126,7 @@ impl Server {
             let (view, hosts, router) = (Arc::clone(&self.view), self.hosts.clone(), self.router.clone());
             self.open.spawn(talk(stream, peer, view, hosts, router));
         } else {
-            self.view.sources.counters.monitor_refused.inc();
+            self.view.sources.condition.counters.monitor_refused.inc();
             tracing::warn!("monitor: refused a connection: {CONNECTIONS} are already open");
         }
     }
@@ -141,7 +141,7 @@ async fn talk(stream: TcpStream, peer: SocketAddr, view: Arc<View>, hosts: Hosts
     let router = TowerToHyperService::new(router);
     let service = service_fn(|mut request: Request<Incoming>| {
         let refusal = hosts.refusal(&request, own.ip()).map(|(code, why)| {
-            view.sources.counters.monitor_forbidden.inc();
+            view.sources.condition.counters.monitor_forbidden.inc();
             match request.uri().path() {
                 "/control" => page::control::refusal(code, why.trim_end()),
                 _ => (code, why).into_response(),

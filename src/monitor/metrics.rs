@@ -44,7 +44,7 @@ impl Collector for View {
         let mut page = Page(encoder);
         page.daemon(self)?;
         page.clients(self)?;
-        let counters = &self.sources.counters;
+        let counters = &self.sources.condition.counters;
         for ((name, count), definition) in counters.list().into_iter().zip(Counters::DEFINITIONS) {
             page.put(name, definition.meaning.trim_end_matches('.'), &ConstCounter::new(count))?;
         }
@@ -112,9 +112,9 @@ impl Page<'_> {
     }
 
     fn clients(&mut self, view: &View) -> fmt::Result {
-        let counters = &view.sources.counters;
+        let counters = &view.sources.condition.counters;
         let tcp = counters.tcp_connected.get().saturating_sub(counters.tcp_disconnected.get());
-        let receivers = view.sources.receivers.borrow().clone();
+        let receivers = view.sources.condition.receivers.borrow().clone();
         let udp = receivers.iter().filter(|receiver| receiver.kind == Kind::Subscriber).count();
         let clients = [("tcp", tcp), ("udp", udp as u64), ("page", view.viewers() as u64)];
         let gauges = clients.map(|(kind, n)| (kind, ConstGauge::new(n)));
@@ -160,7 +160,7 @@ impl Page<'_> {
     }
 
     fn doubts(&mut self, view: &View) -> fmt::Result {
-        let doubts = &view.sources.doubts;
+        let doubts = &view.sources.condition.doubts;
         let states = Subject::ALL.map(|subject| (subject.name(), flag(doubts.stands(subject))));
         self.each("doubt", "1 while there is a doubt about this subject", "subject", states)?;
         let mean = doubts.residual.mean();

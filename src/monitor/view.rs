@@ -9,8 +9,8 @@ use tokio::sync::{Semaphore, broadcast, mpsc, watch};
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 use trifacet_core::centering::lock::LockCondition;
-use trifacet_core::telemetry::heartbeat::{Heartbeats, Task};
-use trifacet_core::telemetry::{CommandGauge, Counters};
+use trifacet_core::telemetry::CommandGauge;
+use trifacet_core::telemetry::heartbeat::Task;
 use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::PoseFrame;
 use trifacet_wire::stream::Descriptor;
@@ -19,13 +19,11 @@ use super::health::{Causes, Checks, Readiness, Standstill};
 use super::page::bins::History;
 use super::page::state::PageState;
 use super::tally::Tally;
-use crate::acquisition::SourceError;
 use crate::clock::SystemClock;
+use crate::condition::Condition;
 use crate::config::Config;
 use crate::control::PageControls;
-use crate::doubts::Doubts;
 use crate::publishing::lock_event::lock_event;
-use crate::publishing::udp::ReceiverState;
 use crate::recording::handle::State;
 
 /// Interval of polling for new frames. Frames do not wake the task, so their rate costs little here.
@@ -46,26 +44,16 @@ const VIEWERS: usize = 64;
 /// Sources of the data from the rest of the daemon.
 #[derive(Debug)]
 pub struct Sources {
-    /// All counters.
-    pub counters: Arc<Counters>,
+    /// The condition of the daemon.
+    pub condition: Condition,
     /// The current descriptor of the stream.
     pub descriptor: watch::Receiver<Descriptor>,
     /// The configuration in force.
     pub config: watch::Receiver<Config>,
-    /// The receivers of datagrams.
-    pub receivers: watch::Receiver<Arc<[ReceiverState]>>,
-    /// The lock state and its cause; `None` in a replay.
-    pub lock: watch::Receiver<Option<LockCondition>>,
-    /// Why the source is down.
-    pub source_down: watch::Receiver<Option<SourceError>>,
-    /// Heartbeats of the tasks of the fast side.
-    pub heartbeats: Arc<Heartbeats>,
     /// State of the recorder.
     pub recording: Arc<State>,
     /// The commands without an acknowledgement.
     pub commands: Arc<CommandGauge>,
-    /// The doubts that stand, and the mean steering residual.
-    pub doubts: Doubts,
     /// Control from the page, if enabled.
     pub control: Option<PageControls>,
 }
@@ -161,7 +149,7 @@ impl View {
         }
         let silent = (silent_s > STANDSTILL_S.max(3.0 * period_s))
             .then(|| format!("the fast side has made no frame for {silent_s:.1} s"));
-        let names: Vec<_> = self.sources.heartbeats.stalled().into_iter().map(Task::name).collect();
+        let names: Vec<_> = self.sources.condition.heartbeats.stalled().into_iter().map(Task::name).collect();
         let stalled = (!names.is_empty()).then(|| format!("task {} stalled", names.join(", ")));
         let parts: Vec<_> = stalled.into_iter().chain(silent).collect();
         let silent = newest_ns.is_none() || silent_s > YOUNG_S.max(3.0 * period_s);
@@ -173,16 +161,16 @@ impl View {
     pub fn readiness(&self) -> Readiness {
         let dead = self.dead();
         let newest = self.newest.borrow().map(|newest| newest.frame);
-        let source = self.sources.source_down.borrow().as_ref().map(ToString::to_string);
+        let source = self.sources.condition.source_down.borrow().as_ref().map(ToString::to_string);
         let causes = Causes { lock: self.lock().map(|now| now.cause), source };
         let readiness = self.aggregates().checks.readiness(newest.as_ref(), dead.as_ref(), &causes);
-        Readiness { doubts: self.sources.doubts.shown(), ..readiness }
+        Readiness { doubts: self.sources.condition.doubts.shown(), ..readiness }
     }
 
     /// The lock state with its cause, if it explains the newest frame.
     pub(super) fn lock(&self) -> Option<LockCondition> {
         let lock = self.newest.borrow().map(|newest| newest.frame.lock)?;
-        (*self.sources.lock.borrow())?.explaining(lock)
+        (*self.sources.condition.lock.borrow())?.explaining(lock)
     }
 
     /// Access to the aggregates. No code panics while it holds the lock, so a poisoned lock is safe to use.
@@ -217,9 +205,14 @@ impl View {
         let (dead, ready) = (self.dead(), self.readiness());
         let lock = self.lock().as_ref().map(lock_event);
         let newest = self.newest.borrow().map(|newest| newest.frame);
-        let update =
-            self.aggregates().page.update(newest.as_ref(), dead, ready, lock, &self.sources.counters);
-        self.sources.counters.page_updates.inc();
+        let update = self.aggregates().page.update(
+            newest.as_ref(),
+            dead,
+            ready,
+            lock,
+            &self.sources.condition.counters,
+        );
+        self.sources.condition.counters.page_updates.inc();
         // Fails if the last viewer has just left, which is not a loss.
         let _ = self.updates.send(serde_json::json!({ "update": update }).to_string().into());
     }
@@ -228,7 +221,7 @@ impl View {
     fn enter(&self, batch: &[PoseFrame]) {
         let half_m = self.sources.config.borrow().head.psd_size_mm * 0.5e-3;
         let rate_hz = self.sources.descriptor.borrow().rate_hz;
-        let stalled = !self.sources.heartbeats.stalled().is_empty();
+        let stalled = !self.sources.condition.heartbeats.stalled().is_empty();
         let mut aggregates = self.aggregates();
         aggregates.looked = SystemClock.now();
         aggregates.page.frames(batch, rate_hz, self.updates.receiver_count() > 0);

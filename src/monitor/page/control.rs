@@ -38,7 +38,7 @@ pub async fn obey(
     headers: HeaderMap,
     request: Request,
 ) -> Response {
-    let counters = &view.sources.counters;
+    let counters = &view.sources.condition.counters;
     let Some(controls) = &view.sources.control else {
         counters.monitor_denied.inc();
         return refusal(StatusCode::FORBIDDEN, "the page cannot send commands: monitor.control is off");

@@ -41,7 +41,7 @@ enum ViewerRequest {
 
 /// `GET /live`.
 pub async fn open(State(view): State<Arc<View>>, headers: HeaderMap, upgrade: WebSocketUpgrade) -> Response {
-    let counters = &view.sources.counters;
+    let counters = &view.sources.condition.counters;
     if !own_page(&headers) {
         counters.monitor_forbidden.inc();
         return (StatusCode::FORBIDDEN, "requests from the page of another server are refused\n")
@@ -147,7 +147,7 @@ impl Viewer {
         match update {
             Ok(update) => self.send(Message::Text(update)).await,
             Err(RecvError::Lagged(missed)) => {
-                self.view.sources.counters.page_skips.add(missed);
+                self.view.sources.condition.counters.page_skips.add(missed);
                 self.say(&json!({ "missed": missed })).await
             }
             Err(RecvError::Closed) => Err(Gone),
