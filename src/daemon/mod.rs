@@ -132,6 +132,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         receivers: supervisor.states(),
         lock: lock_now.clone(),
         doubts: doubts.clone(),
+        last_self_check: None,
         started,
     }));
     let view = View::new(view::Sources {
