@@ -63,6 +63,8 @@ enum CtlCommand {
     Park,
     /// Search for the apex now, even if all earlier searches have failed
     Search,
+    /// Move the beam over a small pattern, and test whether the pose depends on it; the mirror must be at rest
+    SelfCheck,
     /// Simulate a failure of a task, to test your supervision; with the twin only
     Drill {
         /// Failure of the task
@@ -170,6 +172,7 @@ impl CtlCommand {
             CtlCommand::Move { x_um, y_um } => Command::Move([x_um, y_um]),
             CtlCommand::Park => Command::Park,
             CtlCommand::Search => Command::Search,
+            CtlCommand::SelfCheck => Command::SelfCheck,
             CtlCommand::Setpoint { x_um, y_um } => Command::Setpoint([x_um, y_um]),
             CtlCommand::Gains { kp, ki_per_s } => Command::Gains { kp, ki_per_s },
             CtlCommand::Drill { what, task } => Command::Drill(what.into(), task.into()),

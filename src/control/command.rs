@@ -42,6 +42,8 @@ pub enum Command {
     Park,
     /// Starts a search for the apex.
     Search,
+    /// Moves the beam over a small pattern and tests whether the pose depends on it.
+    SelfCheck,
     /// Makes a task stall or end, to test the supervision; twin only.
     Drill(Drill, Task),
     /// Queries the state of the recorder.
@@ -61,7 +63,7 @@ pub struct NoCommand {
 
 /// The syntax of every command.
 pub const ALLOWED: &str = "status, tare [poses=N] [save], tare clear [save], loop on|off|shadow|manual, \
-    setpoint X_UM Y_UM, gains KP KI_PER_S, move X_UM Y_UM, park, search, reload, \
+    setpoint X_UM Y_UM, gains KP KI_PER_S, move X_UM Y_UM, park, search, self-check, reload, \
     record start|stop|trigger|status, \
     drill stall|block|end acquisition|centering|estimation";
 
@@ -87,6 +89,7 @@ fn parse(word: &str, rest: &[&str]) -> Option<Command> {
             Command::Record(RecorderCommand::ALL.into_iter().find(|w| w.name() == *action)?)
         }
         ("search", []) => Command::Search,
+        ("self-check", []) => Command::SelfCheck,
         ("move", [x, y]) => Command::Move([number(x)?, number(y)?]),
         ("drill", [drill, task]) => Command::Drill(
             Drill::ALL.into_iter().find(|d| d.name() == *drill)?,
@@ -131,6 +134,7 @@ impl fmt::Display for Command {
             Command::Move([x, y]) => write!(f, "move {x:?} {y:?}"),
             Command::Park => f.write_str("park"),
             Command::Search => f.write_str("search"),
+            Command::SelfCheck => f.write_str("self-check"),
             Command::Drill(drill, task) => write!(f, "drill {} {task}", drill.name()),
             Command::Recording => f.write_str("record status"),
             Command::Record(action) => write!(f, "record {}", action.name()),
@@ -158,6 +162,7 @@ mod tests {
             Command::Move([-100.5, 0.0]),
             Command::Park,
             Command::Search,
+            Command::SelfCheck,
             Command::Setpoint([-1.5, 1e-3]),
             Command::Gains { kp: 0.1, ki_per_s: 200.0 },
             Command::Recording,
@@ -193,6 +198,7 @@ mod tests {
             "move 1",
             "move nan 0",
             "search far",
+            "self-check now",
             "setpoint 1",
             "setpoint 1 2 3",
             "setpoint nan 0",

@@ -65,6 +65,8 @@ pub struct RunningConfig {
     pub recording: Handle,
     /// The condition of the daemon.
     pub condition: Condition,
+    /// Result of the last self-check.
+    pub last_self_check: Option<Value>,
     /// Time of the daemon's start.
     pub started: Mono,
 }
@@ -98,6 +100,7 @@ async fn execute(live: &Mutex<RunningConfig>, command: Command) -> Result<Value,
         Command::Move(um) => live.lock().await.move_to(um).await,
         Command::Park => live.lock().await.park().await,
         Command::Search => live.lock().await.search().await,
+        Command::SelfCheck => live.lock().await.self_check().await,
         Command::Drill(drill, task) => live.lock().await.drill(drill, task),
         Command::Recording => Ok(live.lock().await.recording.state.tell()),
         Command::Record(request) => live.lock().await.record(request).await,
@@ -282,6 +285,7 @@ impl RunningConfig {
             "loop": self.loop_now().await?,
             "pose": pose,
             "doubts": self.condition.doubts.shown(),
+            "self_check": self.last_self_check,
             "frames": self.running.frames,
             "recording": self.recording.state.tell(),
             "receivers": &**self.condition.receivers.borrow(),

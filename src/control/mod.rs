@@ -15,6 +15,7 @@ pub mod config_file;
 pub mod live;
 pub mod page;
 mod reload;
+mod self_check;
 pub mod server;
 mod tare;
 

@@ -52,7 +52,7 @@ impl RunningConfig {
     async fn mean(&self, poses: u32, rate_hz: f64) -> Result<Pose, Failure> {
         let patience = FAST_SIDE_TIMEOUT + Duration::from_secs_f64(2.0 * f64::from(poses) / rate_hz);
         let mean = ask(&self.fast.questions, patience, |reply| EstimationRequest::Mean(poses, reply)).await?;
-        mean.map_err(|status| {
+        mean.map(|mean| mean.pose).map_err(|status| {
             no_tare(format!("no valid pose: {}", status.names().collect::<Vec<_>>().join(", ")))
         })
     }

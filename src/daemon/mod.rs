@@ -78,8 +78,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let (descriptor, descriptor_now) = watch::channel(described(facts, config, header.as_ref()));
     let (steering, steering_now) = watch::channel(config.steering.clone());
     let Stage { driver, task: stage, outputs } = steering::configured(config, steering_now)?;
-    let (to_tcp, frames) = mpsc::channel(TO_MAIN);
-    let (to_monitor, monitored) = mpsc::channel(TO_MAIN);
+    let [(to_tcp, frames), (to_monitor, monitored)] = [(); 2].map(|()| mpsc::channel(TO_MAIN));
     let [server, monitor] = main.block_on(async { listeners(config) })?;
     let (lock, lock_now) = watch::channel(None);
     let (source_down, source_down_now) = watch::channel(None);
@@ -137,6 +136,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         log: Arc::clone(log),
         recording: recording.clone(),
         condition: condition.clone(),
+        last_self_check: None,
         started,
     }));
     let view = View::new(view::Sources {

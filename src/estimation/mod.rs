@@ -2,6 +2,7 @@
 
 pub mod light;
 pub mod loop_liveness;
+mod mean;
 pub mod warnings;
 
 use std::sync::Arc;
@@ -15,13 +16,15 @@ use trifacet_core::pipeline::SilenceTimes;
 use trifacet_core::signals::Identity;
 use trifacet_core::telemetry::heartbeat::HEARTBEAT;
 use trifacet_core::time::Clock;
-use trifacet_optics::Pose;
 use trifacet_wire::Status;
 
 use crate::acquisition::task::SampleEvent;
 use crate::estimation::loop_liveness::LoopLiveness;
 use crate::estimation::warnings::Warnings;
 use crate::recording::EstimationRecorder;
+
+pub use mean::ReportMean;
+use mean::RequestedMean;
 
 /// Channels of the task.
 #[derive(Debug)]
@@ -47,9 +50,9 @@ pub struct EstimationLinks<Publish> {
 pub enum EstimationRequest {
     /// The last published report, if there is one.
     Last(oneshot::Sender<Option<PoseReport>>),
-    /// The mean of this many poses in the world frame of the head, from the next one on. The first report
-    /// without a pose ends the request with its status. A second request of this kind ends the first.
-    Mean(u32, oneshot::Sender<Result<Pose, Status>>),
+    /// The mean of this many reports, from the next one on. The first report without a pose ends the request with
+    /// its status. A second request of this kind ends the first.
+    Mean(u32, oneshot::Sender<Result<ReportMean, Status>>),
 }
 
 /// Runs until acquisition ends. `rate_hz` is the expected rate of samples, `silence` the shortest silence that is
@@ -65,7 +68,7 @@ pub async fn run<C: Clock>(
     let EstimationLinks { mut publish, mut recorder, mut warnings, .. } = links;
     let mut silence_timer = SilenceTimer::new(rate_hz, silence);
     let mut last = None;
-    let mut mean: Option<PoseMean> = None;
+    let mut mean: Option<RequestedMean> = None;
     let mut heartbeat = interval(HEARTBEAT);
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay); // one check after the thread was suspended
     loop {
@@ -75,7 +78,7 @@ pub async fn run<C: Clock>(
                 match question {
                     // A requester that no longer waits for the reply does not need it.
                     EstimationRequest::Last(reply) => drop(reply.send(last)),
-                    EstimationRequest::Mean(count, reply) => mean = Some(PoseMean::new(count, reply)),
+                    EstimationRequest::Mean(count, reply) => mean = Some(RequestedMean::new(count, reply)),
                 }
                 None
             }
@@ -136,39 +139,6 @@ pub async fn run<C: Clock>(
             mean = mean.and_then(|mean| mean.push(&report));
             newest.send_replace(Some(report));
         }
-    }
-}
-
-/// A mean that was requested. The angles of a sensor are far from where they wrap.
-struct PoseMean {
-    count: u32,
-    left: u32,
-    sum: [f64; 6],
-    reply: oneshot::Sender<Result<Pose, Status>>,
-}
-
-impl PoseMean {
-    fn new(count: u32, reply: oneshot::Sender<Result<Pose, Status>>) -> Self {
-        let count = count.max(1);
-        Self { count, left: count, sum: [0.0; 6], reply }
-    }
-
-    /// Takes a report; returns `None` once the reply has been sent.
-    fn push(mut self, report: &PoseReport) -> Option<Self> {
-        let Some(pose) = report.pose else {
-            let _ = self.reply.send(Err(report.status));
-            return None;
-        };
-        for (sum, x) in self.sum.iter_mut().zip(pose.to_array()) {
-            *sum += x;
-        }
-        self.left -= 1;
-        if self.left > 0 {
-            return Some(self);
-        }
-        let mean = self.sum.map(|sum| sum / f64::from(self.count));
-        let _ = self.reply.send(Ok(Pose::from_array(mean)));
-        None
     }
 }
 

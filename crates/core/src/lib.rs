@@ -4,6 +4,7 @@
 //! - [`centering`]: samples to commands for the stage that steers the laser.
 //! - [`estimation`]: samples to pose reports. [`stamp`]: reports to frames.
 //! - [`light_checks`]: samples to doubts about the light.
+//! - [`self_check`]: does the pose depend on the beam position?
 //! - [`pipeline`]: mapping, centering and estimation together, with an example.
 //! - [`signals`], [`steering`], [`time`], [`utc`], [`telemetry`]: types that these parts share.
 //!
@@ -14,6 +15,7 @@ pub mod channels;
 pub mod estimation;
 pub mod light_checks;
 pub mod pipeline;
+pub mod self_check;
 pub mod sent_commands;
 pub mod signals;
 pub mod stamp;

@@ -2,6 +2,7 @@
 
 mod fixture;
 mod reload;
+mod self_check;
 mod socket;
 mod steer;
 mod tare;
