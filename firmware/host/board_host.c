@@ -43,7 +43,7 @@ typedef struct {
     int64_t power_up_ns;   /* by the monotonic clock */
     int64_t system_ns;     /* system clock minus monotonic clock */
     uint64_t stopped_tick; /* at the begin of the faults */
-    uint8_t pending[4096]; /* bytes for the line */
+    uint8_t pending[65536]; /* bytes for the line, as in the buffers of an adapter */
     size_t pending_length;
     travelling received[4096]; /* from the host, not yet at the board */
     size_t received_length;
