@@ -264,7 +264,7 @@ static void reach(host *h, uint8_t byte)
     if (board->waiting > before) {
         int type = answer_type(board, before);
         if (type == TF_REPLY && board->started) {
-            board->sequence = h->o.keep_number > 0 ? sequence : board->sequence;
+            board->sequence = h->o.keep_number > 0 ? sequence + 1u : board->sequence;
             board->period = (uint32_t)((double)board->period / h->o.rate_factor);
         }
         if (type == h->o.mute || (type == TF_ACK && h->o.wrong_ids > 0)) {

@@ -83,7 +83,7 @@ const FAULTS: [(&str, &[&str]); 11] = [
     ("keep_number=1", &["start", "start-repeated"]),
     ("rate_factor=1.2", &["full-buffer", "sample-rate", "tick"]),
     ("tick_factor=1.2", &["full-buffer", "sample-rate", "tick"]),
-    ("at=1700 until=1701 tick_step=-5000", &["tick"]),
+    ("at=1950 until=1951 tick_step=-5000", &["tick"]),
     ("new_boots=1", &["boot-id"]),
     ("no_applied=1", &["applied-command"]),
 ];
