@@ -43,7 +43,7 @@ typedef struct {
     int64_t power_up_ns;   /* by the monotonic clock */
     int64_t system_ns;     /* system clock minus monotonic clock */
     uint64_t stopped_tick; /* at the begin of the faults */
-    uint8_t pending[4096]; /* bytes for the line */
+    uint8_t pending[65536]; /* bytes for the line, as in the buffers of an adapter */
     size_t pending_length;
     travelling received[4096]; /* from the host, not yet at the board */
     size_t received_length;
@@ -264,7 +264,7 @@ static void reach(host *h, uint8_t byte)
     if (board->waiting > before) {
         int type = answer_type(board, before);
         if (type == TF_REPLY && board->started) {
-            board->sequence = h->o.keep_number > 0 ? sequence : board->sequence;
+            board->sequence = h->o.keep_number > 0 ? sequence + 1u : board->sequence;
             board->period = (uint32_t)((double)board->period / h->o.rate_factor);
         }
         if (type == h->o.mute || (type == TF_ACK && h->o.wrong_ids > 0)) {

@@ -22,7 +22,7 @@
     X(wrong_ids, 0, "1: the board acknowledges other ids")                                                             \
     X(no_lease, 0, "1: leases never expire")                                                                           \
     X(no_park, 0, "1: the outputs hold where they should park")                                                        \
-    X(keep_number, 0, "1: START does not reset the numbers of the scans")                                              \
+    X(keep_number, 0, "1: START continues the numbers of the scans")                                                   \
     X(rate_factor, 1, "the board samples at this multiple of the rate that it replies")                                \
     X(new_boots, 0, "1: each IDENTITY states another boot id")                                                         \
     X(no_applied, 0, "1: no command is stated as applied")                                                             \

@@ -16,6 +16,8 @@ pub enum Broken {
         /// What the document requires.
         expected: String,
     },
+    /// This computer was too busy to send or to read in time.
+    Busy,
     /// The rule does not apply, or cannot be checked.
     Skip(String),
     /// The port fails.
@@ -65,6 +67,7 @@ pub fn of(checked: Result<String, Broken>) -> Result<Verdict, TestError> {
         Ok(seen) => Verdict::Pass(seen),
         Err(Broken::Fail { seen, expected }) => Verdict::Fail { seen, expected },
         Err(Broken::Skip(why)) => Verdict::Skip(why),
+        Err(Broken::Busy) => Verdict::Skip("this computer is too busy to send its commands in time".into()),
         Err(Broken::Port(error)) => return Err(error),
     })
 }

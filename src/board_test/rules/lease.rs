@@ -1,15 +1,14 @@
 //! Leases: expiry, renewal, parking. All commands stay within the amplitude.
 
 use trifacet_wire::actuator::{LeaseAction, OutputCommand};
-use trifacet_wire::board::Request;
 use trifacet_wire::channel::Role;
 
 use crate::board_test::bench::Bench;
-use crate::board_test::scans::Series;
+use crate::board_test::scans::{Series, Taken};
 use crate::board_test::verdict::{Broken, fail};
 
 /// Lease of the commands, milliseconds.
-const LEASE_MS: u16 = 400;
+const LEASE_MS: u16 = 800;
 /// A lease ends within this part of its length, and five periods.
 const TOLERANCE: f64 = 0.25;
 /// The stage must move by this multiple of the noise of its readback.
@@ -38,6 +37,9 @@ fn arrival(series: &Series, command: &OutputCommand) -> Result<usize, Broken> {
 
 /// Checks that bit 1 is set first in a scan that is one lease after the scan `begin`.
 fn check_end(bench: &Bench, series: &Series, begin: usize) -> Result<f64, Broken> {
+    if begin + 1 >= series.scans.len() {
+        return Err(Broken::Busy);
+    }
     let ms_per_scan = 1e6 / f64::from(bench.rate_mhz());
     let number = |k: usize| f64::from(series.scans[k].scan.sequence);
     let expired = (begin + 1..series.scans.len()).find(|k| series.scans[*k].scan.lease_expired);
@@ -90,7 +92,15 @@ pub(super) fn renewed(bench: &mut Bench) -> Result<String, Broken> {
         (scans % every == 0).then(|| commands.get(scans / every - 1).copied()).flatten()
     })?;
     let (begin, end) = (arrival(&series, &commands[0])?, arrival(&series, &commands[3])?);
-    if series.scans[begin + 1..end].iter().any(|taken| taken.scan.lease_expired) {
+    let mut arrivals = Vec::new();
+    for command in &commands {
+        arrivals.push(arrival(&series, command)?);
+    }
+    if arrivals.windows(2).any(|pair| pair[1].saturating_sub(pair[0]) > scans_in(bench, 0.8)) {
+        return Err(Broken::Busy);
+    }
+    let between = series.scans.get(begin + 1..end).unwrap_or_default();
+    if between.iter().any(|taken| taken.scan.lease_expired) {
         return fail("the lease expires although newer commands arrive in time", "each command renews it");
     }
     check_end(bench, &series, end)?;
@@ -127,9 +137,8 @@ pub(super) fn continues(bench: &mut Bench) -> Result<String, Broken> {
 }
 
 /// Mean and standard deviation of a channel.
-fn statistics(series: &Series, channel: usize, from: usize) -> (f64, f64) {
-    let codes: Vec<_> =
-        series.scans[from..].iter().map(|taken| f64::from(taken.scan.codes[channel])).collect();
+fn statistics(scans: &[Taken], channel: usize) -> (f64, f64) {
+    let codes: Vec<_> = scans.iter().map(|taken| f64::from(taken.scan.codes[channel])).collect();
     let mean = codes.iter().sum::<f64>() / codes.len() as f64;
     let square = codes.iter().map(|code| (code - mean).powi(2)).sum::<f64>() / codes.len() as f64;
     (mean, square.sqrt())
@@ -144,13 +153,15 @@ pub(super) fn parks(bench: &mut Bench) -> Result<String, Broken> {
     bench.start(0, park)?;
     let mut mean_after = |on_expiry| -> Result<[(f64, f64); 2], Broken> {
         let go = command(bench, there, on_expiry);
-        let series = bench.series_with(scans_in(bench, 3.0), |scans| (scans == 1).then_some(go))?;
+        let series = bench.series_with(scans_in(bench, 1.0), |scans| (scans == 1).then_some(go))?;
         let begin = arrival(&series, &go)?;
-        // In the last third of the lease the stage has arrived; so it has in the last third of the series.
-        let before =
-            Series { scans: series.scans[begin..begin + scans_in(bench, 0.7)].to_vec(), ..Series::default() };
-        let (third, last) = (before.scans.len() * 2 / 3, series.scans.len() * 5 / 6);
-        Ok([statistics(&before, channel, third), statistics(&series, channel, last)])
+        let after = bench.series(scans_in(bench, 2.0))?;
+        // In the second half of the lease the stage has arrived; so it has at the end.
+        let half = scans_in(bench, 0.5);
+        let Some(before) = series.scans.get(begin + half..begin + half + half / 2) else {
+            return Err(Broken::Busy);
+        };
+        Ok([statistics(before, channel), statistics(&after.scans[after.scans.len() - half..], channel)])
     };
     let [at, held] = mean_after(LeaseAction::Hold)?;
     let [again, parked] = mean_after(LeaseAction::Park)?;
@@ -168,6 +179,5 @@ pub(super) fn parks(bench: &mut Bench) -> Result<String, Broken> {
             "the outputs go to the parking position",
         );
     }
-    bench.request(Request::Stop)?;
     Ok(format!("holds at {:.0}, parks at {:.0}", held.0, parked.0))
 }

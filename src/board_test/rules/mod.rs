@@ -19,24 +19,24 @@ pub struct Rule {
     pub section: &'static str,
     /// Its check moves the stage.
     pub moves: bool,
+    /// Its check depends on the timing of host and line.
+    pub timing: bool,
     /// Checks the rule on a stopped board; returns what was seen.
-    pub check: fn(&mut Bench) -> Result<String, Broken>,
+    pub check: Check,
 }
 
-const fn rule(
-    name: &'static str,
-    section: &'static str,
-    check: fn(&mut Bench) -> Result<String, Broken>,
-) -> Rule {
-    Rule { name, section, moves: false, check }
+type Check = fn(&mut Bench) -> Result<String, Broken>;
+
+const fn rule(name: &'static str, section: &'static str, check: Check) -> Rule {
+    Rule { name, section, moves: false, timing: false, check }
 }
 
-const fn moving(
-    name: &'static str,
-    section: &'static str,
-    check: fn(&mut Bench) -> Result<String, Broken>,
-) -> Rule {
-    Rule { name, section, moves: true, check }
+const fn timed(name: &'static str, section: &'static str, check: Check) -> Rule {
+    Rule { timing: true, ..rule(name, section, check) }
+}
+
+const fn moving(name: &'static str, section: &'static str, check: Check) -> Rule {
+    Rule { moves: true, ..timed(name, section, check) }
 }
 
 const IDENTITY: &str = "0x81 IDENTITY";
@@ -65,11 +65,11 @@ pub const ALL: &[Rule] = &[
     rule("stop", BOARD, starting::stopped),
     rule("sequence", SCAN, scans::sequence),
     rule("tick", SCAN, scans::tick),
-    rule("sample-rate", REPLY, scans::rate),
+    timed("sample-rate", REPLY, scans::rate),
     rule("scan-values", SCAN, scans::values),
     rule("full-buffer", BOARD, scans::full_buffer),
     rule("steer-refused", BOARD, steering::refused),
-    rule("steer-each-scan", BOARD, steering::each_scan),
+    timed("steer-each-scan", BOARD, steering::each_scan),
     rule("long-scan", LONG_SCAN, newer::long_scan),
     moving("steer-accepted", BOARD, steering::accepted),
     moving("steer-range", BOARD, steering::range),

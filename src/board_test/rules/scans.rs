@@ -11,6 +11,8 @@ use crate::board_test::verdict::{Broken, fail};
 
 /// Length of a series, seconds.
 const SERIES_S: f64 = 2.0;
+/// Series in which scans may be missing before that counts.
+const ATTEMPTS: usize = 5;
 /// Part of the scans that a healthy line may lose.
 const LOST: f64 = 0.01;
 /// Largest relative difference of a rate from the stated one, by the clock of the host.
@@ -37,24 +39,28 @@ fn series(bench: &mut Bench) -> Result<Series, Broken> {
 
 /// Numbers count up from 0.
 pub(super) fn sequence(bench: &mut Bench) -> Result<String, Broken> {
-    let series = series(bench)?;
-    let mut lost = 0;
-    for pair in series.scans.windows(2) {
-        let [before, now] = [pair[0].scan.sequence, pair[1].scan.sequence];
-        let step = now.wrapping_sub(before);
-        if step == 0 || step > u32::MAX / 2 {
-            return fail(format!("number {now} after number {before}"), "numbers that count up");
+    let mut least = u64::MAX;
+    // A busy computer reads late, and the board then omits scans rightly.
+    for _ in 0..ATTEMPTS {
+        let series = series(bench)?;
+        let mut lost = 0_u64;
+        for pair in series.scans.windows(2) {
+            let [before, now] = [pair[0].scan.sequence, pair[1].scan.sequence];
+            let step = now.wrapping_sub(before);
+            if step == 0 || step > u32::MAX / 2 {
+                return fail(format!("number {now} after number {before}"), "numbers that count up");
+            }
+            lost += u64::from(step - 1);
         }
-        lost += step - 1;
+        if lost as f64 <= LOST * series.scans.len() as f64 {
+            return Ok(format!("{} scans, {lost} omitted", series.scans.len()));
+        }
+        least = least.min(lost);
     }
-    let all = series.scans.len() as f64 + f64::from(lost);
-    if f64::from(lost) > LOST * all {
-        return fail(
-            format!("{lost} of {all} numbers are missing"),
-            "all scans, as the line has room for them",
-        );
-    }
-    Ok(format!("{} scans, {lost} omitted", series.scans.len()))
+    fail(
+        format!("in each of {ATTEMPTS} series at least {least} numbers are missing"),
+        "all scans, as the line has room for them",
+    )
 }
 
 /// What the tick advances by from scan to scan, and what the numbers require.
@@ -120,7 +126,7 @@ pub(super) fn rate(bench: &mut Bench) -> Result<String, Broken> {
     let series = bench.series(length(bench))?;
     let stated_hz = f64::from(reply.rate_mhz) * 1e-3;
     let hz = measured_hz(&series.scans, stated_hz);
-    if (hz / stated_hz - 1.0).abs() > RATE {
+    if !hz.is_finite() || (hz / stated_hz - 1.0).abs() > RATE {
         return fail(format!("{hz:.4} scans per second"), format!("{stated_hz} as stated in REPLY"));
     }
     let scans = &series.scans;
@@ -173,7 +179,7 @@ pub(super) fn full_buffer(bench: &mut Bench) -> Result<String, Broken> {
     if answered.is_none() {
         return fail("no answer to the next STEER", "ACK");
     }
-    let omitted: u32 =
-        series.scans.windows(2).map(|p| p[1].scan.sequence.wrapping_sub(p[0].scan.sequence) - 1).sum();
+    let step = |pair: &[Taken]| pair[1].scan.sequence.wrapping_sub(pair[0].scan.sequence);
+    let omitted: u64 = series.scans.windows(2).map(|pair| u64::from(step(pair).saturating_sub(1))).sum();
     Ok(format!("{omitted} scans omitted in {} s without reading", PAUSE.as_secs()))
 }
