@@ -2,6 +2,6 @@
 
 mod health;
 mod metrics;
-mod page;
+pub(crate) mod page;
 mod server;
 mod stall;
