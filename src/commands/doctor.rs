@@ -84,7 +84,7 @@ pub(crate) fn doctor(args: &DoctorArgs) -> Result<()> {
     let mut report = Report::default();
     runtime.block_on(async {
         look(&endpoint, args.interface.clone(), &config, &mut report).await;
-        daemon::look(&config, &mut report).await;
+        daemon::look(&endpoint, &config, &mut report).await;
     });
     runtime.shutdown_background(); // do not wait for a control socket that does not answer
     written(io::stdout().write_all(report.text.as_bytes()))?;

@@ -159,6 +159,8 @@ async fn talk(stream: TcpStream, peer: SocketAddr, view: Arc<View>, hosts: Hosts
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(REQUEST_TIMEOUT)
+        // Simple health checks close their side after the request, and wait for the answer.
+        .half_close(true)
         .serve_connection(TokioIo::new(stream), service)
         .with_upgrades();
     let mut connection = std::pin::pin!(connection);

@@ -83,15 +83,15 @@ impl ForeignBytes {
 
     /// A frame of a board was among them: what came before it was no other device.
     pub(super) fn frame(&mut self) {
-        if self.total > 0 {
+        if self.total > 0 || self.echo {
             self.opened();
         }
         self.frames = true;
     }
 
-    /// A request was sent: what counts now is what arrives after it.
+    /// A request was sent: frames of a board count only after it.
     pub(super) fn asked(&mut self) {
-        (self.frames, self.echo) = (false, false);
+        self.frames = false;
     }
 
     /// A request of the host was among them.
@@ -208,7 +208,9 @@ mod tests {
         bytes.frame();
         assert!(bytes.describe().to_string().contains("other frames"));
         bytes.echo();
+        bytes.asked();
         assert!(bytes.describe().to_string().contains("RX and TX"));
+        bytes.frame();
         bytes.asked();
         assert!(bytes.describe().to_string().contains("nothing"));
     }

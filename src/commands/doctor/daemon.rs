@@ -1,22 +1,28 @@
 //! Reports what the control socket of the daemon tells: why the source is down, which receivers of datagrams fail, and
-//! the doubts.
+//! the doubts. Without it, the monitor tells of the source.
 
+use std::net::SocketAddr;
 use std::time::Duration;
 
 use serde_json::Value;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
 use tokio::time::timeout;
+use trifacet::client::Endpoint;
 use trifacet::config::Config;
 use trifacet::control::{self, Command};
 
 use super::Report;
 
-/// Longest time to wait for the control socket.
+/// Longest time to wait for the control socket, or for the monitor.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Reports a source that is down, receivers that fail, and the doubts that stand. Without a control socket on this
-/// machine, nothing is known of them.
-pub(super) async fn look(config: &Config, report: &mut Report) {
-    let Some(socket) = config.control.socket.clone().filter(|socket| socket.exists()) else { return };
+/// Reports a source that is down, receivers that fail, and the doubts that stand. Without a control socket, the monitor
+/// of a daemon on this machine tells of the source, and nothing is known of receivers and doubts.
+pub(super) async fn look(endpoint: &Endpoint, config: &Config, report: &mut Report) {
+    let Some(socket) = config.control.socket.clone().filter(|socket| socket.exists()) else {
+        return source(endpoint, config, report).await;
+    };
     let name = socket.display().to_string();
     let asked = tokio::task::spawn_blocking(move || control::client::ask(&socket, &Command::Status));
     let status = match timeout(ANSWER_TIMEOUT, asked).await {
@@ -43,6 +49,29 @@ pub(super) async fn look(config: &Config, report: &mut Report) {
         let [since, text] = ["since", "text"].map(|key| doubt[key].as_str().unwrap_or_default());
         report.note(&format!("doubt since {since}: {text}"), "it stands until its cause is removed");
     }
+}
+
+/// Reports a source that is down, as the monitor of this machine tells. It may be that of another daemon, unless the
+/// stream comes from this machine too.
+async fn source(endpoint: &Endpoint, config: &Config, report: &mut Report) {
+    let Endpoint::Tcp(place) = endpoint else { return };
+    let here = ["127.", "localhost:", "[::1]"].iter().any(|start| place.starts_with(start));
+    let Some(monitor) = config.monitor.listen.filter(|_| here) else { return };
+    let Ok(Some(ready)) = timeout(ANSWER_TIMEOUT, readiness(monitor)).await else { return };
+    let checks = ready["checks"].as_array().into_iter().flatten();
+    let mut reasons = checks.filter(|check| check["name"] == "samples").filter_map(|c| c["reason"].as_str());
+    if let Some(why) = reasons.find_map(|reason| reason.strip_prefix("SOURCE_DOWN: ")) {
+        report.wrong(&format!("the source is down: {why}"), "");
+    }
+}
+
+/// The answer of `/readyz`, if there is one.
+async fn readiness(monitor: SocketAddr) -> Option<Value> {
+    let mut stream = TcpStream::connect(monitor).await.ok()?;
+    stream.write_all(b"GET /readyz HTTP/1.0\r\n\r\n").await.ok()?;
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).await.ok()?;
+    serde_json::from_str(answer.split_once("\r\n\r\n")?.1).ok()
 }
 
 fn unknown(why: &str, report: &mut Report) {

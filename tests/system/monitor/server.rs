@@ -1,7 +1,7 @@
 //! Admission to the monitor, and its cost for the other tasks.
 
-use std::io::Read;
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::io::{Read, Write};
+use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
 
 use super::page::{Metrics, until};
 use crate::testkit::http::{Page, ask, get, request};
@@ -69,6 +69,27 @@ fn load_balancers_can_check_the_health() {
         };
         assert!(kind(&head).is_some() && kind(&head) == kind(&get), "{head:?}");
     }
+}
+
+#[test]
+fn a_client_that_closes_its_side_after_the_request_gets_the_answer() {
+    let mut daemon = Daemon::start(ON);
+    let at = daemon.monitor();
+    for _ in 0..50 {
+        let mut stream = TcpStream::connect(at).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.write_all(b"GET /healthz HTTP/1.0\r\n\r\n").unwrap();
+        stream.shutdown(Shutdown::Write).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        assert!(answer.starts_with("HTTP/1.0 200") && answer.ends_with("ok\n"), "{answer}");
+    }
+    // Without a request, the connection ends at once.
+    let mut stream = TcpStream::connect(at).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream.write_all(b"GET /heal").unwrap();
+    stream.shutdown(Shutdown::Write).unwrap();
+    assert_eq!(stream.read(&mut [0; 100]).unwrap_or(0), 0);
 }
 
 #[test]
