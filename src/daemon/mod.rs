@@ -18,7 +18,7 @@ mod fast;
 mod slow;
 mod terminal;
 
-use std::path::Path;
+use std::path::{self, Path};
 use std::sync::Arc;
 
 use anyhow::Context;
@@ -67,7 +67,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let (doubter, doubts) = doubts::pair();
     let (heartbeats, glance) = <(Arc<Heartbeats>, Arc<LatestStatus>)>::default();
     let service = Service::new(&config.realtime, Arc::clone(&heartbeats), Arc::clone(&glance));
-    let (config, context, header) = &holding(config)?;
+    let (config, context, header) = &holding(config, file)?;
     let pipeline = config.pipeline(&context.tables, context.id())?;
     let facts = StreamFacts::new(StreamId::new(context.id()), config, context.calibrated());
     let main = Builder::new_current_thread().enable_all().build().context("cannot start a runtime")?;
@@ -169,6 +169,14 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     result
 }
 
+/// Logs what runs: the version, the configuration file, and what the poses depend on.
+fn log_start(file: Option<&Path>, context: &CalibrationContext) {
+    let file = file.map(|file| path::absolute(file).unwrap_or_else(|_| file.to_owned()));
+    let file = file.map_or_else(|| "none: default values".into(), |file| file.display().to_string());
+    let config = format!("{:08x}", context.id());
+    tracing::info!(version = env!("CARGO_PKG_VERSION"), file, config, "trifacet starts");
+}
+
 /// Logs all counters that have counted something.
 fn log_totals(counters: &Counters) {
     let counts = counters.list().into_iter().filter(|(_, n)| *n > 0);
@@ -187,13 +195,19 @@ async fn datagrams(
     Ok((server, supervisor, sender))
 }
 
-/// The configuration in force with its context; for a replay, those at the beginning of the recording.
-fn holding(config: &Config) -> anyhow::Result<(Config, Arc<CalibrationContext>, Option<RecordingHeader>)> {
-    control::warn_of_unverified_origin(&config.steering);
-    Ok(match RecordingHeader::of_source(config)? {
+/// The configuration in force with its context; for a replay, those at the beginning of the recording. Logs them,
+/// with the file of the configuration.
+fn holding(
+    config: &Config,
+    file: Option<&Path>,
+) -> anyhow::Result<(Config, Arc<CalibrationContext>, Option<RecordingHeader>)> {
+    let (in_force, context, header) = match RecordingHeader::of_source(config)? {
         None => (config.clone(), Arc::new(CalibrationContext::read(config.clone())?), None),
         Some(then) => (then.holding(config), Arc::clone(&then.context), Some(then)),
-    })
+    };
+    log_start(file, &context);
+    control::warn_of_unverified_origin(&config.steering);
+    Ok((in_force, context, header))
 }
 
 /// The descriptor, including the replay if that is the source.
