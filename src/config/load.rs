@@ -4,14 +4,18 @@ use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
+use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::check::{Checker, Finding, Report, without_index};
 use super::error::{ConfigError, InvalidValues, Problem};
 use super::file::{read_any, read_regular};
-use super::locate::{Found, find, path_at, place};
+use super::locate::{Found, find, path_at, place, remove_at};
 use super::{Config, Fault, FaultKind, Token};
 use crate::text::decode;
+
+/// Most unknown keys and wrong types that are reported at once.
+const MOST_OF_SHAPE: usize = 20;
 
 /// Reads and checks a configuration file, which may be a pipe. `None`: returns the defaults. Blocks.
 ///
@@ -73,27 +77,54 @@ pub fn parse(text: &str, file: Option<&Path>) -> Result<Config, ConfigError> {
 fn read(text: &str, file: Option<&Path>) -> Result<Config, Vec<Problem>> {
     let table = DeTable::parse(text).map_err(|e| vec![syntax_problem(text, &e)])?;
     let located = DeValue::Table(table.get_ref().clone());
-    let mut config = Config::deserialize(toml::Deserializer::from(table))
-        .map_err(|e| vec![shape_problem(text, &located, &e)])?;
-    let mut surplus = Vec::new();
+    let (config, mut problems) = deserialize(text, &located, table);
+    let Some(mut config) = config else { return Err(problems) };
     if let Ok(taken) = toml::Value::try_from(&config) {
-        find_surplus(&located, &taken, "", text, &mut surplus);
-    }
-    if !surplus.is_empty() {
-        return Err(surplus);
+        find_surplus(&located, &taken, "", text, &mut problems);
     }
     resolve_paths(&mut config, file);
-    let mut report = Report::default();
+    let incomplete = !problems.is_empty();
+    let mut report = Report { incomplete, ..Report::default() };
     config.check(&mut Checker::root(&mut report));
     if file.is_some() {
         config.channels.check_tables(Checker::root(&mut report).section("channels"));
     }
-    if report.findings.is_empty() {
+    if incomplete {
+        report.findings.retain(|finding| is_independent(&located, finding));
+    }
+    if problems.is_empty() && report.findings.is_empty() {
         return Ok(config);
     }
-    let mut problems: Vec<_> = report.findings.iter().map(|f| value_problem(text, &located, f)).collect();
+    problems.extend(report.findings.iter().map(|f| value_problem(text, &located, f)));
     problems.sort_by_key(|p| p.place.map_or((usize::MAX, 0), |place| (place.line, place.column)));
     Err(problems)
+}
+
+/// The configuration without the entries that have unknown keys or values of the wrong type, and the problems
+/// of these entries. `None` if it cannot be read even without them.
+fn deserialize(
+    text: &str,
+    located: &DeValue<'_>,
+    mut table: Spanned<DeTable<'_>>,
+) -> (Option<Config>, Vec<Problem>) {
+    let mut problems = Vec::new();
+    loop {
+        let error = match Config::deserialize(toml::Deserializer::from(table.clone())) {
+            Ok(config) => return (Some(config), problems),
+            Err(error) => error,
+        };
+        problems.push(shape_problem(text, located, &error));
+        let removed = error.span().is_some_and(|span| remove_at(table.get_mut(), span.start));
+        if !removed || problems.len() == MOST_OF_SHAPE {
+            return (None, problems);
+        }
+    }
+}
+
+/// Whether a finding concerns only one key, and this key is in the file. Other findings may come from a default
+/// in place of an entry that could not be read.
+fn is_independent(located: &DeValue<'_>, finding: &Finding) -> bool {
+    finding.keys.len() == 1 && matches!(find(located, &finding.keys[0]), Found::Value(_))
 }
 
 impl Config {
