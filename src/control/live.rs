@@ -171,7 +171,7 @@ impl RunningConfig {
         let Config { acquisition, steering, .. } = &self.running;
         if acquisition.source != SourceKind::Twin || steering.kind != SteeringKind::Outputs {
             let why = "a drill is for the twin with its own stage only: acquisition.source, steering.kind";
-            return Err(Failure::new(exit::USAGE, why));
+            return Err(Failure::new(exit::DATA, why));
         }
         self.heartbeats.of(task).drill(drill);
         Ok(json!({ "drill": drill.name(), "task": task.name() }))
@@ -184,7 +184,7 @@ impl RunningConfig {
     ) -> Result<Value, Failure> {
         ask(&self.fast.orders, FAST_SIDE_TIMEOUT, order)
             .await?
-            .map_err(|refusal| Failure::new(exit::USAGE, refusal.to_string()))?;
+            .map_err(|refusal| Failure::new(exit::DATA, refusal.to_string()))?;
         Ok(json!({ "loop": self.loop_now().await? }))
     }
 

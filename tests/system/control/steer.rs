@@ -89,7 +89,7 @@ fn in_manual_mode_the_stage_moves_to_commanded_positions_and_parks() {
     let daemon = Lab::start(&format!("[steering]\npark_um = [30, -40]\n{AT_REST}"));
     daemon.status_until(|status| status["loop"]["lock"] == "locked");
     let (code, _, errors) = daemon.ctl(&["move", "10", "0"]);
-    assert_eq!(code, i32::from(exit::USAGE));
+    assert_eq!(code, i32::from(exit::DATA));
     assert!(errors.contains("only while the loop is \"manual\""), "{errors}");
 
     // The change from locked to manual does not move the stage.
@@ -103,7 +103,8 @@ fn in_manual_mode_the_stage_moves_to_commanded_positions_and_parks() {
     let (code, _, errors) = daemon.ctl(&["move", "0", "400.5"]);
     assert_eq!(code, i32::from(exit::USAGE));
     assert!(errors.contains("400.5: allowed is -400 to 400"), "{errors}");
-    let (_, _, errors) = daemon.ctl(&["search"]);
+    let (code, _, errors) = daemon.ctl(&["search"]);
+    assert_eq!(code, i32::from(exit::DATA));
     assert!(errors.contains("only while it is \"on\""), "{errors}");
 
     daemon.told(&["loop", "on"]);
