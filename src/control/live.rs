@@ -154,7 +154,8 @@ impl RunningConfig {
             let why = format!("{beyond}: allowed is -{limit} to {limit}, steering.limit_um");
             return Err(Failure::new(exit::USAGE, why));
         }
-        self.order(|reply| CenteringRequest::Move(StagePosition(um.map(|um| um * 1e-6)), reply)).await
+        self.order(|reply| CenteringRequest::Move(StagePosition(um.map(|um| um * 1e-6)), reply)).await?;
+        Ok(json!({ "loop": self.loop_now().await? }))
     }
 
     async fn park(&mut self) -> Result<Value, Failure> {
@@ -163,7 +164,10 @@ impl RunningConfig {
     }
 
     async fn search(&mut self) -> Result<Value, Failure> {
-        self.order(CenteringRequest::Search).await
+        let starts = self.order(CenteringRequest::Search).await?;
+        let search =
+            if starts { "started" } else { "not started: the loop regulates, so there is nothing to search" };
+        Ok(json!({ "search": search, "loop": self.loop_now().await? }))
     }
 
     /// Starts a drill. Refused unless both source and stage are simulated.
@@ -178,14 +182,13 @@ impl RunningConfig {
     }
 
     /// Sends a request that the loop may refuse.
-    async fn order(
+    async fn order<A>(
         &self,
-        order: impl FnOnce(oneshot::Sender<Result<(), LoopRefusal>>) -> CenteringRequest,
-    ) -> Result<Value, Failure> {
+        order: impl FnOnce(oneshot::Sender<Result<A, LoopRefusal>>) -> CenteringRequest,
+    ) -> Result<A, Failure> {
         ask(&self.fast.orders, FAST_SIDE_TIMEOUT, order)
             .await?
-            .map_err(|refusal| Failure::new(exit::DATA, refusal.to_string()))?;
-        Ok(json!({ "loop": self.loop_now().await? }))
+            .map_err(|refusal| Failure::new(exit::DATA, refusal.to_string()))
     }
 
     async fn record(&self, request: RecorderCommand) -> Result<Value, Failure> {
