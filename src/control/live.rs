@@ -150,8 +150,8 @@ impl RunningConfig {
 
     async fn move_to(&mut self, um: [f64; 2]) -> Result<Value, Failure> {
         let limit = self.running.steering.limit_um;
-        if let Some(beyond) = um.iter().find(|p| p.abs() > limit) {
-            let why = format!("{beyond}: allowed is -{limit} to {limit}, steering.limit_um");
+        if let Some((axis, beyond)) = ["x_um", "y_um"].iter().zip(um).find(|(_, p)| p.abs() > limit) {
+            let why = format!("{axis} = {beyond}: allowed is -{limit} to {limit}, steering.limit_um");
             return Err(Failure::new(exit::USAGE, why));
         }
         self.order(|reply| CenteringRequest::Move(StagePosition(um.map(|um| um * 1e-6)), reply)).await?;

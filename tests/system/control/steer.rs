@@ -115,7 +115,7 @@ fn in_manual_mode_the_stage_moves_to_commanded_positions_and_parks() {
     assert_eq!(moved.lock, LockState::Manual);
     let (code, _, errors) = daemon.ctl(&["move", "0", "400.5"]);
     assert_eq!(code, i32::from(exit::USAGE));
-    assert!(errors.contains("400.5: allowed is -400 to 400"), "{errors}");
+    assert!(errors.contains("y_um = 400.5: allowed is -400 to 400"), "{errors}");
     let (code, _, errors) = daemon.ctl(&["search"]);
     assert_eq!(code, i32::from(exit::DATA));
     assert!(errors.contains("only while it is \"on\""), "{errors}");
