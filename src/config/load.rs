@@ -82,11 +82,15 @@ fn read(text: &str, file: Option<&Path>) -> Result<Config, Vec<Problem>> {
     if let Ok(taken) = toml::Value::try_from(&config) {
         find_surplus(&located, &taken, "", text, &mut problems);
     }
-    resolve_paths(&mut config, file);
     let incomplete = !problems.is_empty();
     let mut report = Report { incomplete, ..Report::default() };
+    match file {
+        Some(file) if !has_folder(file) => demand_absolute_paths(&config, &mut Checker::root(&mut report)),
+        file => resolve_paths(&mut config, file),
+    }
+    let placed = report.findings.is_empty();
     config.check(&mut Checker::root(&mut report));
-    if file.is_some() {
+    if file.is_some() && placed {
         config.channels.check_tables(Checker::root(&mut report).section("channels"));
     }
     if incomplete {
@@ -154,6 +158,28 @@ fn find_surplus(file: &DeValue<'_>, taken: &toml::Value, path: &str, text: &str,
             }
             (file, taken) => find_surplus(file, taken, &key, text, to),
         }
+    }
+}
+
+/// Whether paths can be relative to the folder of the configuration: not if it comes from a pipe, or from another
+/// open file of the process, whose name is that of a descriptor.
+fn has_folder(file: &Path) -> bool {
+    let descriptor = ["/dev/fd", "/dev/stdin", "/proc"].iter().any(|place| file.starts_with(place));
+    !descriptor && file.metadata().map_or(true, |about| about.is_file())
+}
+
+fn demand_absolute_paths(config: &Config, at: &mut Checker<'_>) {
+    let channels = ["channels.a", "channels.b", "channels.c"].into_iter().zip(config.channels.psds());
+    let tables = channels.map(|(section, psd)| (section, "correction", psd.correction.as_deref()));
+    let others = [
+        ("recording", "folder", Some(&*config.recording.folder)),
+        ("replay", "file", Some(&*config.replay.file)),
+    ];
+    for (section, key, path) in tables.chain(others) {
+        let relative = path.filter(|path| path.is_relative() && !path.as_os_str().is_empty());
+        let found = relative.unwrap_or(Path::new("")).display();
+        let allowed = "an absolute path, because the configuration comes from a pipe, which has no folder";
+        at.section(section).demand(relative.is_none(), key, found, allowed);
     }
 }
 
