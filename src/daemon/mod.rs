@@ -25,7 +25,7 @@ use anyhow::Context;
 use fast::{Parts, start};
 use slow::{Hangups, Monitor, Server, Slow, control, listeners, serve};
 use terminal::Terminal;
-use tokio::runtime::Builder;
+use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{Mutex, mpsc, watch};
 use tokio_util::sync::CancellationToken;
@@ -79,8 +79,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let (descriptor, descriptor_now) = watch::channel(described(facts, config, header.as_ref()));
     let (steering, steering_now) = watch::channel(config.steering.clone());
     let Stage { driver, task: stage, outputs } = steering::configured(config, steering_now)?;
-    let (to_tcp, frames) = mpsc::channel(TO_MAIN);
-    let (to_monitor, monitored) = mpsc::channel(TO_MAIN);
+    let [(to_tcp, frames), (to_monitor, monitored)] = [(); 2].map(|()| mpsc::channel(TO_MAIN));
     let [server, monitor] = main.block_on(async { listeners(config) })?;
     let (lock, lock_now) = watch::channel(None);
     let (source_down, source_down_now) = watch::channel(None);
@@ -100,8 +99,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         commands: Arc::clone(&commands),
         doubter,
         pipeline,
-        driver,
-        outputs,
+        stage: (driver, outputs),
         publisher,
         counters: Arc::clone(&counters),
         heartbeats: Arc::clone(&heartbeats),
@@ -163,10 +161,14 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     };
     let control = control(live, socket, Hangups { signal: hangup, terminal }, &service.notify);
     let result = serve(&main, config, slow, control, fast, &counters, &stop);
-    recorder.join();
-    log_totals(&counters);
-    main.shutdown_background(); // do not wait for pending opens of ports or name look-ups
+    end(main, recorder, &counters);
     result
+}
+
+fn end(main: Runtime, recorder: recording::recorder::Thread, counters: &Counters) {
+    recorder.join();
+    log_totals(counters);
+    main.shutdown_background(); // do not wait for pending opens of ports or name look-ups
 }
 
 /// Logs what runs: the version, the configuration file, and what the poses depend on.
