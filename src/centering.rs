@@ -57,8 +57,8 @@ pub enum CenteringRequest {
     Retune(Box<LoopParams>, oneshot::Sender<()>),
     /// Sends the stage to a position, metres; the reply may be a refusal.
     Move(StagePosition, oneshot::Sender<Result<(), LoopRefusal>>),
-    /// Starts a search for the apex.
-    Search(oneshot::Sender<Result<(), LoopRefusal>>),
+    /// Starts a search for the apex; the reply is false if the loop regulates and has nothing to search.
+    Search(oneshot::Sender<Result<bool, LoopRefusal>>),
     /// Asks for the state of the loop.
     View(oneshot::Sender<LoopView>),
 }

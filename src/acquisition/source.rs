@@ -38,9 +38,14 @@ pub enum SourceError {
         /// What arrives instead.
         line: Foreign,
     },
-    /// The board answers, but cannot be used.
-    #[error("the board cannot be used: {0}")]
-    Unfit(String),
+    /// The source answers, but cannot be used.
+    #[error("{what} cannot be used: {reason}")]
+    Unfit {
+        /// The source.
+        what: String,
+        /// What does not fit.
+        reason: String,
+    },
     /// No more scans arrive.
     #[error("no scan for {silence_ms} ms")]
     Stalled {

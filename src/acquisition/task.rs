@@ -180,7 +180,10 @@ impl Intake {
                 tracing::info!(name = identity.name, rate_hz = identity.rate_hz, "source is up");
                 self.tell(SampleEvent::Up(identity));
             }
-            Err(missing) => self.down(SourceError::Unfit(missing.to_string())),
+            Err(missing) => {
+                let (what, reason) = (identity.name.clone(), missing.to_string());
+                self.down(SourceError::Unfit { what, reason });
+            }
         }
     }
 
@@ -270,13 +273,10 @@ mod tests {
         Scan { index, time, time_sigma_ns: None, lost: 0, codes, output_railed: false, applied: None }
     }
 
-    #[test]
-    fn no_sample_overtakes_a_change_and_every_loss_is_counted() {
-        let config = Config::default();
-        let mapping = Mapping::new(config.read_channels().unwrap());
-        let (samples, mut estimation) = mpsc::channel(3);
-        let mut intake = Intake {
-            mapping,
+    fn intake(config: &Config) -> (Intake, mpsc::Receiver<SampleEvent>) {
+        let (samples, estimation) = mpsc::channel(3);
+        let intake = Intake {
+            mapping: Mapping::new(config.read_channels().unwrap()),
             counters: Arc::default(),
             samples,
             newest: watch::Sender::default(),
@@ -287,6 +287,23 @@ mod tests {
             dropped: 0,
             change: None,
         };
+        (intake, estimation)
+    }
+
+    #[test]
+    fn a_source_that_cannot_be_used_is_named() {
+        let (mut intake, mut estimation) = intake(&Config::default());
+        let mut identity = Identity::example();
+        identity.roles[1] = Role::Auxiliary;
+        intake.up(identity);
+        let Ok(SampleEvent::Down(reason)) = estimation.try_recv() else { panic!("no reason") };
+        assert_eq!(reason.to_string(), "example board cannot be used: it has no channel for v of PSD A");
+    }
+
+    #[test]
+    fn no_sample_overtakes_a_change_and_every_loss_is_counted() {
+        let config = Config::default();
+        let (mut intake, mut estimation) = intake(&config);
         let change = || {
             let settings = config.estimation_settings(false, 7).unwrap();
             SettingsChange { channels: None, settings, context: Arc::default(), done: oneshot::channel().0 }

@@ -92,8 +92,8 @@ struct TareArgs {
     /// Also write the tare into the configuration file; otherwise it is lost when the daemon ends
     #[arg(long)]
     save: bool,
-    /// Number of poses to average; by default those of 0.1 s
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), conflicts_with = "what")]
+    /// Number of poses to average; by default those of 0.1 s, at most those of 10 s
+    #[arg(long, value_name = "N", value_parser = poses, conflicts_with = "what")]
     poses: Option<u32>,
 }
 
@@ -157,6 +157,11 @@ impl From<Which> for Task {
             Which::Estimation => Self::Estimation,
         }
     }
+}
+
+/// The daemon, which knows the rate of the poses, checks the upper limit.
+fn poses(text: &str) -> Result<u32, &'static str> {
+    text.parse().ok().filter(|poses| *poses > 0).ok_or("allowed is 1 to the number of poses in 10 s")
 }
 
 impl CtlCommand {

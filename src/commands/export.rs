@@ -116,7 +116,7 @@ fn print_summary(tally: &Tally, rows: u64, output: &Path) -> anyhow::Result<()> 
         eprintln!("trifacet: {end}");
     }
     eprintln!("{rows} rows in {}", output.display());
-    match tally.damages.len() + tally.gaps.len() {
+    match tally.damages.len() + tally.gaps.len() + usize::from(tally.lost_at_end() > 0) {
         0 => Ok(()),
         n => Err(Failure::new(exit::DATA, format!("the recording has gaps in {n} places")).into()),
     }

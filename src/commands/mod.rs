@@ -1,7 +1,10 @@
 //! The commands of `trifacet`, one module each. `main.rs` only dispatches.
 
+use std::fmt::Display;
 use std::io;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use anyhow::Context;
 use trifacet::config::{self, Config};
@@ -66,6 +69,19 @@ impl ConfigArg {
     /// The checked configuration.
     pub(crate) fn load(&self) -> anyhow::Result<Config> {
         Ok(config::load(self.config.as_deref())?)
+    }
+}
+
+/// A parser of an option that is a whole number within this range, for its error message too.
+pub(crate) fn whole<T>(
+    allowed: RangeInclusive<T>,
+) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static
+where
+    T: FromStr + PartialOrd + Display + Clone + Send + Sync + 'static,
+{
+    move |text| {
+        let number = text.parse().ok().filter(|number| allowed.contains(number));
+        number.ok_or_else(|| format!("allowed is {} to {}", allowed.start(), allowed.end()))
     }
 }
 

@@ -44,10 +44,15 @@ pub(crate) fn recover(args: &RecoverArgs) -> anyhow::Result<()> {
     if status.success() {
         return Ok(());
     }
-    let code = status.code().and_then(|code| u8::try_from(code).ok());
-    let why =
-        format!("nothing was recovered from {}: the child process ended with {status}", args.file.display());
-    Err(Failure::new(code.unwrap_or(exit::SOFTWARE), why).into())
+    let failure = match status.code().and_then(|code| u8::try_from(code).ok()) {
+        // The child has printed the reason.
+        Some(code) => Failure::new(code, ""),
+        None => Failure::new(
+            exit::SOFTWARE,
+            format!("nothing was recovered from {}: its reader ended with {status}", args.file.display()),
+        ),
+    };
+    Err(failure.into())
 }
 
 fn child(file: &Path, out: &Path) -> anyhow::Result<()> {

@@ -32,7 +32,7 @@ use trifacet_core::pipeline::Mapping;
 use trifacet_core::steering::StagePosition;
 use trifacet_core::telemetry::Counters;
 
-use super::{ConfigArg, written};
+use super::{ConfigArg, whole, written};
 
 /// Number of samples that may wait for the identification.
 const QUEUE: usize = 1024;
@@ -46,7 +46,7 @@ pub(crate) struct TuneArgs {
     #[arg(long, value_name = "UM", value_parser = positive)]
     step: Option<f64>,
     /// Number of steps of each axis, back and forth
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(10..=10_000))]
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = whole(10_u32..=10_000))]
     steps: u32,
     /// Time that the stage rests after each step; by default ten times the sum of the configured delay and
     /// lag, at least 50 ms

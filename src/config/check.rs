@@ -22,6 +22,8 @@ pub(super) struct Finding {
 #[derive(Default)]
 pub(super) struct Report {
     pub findings: Vec<Finding>,
+    /// Some values could not be read, and have their defaults.
+    pub incomplete: bool,
     /// Allowed values by dotted path, with `[]` for any index.
     pub rules: BTreeMap<String, String>,
 }
@@ -119,9 +121,10 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// Whether no check has failed so far. Follow-up checks on several values can then be skipped.
+    /// Whether all values could be read and no check has failed so far. Otherwise follow-up checks on several
+    /// values are skipped.
     pub(super) fn clean(&self) -> bool {
-        self.report.findings.is_empty()
+        self.report.findings.is_empty() && !self.report.incomplete
     }
 
     fn wrong(&mut self, key: &str, found: impl Display, allowed: impl Display) {

@@ -4,14 +4,18 @@ use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
+use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::check::{Checker, Finding, Report, without_index};
 use super::error::{ConfigError, InvalidValues, Problem};
 use super::file::{read_any, read_regular};
-use super::locate::{Found, find, path_at, place};
+use super::locate::{Found, find, path_at, place, remove_at};
 use super::{Config, Fault, FaultKind, Token};
 use crate::text::decode;
+
+/// Most unknown keys and wrong types that are reported at once.
+const MOST_OF_SHAPE: usize = 20;
 
 /// Reads and checks a configuration file, which may be a pipe. `None`: returns the defaults. Blocks.
 ///
@@ -73,27 +77,58 @@ pub fn parse(text: &str, file: Option<&Path>) -> Result<Config, ConfigError> {
 fn read(text: &str, file: Option<&Path>) -> Result<Config, Vec<Problem>> {
     let table = DeTable::parse(text).map_err(|e| vec![syntax_problem(text, &e)])?;
     let located = DeValue::Table(table.get_ref().clone());
-    let mut config = Config::deserialize(toml::Deserializer::from(table))
-        .map_err(|e| vec![shape_problem(text, &located, &e)])?;
-    let mut surplus = Vec::new();
+    let (config, mut problems) = deserialize(text, &located, table);
+    let Some(mut config) = config else { return Err(problems) };
     if let Ok(taken) = toml::Value::try_from(&config) {
-        find_surplus(&located, &taken, "", text, &mut surplus);
+        find_surplus(&located, &taken, "", text, &mut problems);
     }
-    if !surplus.is_empty() {
-        return Err(surplus);
+    let incomplete = !problems.is_empty();
+    let mut report = Report { incomplete, ..Report::default() };
+    match file {
+        Some(file) if !has_folder(file) => demand_absolute_paths(&config, &mut Checker::root(&mut report)),
+        file => resolve_paths(&mut config, file),
     }
-    resolve_paths(&mut config, file);
-    let mut report = Report::default();
+    let placed = report.findings.is_empty();
     config.check(&mut Checker::root(&mut report));
-    if file.is_some() {
+    if file.is_some() && placed {
         config.channels.check_tables(Checker::root(&mut report).section("channels"));
     }
-    if report.findings.is_empty() {
+    if incomplete {
+        report.findings.retain(|finding| is_independent(&located, finding));
+    }
+    if problems.is_empty() && report.findings.is_empty() {
         return Ok(config);
     }
-    let mut problems: Vec<_> = report.findings.iter().map(|f| value_problem(text, &located, f)).collect();
+    problems.extend(report.findings.iter().map(|f| value_problem(text, &located, f)));
     problems.sort_by_key(|p| p.place.map_or((usize::MAX, 0), |place| (place.line, place.column)));
     Err(problems)
+}
+
+/// The configuration without the entries that have unknown keys or values of the wrong type, and the problems
+/// of these entries. `None` if it cannot be read even without them.
+fn deserialize(
+    text: &str,
+    located: &DeValue<'_>,
+    mut table: Spanned<DeTable<'_>>,
+) -> (Option<Config>, Vec<Problem>) {
+    let mut problems = Vec::new();
+    loop {
+        let error = match Config::deserialize(toml::Deserializer::from(table.clone())) {
+            Ok(config) => return (Some(config), problems),
+            Err(error) => error,
+        };
+        problems.push(shape_problem(text, located, &error));
+        let removed = error.span().is_some_and(|span| remove_at(table.get_mut(), span.start));
+        if !removed || problems.len() == MOST_OF_SHAPE {
+            return (None, problems);
+        }
+    }
+}
+
+/// Whether a finding concerns only one key, and this key is in the file. Other findings may come from a default
+/// in place of an entry that could not be read.
+fn is_independent(located: &DeValue<'_>, finding: &Finding) -> bool {
+    finding.keys.len() == 1 && matches!(find(located, &finding.keys[0]), Found::Value(_))
 }
 
 impl Config {
@@ -123,6 +158,28 @@ fn find_surplus(file: &DeValue<'_>, taken: &toml::Value, path: &str, text: &str,
             }
             (file, taken) => find_surplus(file, taken, &key, text, to),
         }
+    }
+}
+
+/// Whether paths can be relative to the folder of the configuration: not if it comes from a pipe, or from another
+/// open file of the process, whose name is that of a descriptor.
+fn has_folder(file: &Path) -> bool {
+    let descriptor = ["/dev/fd", "/dev/stdin", "/proc"].iter().any(|place| file.starts_with(place));
+    !descriptor && file.metadata().map_or(true, |about| about.is_file())
+}
+
+fn demand_absolute_paths(config: &Config, at: &mut Checker<'_>) {
+    let channels = ["channels.a", "channels.b", "channels.c"].into_iter().zip(config.channels.psds());
+    let tables = channels.map(|(section, psd)| (section, "correction", psd.correction.as_deref()));
+    let others = [
+        ("recording", "folder", Some(&*config.recording.folder)),
+        ("replay", "file", Some(&*config.replay.file)),
+    ];
+    for (section, key, path) in tables.chain(others) {
+        let relative = path.filter(|path| path.is_relative() && !path.as_os_str().is_empty());
+        let found = relative.unwrap_or(Path::new("")).display();
+        let allowed = "an absolute path, because the configuration comes from a pipe, which has no folder";
+        at.section(section).demand(relative.is_none(), key, found, allowed);
     }
 }
 

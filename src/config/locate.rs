@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use toml::Spanned;
-use toml::de::DeValue;
+use toml::de::{DeTable, DeValue};
 
 pub use crate::text::Place;
 
@@ -62,6 +62,25 @@ pub(super) fn path_at(file: &DeValue<'_>, at: usize) -> Option<String> {
             array.iter().enumerate().find_map(|(i, child)| inside(format!("[{i}]"), child, false))
         }
         _ => None,
+    }
+}
+
+/// Removes the innermost entry whose name or value covers a byte offset. Returns whether there is one.
+pub(super) fn remove_at(table: &mut DeTable<'_>, at: usize) -> bool {
+    if table.iter_mut().any(|(_, child)| remove_within(child.get_mut(), at)) {
+        return true;
+    }
+    let covers =
+        |(key, child): &(&Spanned<_>, &Spanned<_>)| key.span().contains(&at) || child.span().contains(&at);
+    let name = table.iter().find(covers).map(|(key, _)| key.to_string());
+    name.is_some_and(|name| table.remove(name.as_str()).is_some())
+}
+
+fn remove_within(value: &mut DeValue<'_>, at: usize) -> bool {
+    match value {
+        DeValue::Table(table) => remove_at(table, at),
+        DeValue::Array(array) => array.iter_mut().any(|element| remove_within(element.get_mut(), at)),
+        _ => false,
     }
 }
 

@@ -139,11 +139,12 @@ impl RunningConfig {
 
     async fn move_to(&mut self, um: [f64; 2]) -> Result<Value, Failure> {
         let limit = self.running.steering.limit_um;
-        if let Some(beyond) = um.iter().find(|p| p.abs() > limit) {
-            let why = format!("{beyond}: allowed is -{limit} to {limit}, steering.limit_um");
+        if let Some((axis, beyond)) = ["x_um", "y_um"].iter().zip(um).find(|(_, p)| p.abs() > limit) {
+            let why = format!("{axis} = {beyond}: allowed is -{limit} to {limit}, steering.limit_um");
             return Err(Failure::new(exit::USAGE, why));
         }
-        self.order(|reply| CenteringRequest::Move(StagePosition(um.map(|um| um * 1e-6)), reply)).await
+        self.order(|reply| CenteringRequest::Move(StagePosition(um.map(|um| um * 1e-6)), reply)).await?;
+        Ok(json!({ "loop": self.loop_now().await? }))
     }
 
     async fn park(&mut self) -> Result<Value, Failure> {
@@ -152,7 +153,10 @@ impl RunningConfig {
     }
 
     async fn search(&mut self) -> Result<Value, Failure> {
-        self.order(CenteringRequest::Search).await
+        let starts = self.order(CenteringRequest::Search).await?;
+        let search =
+            if starts { "started" } else { "not started: the loop regulates, so there is nothing to search" };
+        Ok(json!({ "search": search, "loop": self.loop_now().await? }))
     }
 
     /// Starts a drill. Refused unless both source and stage are simulated.
@@ -160,21 +164,20 @@ impl RunningConfig {
         let Config { acquisition, steering, .. } = &self.running;
         if acquisition.source != SourceKind::Twin || steering.kind != SteeringKind::Outputs {
             let why = "a drill is for the twin with its own stage only: acquisition.source, steering.kind";
-            return Err(Failure::new(exit::USAGE, why));
+            return Err(Failure::new(exit::DATA, why));
         }
         self.condition.heartbeats.of(task).drill(drill);
         Ok(json!({ "drill": drill.name(), "task": task.name() }))
     }
 
     /// Sends a request that the loop may refuse.
-    async fn order(
+    async fn order<A>(
         &self,
-        order: impl FnOnce(oneshot::Sender<Result<(), LoopRefusal>>) -> CenteringRequest,
-    ) -> Result<Value, Failure> {
+        order: impl FnOnce(oneshot::Sender<Result<A, LoopRefusal>>) -> CenteringRequest,
+    ) -> Result<A, Failure> {
         ask(&self.fast.orders, FAST_SIDE_TIMEOUT, order)
             .await?
-            .map_err(|refusal| Failure::new(exit::USAGE, refusal.to_string()))?;
-        Ok(json!({ "loop": self.loop_now().await? }))
+            .map_err(|refusal| Failure::new(exit::DATA, refusal.to_string()))
     }
 
     async fn record(&self, request: RecorderCommand) -> Result<Value, Failure> {

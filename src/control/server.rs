@@ -1,5 +1,6 @@
 //! Server of the control socket: one line in, one line of JSON out.
 
+use std::net::SocketAddr;
 use std::os::unix::fs::FileTypeExt;
 use std::os::unix::net as blocking;
 use std::path::{Path, PathBuf};
@@ -16,6 +17,7 @@ use tokio::net::{UnixListener, UnixStream};
 use tokio::sync::Mutex;
 use tokio::task::JoinSet;
 use tokio::time::timeout;
+use tracing::field::display;
 
 use super::live::{error, obey};
 use super::{Command, RunningConfig};
@@ -121,7 +123,7 @@ async fn client(stream: UnixStream, live: Arc<Mutex<RunningConfig>>) {
         let answer = match line.parse::<Command>() {
             Ok(command) => {
                 let answer = obey(&live, command).await;
-                note(&command, uid, &answer);
+                note(&command, Sender::User(uid), &answer);
                 answer
             }
             Err(refusal) => error(&Failure::new(exit::USAGE, refusal.to_string())),
@@ -145,14 +147,30 @@ async fn next_line(lines: &mut BufReader<OwnedReadHalf>) -> io::Result<Option<St
     if whole { Err(too_long()) } else { Ok(None) }
 }
 
-/// Logs a command with its result, except for `status`.
-pub fn note(command: &Command, uid: Option<u32>, answer: &Value) {
+/// The sender of a command.
+#[derive(Clone, Copy, Debug)]
+pub enum Sender {
+    /// A user of this machine, through the socket; `None` if the system does not provide the id.
+    User(Option<u32>),
+    /// A program at this address, through the live page.
+    Page(SocketAddr),
+    /// SIGHUP.
+    Signal,
+}
+
+/// Logs a command with its sender and its result, except for `status`.
+pub fn note(command: &Command, sender: Sender, answer: &Value) {
     if *command == Command::Status {
         return;
     }
+    let (uid, peer) = match sender {
+        Sender::User(uid) => (uid, None),
+        Sender::Page(peer) => (None, Some(display(peer))),
+        Sender::Signal => (None, None),
+    };
     match answer["error"].as_str() {
-        None => tracing::info!(%command, uid, %answer, "control"),
-        Some(error) => tracing::warn!(%command, uid, "control: {error}"),
+        None => tracing::info!(%command, uid, peer, %answer, "control"),
+        Some(error) => tracing::warn!(%command, uid, peer, "control: {error}"),
     }
 }
 

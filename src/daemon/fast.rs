@@ -37,9 +37,8 @@ const QUEUE: usize = 1024;
 pub(super) struct Parts {
     pub(super) config: Config,
     pub(super) pipeline: Pipeline,
-    /// The driver of the stage; without use in a replay, as `outputs` is.
-    pub(super) driver: StageDriver,
-    pub(super) outputs: OutputLink,
+    /// The driver of the stage, and the outputs on the side of the source; without use in a replay.
+    pub(super) stage: (StageDriver, OutputLink),
     pub(super) publisher: Publisher<SystemClock>,
     pub(super) counters: Arc<Counters>,
     pub(super) heartbeats: Arc<Heartbeats>,
@@ -106,7 +105,7 @@ async fn fast<S: Source + 'static>(
     parts: Parts,
     source: impl FnOnce() -> io::Result<S>,
 ) -> anyhow::Result<()> {
-    let Parts { config, pipeline, driver, outputs, mut publisher, source_down, .. } = parts;
+    let Parts { config, pipeline, stage: (driver, outputs), mut publisher, source_down, .. } = parts;
     let Parts {
         counters,
         heartbeats,

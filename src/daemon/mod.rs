@@ -18,7 +18,7 @@ mod fast;
 mod slow;
 mod terminal;
 
-use std::path::Path;
+use std::path::{self, Path};
 use std::sync::Arc;
 
 use anyhow::Context;
@@ -68,7 +68,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let (doubter, doubts) = doubts::pair();
     let (heartbeats, glance) = <(Arc<Heartbeats>, Arc<LatestStatus>)>::default();
     let service = Service::new(&config.realtime, Arc::clone(&heartbeats), Arc::clone(&glance));
-    let (config, context, header) = &holding(config)?;
+    let (config, context, header) = &holding(config, file)?;
     let pipeline = config.pipeline(&context.tables, context.id())?;
     let facts = StreamFacts::new(StreamId::new(context.id()), config, context.calibrated());
     let main = Builder::new_current_thread().enable_all().build().context("cannot start a runtime")?;
@@ -99,8 +99,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         commands: Arc::clone(&commands),
         doubter,
         pipeline,
-        driver,
-        outputs,
+        stage: (driver, outputs),
         publisher,
         counters: Arc::clone(&counters),
         heartbeats: Arc::clone(&heartbeats),
@@ -159,9 +158,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     };
     let control = control(live, socket, hangups, &service.notify);
     let result = serve(&main, config, slow, control, fast, &counters, &stop);
-    recorder.join();
-    log_totals(&counters);
-    main.shutdown_background(); // do not wait for pending opens of ports or name look-ups
+    end(main, recorder, &counters);
     result
 }
 
@@ -170,6 +167,20 @@ fn hangups(main: &Runtime, started: Mono) -> anyhow::Result<Hangups> {
     let terminal = Terminal::of_process(started);
     let signal = main.block_on(async { signal(SignalKind::hangup()) }).context("cannot listen for SIGHUP")?;
     Ok(Hangups { signal, terminal })
+}
+
+fn end(main: Runtime, recorder: recording::recorder::Thread, counters: &Counters) {
+    recorder.join();
+    log_totals(counters);
+    main.shutdown_background(); // do not wait for pending opens of ports or name look-ups
+}
+
+/// Logs what runs: the version, the configuration file, and what the poses depend on.
+fn log_start(file: Option<&Path>, context: &CalibrationContext) {
+    let file = file.map(|file| path::absolute(file).unwrap_or_else(|_| file.to_owned()));
+    let file = file.map_or_else(|| "none: default values".into(), |file| file.display().to_string());
+    let config = format!("{:08x}", context.id());
+    tracing::info!(version = env!("CARGO_PKG_VERSION"), file, config, "trifacet starts");
 }
 
 /// Logs all counters that have counted something.
@@ -190,13 +201,19 @@ async fn datagrams(
     Ok((server, supervisor, sender))
 }
 
-/// The configuration in force with its context; for a replay, those at the beginning of the recording.
-fn holding(config: &Config) -> anyhow::Result<(Config, Arc<CalibrationContext>, Option<RecordingHeader>)> {
-    control::warn_of_unverified_origin(&config.steering);
-    Ok(match RecordingHeader::of_source(config)? {
+/// The configuration in force with its context; for a replay, those at the beginning of the recording. Logs them,
+/// with the file of the configuration.
+fn holding(
+    config: &Config,
+    file: Option<&Path>,
+) -> anyhow::Result<(Config, Arc<CalibrationContext>, Option<RecordingHeader>)> {
+    let (in_force, context, header) = match RecordingHeader::of_source(config)? {
         None => (config.clone(), Arc::new(CalibrationContext::read(config.clone())?), None),
         Some(then) => (then.holding(config), Arc::clone(&then.context), Some(then)),
-    })
+    };
+    log_start(file, &context);
+    control::warn_of_unverified_origin(&config.steering);
+    Ok((in_force, context, header))
 }
 
 /// The descriptor, including the replay if that is the source.

@@ -20,7 +20,7 @@ use super::terminal::Terminal;
 use crate::clock::SystemClock;
 use crate::config::Config;
 use crate::control::live::obey;
-use crate::control::server::Socket;
+use crate::control::server::{Sender, Socket};
 use crate::control::{self, Command, RunningConfig};
 use crate::exit::{self, Failure};
 use crate::monitor;
@@ -104,7 +104,7 @@ async fn reloads(live: &Mutex<RunningConfig>, hangups: Hangups, notify: &Notify)
                 notify.reloading();
                 let answer = obey(live, Command::Reload).await;
                 notify.reloaded();
-                control::server::note(&Command::Reload, None, &answer);
+                control::server::note(&Command::Reload, Sender::Signal, &answer);
             }
             _ = looks.tick() => {
                 if terminal.attended() && terminal.is_closed(SystemClock.now()) {

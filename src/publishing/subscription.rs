@@ -247,12 +247,14 @@ mod tests {
     fn errors_get_a_short_answer_and_foreign_datagrams_none() {
         let mut all = some();
         for (ask, expected) in [
-            ("subscribe lease_s=0 divider=1", "lease_s=1 to 60"),
-            ("subscribe lease_s=61", "lease_s=1 to 60"),
-            ("subscribe lease_s=5 divider=0 held=on", "a divider from 1"),
-            ("subscribe lease_s=5 nonce=xyz", "nonce=HEX"),
-            ("subscribe lease_s=5 rate_hz=5 held=on", "lease_s= divider="),
-            ("unsubscribe me please", "unsubscribe nonce=HEX"),
+            ("subscribe lease_s=0 divider=1", "lease_s=0; allowed: 1 to 60"),
+            ("subscribe lease_s=61", "lease_s=61; allowed: 1 to 60"),
+            ("subscribe divider=1 held=on", "no lease_s; allowed: lease_s=1 to 60"),
+            ("subscribe lease_s=5 divider=0 held=on", "divider=0; allowed: a divider from 1"),
+            ("subscribe lease_s=5 held=yes", "held=yes; allowed: on, off"),
+            ("subscribe lease_s=5 nonce=xyz", "nonce=xyz; allowed: nonce=HEX"),
+            ("subscribe lease_s=5 rate_hz=5 held=on", "rate_hz=5; allowed: lease_s= divider="),
+            ("unsubscribe me please", "me; allowed: unsubscribe nonce=HEX"),
         ] {
             let answer = all.datagram(client(1), ask.as_bytes(), Mono(0)).answer.unwrap();
             assert!(answer.starts_with("error: ") && answer.contains(expected), "{ask}: {answer}");

@@ -103,9 +103,8 @@ impl<C: Clock, Publish: FnMut(&Republished), Means: FnMut(&CalibrationContext)> 
     pub(super) fn obey(&self, order: CenteringRequest) {
         match order {
             CenteringRequest::Retune(_, done) => drop(done.send(())),
-            CenteringRequest::Move(_, reply) | CenteringRequest::Search(reply) => {
-                let _ = reply.send(Err(LoopRefusal::NoStage));
-            }
+            CenteringRequest::Move(_, reply) => drop(reply.send(Err(LoopRefusal::NoStage))),
+            CenteringRequest::Search(reply) => drop(reply.send(Err(LoopRefusal::NoStage))),
             CenteringRequest::View(reply) => drop(reply.send(self.republisher.view(&self.steering))),
         }
     }

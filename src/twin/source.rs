@@ -117,9 +117,8 @@ impl<C: Waiting> Source for TwinSource<C> {
                     Ok(due) => self.due = due,
                     Err(e) if !self.down => {
                         self.down = true;
-                        return SourceEvent::Down(SourceError::Unfit(format!(
-                            "the twin's timer failed: {e}"
-                        )));
+                        let (what, reason) = ("the twin".into(), format!("its timer failed: {e}"));
+                        return SourceEvent::Down(SourceError::Unfit { what, reason });
                     }
                     // Already reported; without a timer there are no more scans.
                     Err(_) => std::future::pending().await,

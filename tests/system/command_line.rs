@@ -61,6 +61,29 @@ fn every_command_exits_78_for_an_invalid_configuration() {
 }
 
 #[test]
+fn a_number_out_of_range_is_named_with_its_option_and_what_is_allowed() {
+    for (args, message) in [
+        (
+            &["ctl", "tare", "--poses", "0"][..],
+            "'0' for '--poses <N>': allowed is 1 to the number of poses in 10 s",
+        ),
+        (&["experiment", "--out", "x", "--points", "2"], "'2' for '--points <N>': allowed is 3 to 10000"),
+        (
+            &["experiment", "--out", "x", "--average", "99999"],
+            "'99999' for '--average <N>': allowed is 1 to 10000",
+        ),
+        (&["dark", "--samples", "0"], "'0' for '--samples <N>': allowed is 10 to 1000000"),
+        (&["tune", "--steps", "1e3"], "'1e3' for '--steps <N>': allowed is 10 to 10000"),
+        (&["watch", "--divider", "0"], "'0' for '--divider <DIVIDER>': allowed is 1 to 1000000"),
+    ] {
+        let output = trifacet(args);
+        assert_eq!(output.status.code(), Some(64), "{args:?}");
+        let told = text(&output.stderr);
+        assert!(told.contains(message), "{told}");
+    }
+}
+
+#[test]
 fn a_configuration_that_cannot_be_read_exits_78_with_its_name() {
     for path in ["/no/such/lab.toml", "/"] {
         let output = trifacet(&["check", "--config", path]);

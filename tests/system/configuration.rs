@@ -148,6 +148,29 @@ fn all_values_out_of_range_are_reported_in_the_order_of_the_file() {
     );
 }
 
+/// Without a conflict that exists only because a wrong entry has no effect.
+#[test]
+fn unknown_keys_and_wrong_types_are_reported_with_the_values_out_of_range() {
+    let message = refusal(
+        "[head]\npsd_sise_mm = 13\npsd_distance_mm = -5\n[steering]\nfull_scale_um = 300\nlimt_um = 200\n\
+         lease_ms = '5'\n[[twin.motion]]\naxis = 'tx'\nkind = 'step'\namount_um = 99999\nform_s = 1\n\
+         [acquisition]\nrate_hz = 0\n[frams]\nx = 1\n",
+    );
+    let lines: Vec<Vec<&str>> =
+        message.lines().map(|line| line.split([' ', ';']).take(2).collect()).collect();
+    let expected: [[&str; 2]; 8] = [
+        ["lab.toml:2:1:", "head.psd_sise_mm"],
+        ["lab.toml:3:19:", "head.psd_distance_mm"],
+        ["lab.toml:6:1:", "steering.limt_um"],
+        ["lab.toml:7:12:", "steering.lease_ms"],
+        ["lab.toml:11:13:", "twin.motion[0].amount_um"],
+        ["lab.toml:12:1:", "twin.motion[0].form_s"],
+        ["lab.toml:14:11:", "acquisition.rate_hz"],
+        ["lab.toml:15:2:", "frams"],
+    ];
+    assert_eq!(lines, expected, "{message}");
+}
+
 #[test]
 fn an_empty_file_is_the_defaults() {
     assert_eq!(parse("", None).unwrap(), Config::default());

@@ -393,7 +393,7 @@ impl Session {
     }
 
     fn unfit(&mut self, reason: String, now: Mono) {
-        self.rest(SourceError::Unfit(reason), now);
+        self.rest(SourceError::Unfit { what: "the board".into(), reason }, now);
     }
 
     fn rest(&mut self, reason: SourceError, now: Mono) {

@@ -17,6 +17,8 @@ pub(super) struct ReceivedFrames {
     last: Option<PoseFrame>,
     frames: u64,
     valid: u64,
+    /// Frames with `NOT_LOCKED`.
+    unlocked: u64,
     /// Status bits of frames without a valid pose; `valid_bits`: of frames with one.
     invalid_bits: Status,
     valid_bits: Status,
@@ -41,6 +43,7 @@ impl ReceivedFrames {
 
     fn frame(&mut self, frame: &PoseFrame, now_ns: i64) {
         self.frames += 1;
+        self.unlocked += u64::from(frame.status.has(Status::NOT_LOCKED));
         if frame.status.has(Status::POSE_VALID) {
             self.valid += 1;
             self.valid_bits |= frame.status;
@@ -175,7 +178,13 @@ impl ReceivedFrames {
                 LockState::Held => "the stage is held: light or samples are missing at the moment",
                 LockState::Locked => "the loop lost its lock for a short time, and has it again",
             };
-            report.note(&format!("NOT_LOCKED: the lock state is {}", lock.name()), advice);
+            let what = match lock {
+                LockState::Locked => {
+                    format!("was not locked for {} of {} frames", self.unlocked, self.frames)
+                }
+                _ => format!("the lock state is {}", lock.name()),
+            };
+            report.note(&format!("NOT_LOCKED: {what}"), advice);
         }
     }
 

@@ -110,8 +110,12 @@ pub(super) fn different(difference: &Difference) -> Failure {
 pub(super) fn holes(files: &[Read], passed_over: u64) -> Result<(), Failure> {
     let sum = |of: fn(&Tally) -> usize| files.iter().map(|(_, tally)| of(tally) as u64).sum::<u64>();
     let (damages, gaps) = (sum(|tally| tally.damages.len()), sum(|tally| tally.gaps.len()));
+    let at_end: u64 = files.iter().map(|(_, tally)| tally.lost_at_end()).sum();
     let why = match (damages, gaps, passed_over) {
-        (0, 0, 0) => return Ok(()),
+        (0, 0, 0) if at_end == 0 => return Ok(()),
+        (0, 0, 0) => {
+            format!("the recording is not complete: {at_end} bytes at its end are an incomplete chunk")
+        }
         (0, 0, frames) => format!("{} not compared", are(frames, "frame")),
         (0, gaps, _) => format!("the recording is not complete: it has {}", count(gaps, "gap")),
         (places, ..) => format!("not everything was compared: {} cannot be read", count(places, "place")),

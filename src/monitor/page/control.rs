@@ -13,6 +13,7 @@ use serde_json::json;
 use tokio::time::timeout;
 use trifacet_core::centering::LoopMode;
 
+use crate::control::server::Sender;
 use crate::control::{self, Command};
 use crate::monitor::host_filter::own_page;
 use crate::monitor::view::View;
@@ -65,7 +66,7 @@ pub async fn obey(
     match order.command.parse() {
         Ok(command) if allowed(&command) => {
             let answer = control::live::obey(&controls.live, command).await;
-            control::server::note(&command, None, &answer);
+            control::server::note(&command, Sender::Page(peer), &answer);
             Json(answer).into_response()
         }
         _ => {

@@ -75,6 +75,11 @@ impl Tally {
         self.finished && !self.incomplete()
     }
 
+    /// Bytes at the end whose data are lost: those of an incomplete chunk. 0 if only the index is damaged.
+    pub fn lost_at_end(&self) -> u64 {
+        if self.finished || self.indexed { 0 } else { self.torn }
+    }
+
     /// Whether something is missing or damaged before the end.
     pub fn incomplete(&self) -> bool {
         !self.damages.is_empty() || !self.gaps.is_empty()

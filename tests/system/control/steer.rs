@@ -85,11 +85,24 @@ fn gains_change_while_locked() {
 }
 
 #[test]
+fn a_search_that_starts_is_answered_so() {
+    let dark = "[[twin.fault]]\nat_s = 0\nkind = \"beam-blocked\"\n";
+    let short = "[centering]\nsearch_attempts = 1\n[steering]\nlimit_um = 40\n";
+    let daemon = Lab::start(&format!("{short}{AT_REST}{dark}"));
+    let given_up =
+        |status: &Value| status["loop"]["searches_in_vain"] == 1 && status["loop"]["lock"] == "held";
+    daemon.status_until(given_up);
+    assert_eq!(daemon.told(&["search"])["search"], "started");
+    daemon.frame_with(|frame| frame.lock == LockState::Searching);
+    daemon.status_until(given_up);
+}
+
+#[test]
 fn in_manual_mode_the_stage_moves_to_commanded_positions_and_parks() {
     let daemon = Lab::start(&format!("[steering]\npark_um = [30, -40]\n{AT_REST}"));
     daemon.status_until(|status| status["loop"]["lock"] == "locked");
     let (code, _, errors) = daemon.ctl(&["move", "10", "0"]);
-    assert_eq!(code, i32::from(exit::USAGE));
+    assert_eq!(code, i32::from(exit::DATA));
     assert!(errors.contains("only while the loop is \"manual\""), "{errors}");
 
     // The change from locked to manual does not move the stage.
@@ -102,8 +115,9 @@ fn in_manual_mode_the_stage_moves_to_commanded_positions_and_parks() {
     assert_eq!(moved.lock, LockState::Manual);
     let (code, _, errors) = daemon.ctl(&["move", "0", "400.5"]);
     assert_eq!(code, i32::from(exit::USAGE));
-    assert!(errors.contains("400.5: allowed is -400 to 400"), "{errors}");
-    let (_, _, errors) = daemon.ctl(&["search"]);
+    assert!(errors.contains("y_um = 400.5: allowed is -400 to 400"), "{errors}");
+    let (code, _, errors) = daemon.ctl(&["search"]);
+    assert_eq!(code, i32::from(exit::DATA));
     assert!(errors.contains("only while it is \"on\""), "{errors}");
 
     daemon.told(&["loop", "on"]);
@@ -112,7 +126,8 @@ fn in_manual_mode_the_stage_moves_to_commanded_positions_and_parks() {
     daemon.frame_with(|f| near(f.steering[0], 30e-6) && near(f.steering[1], -40e-6));
     daemon.told(&["loop", "on"]);
     daemon.frame_with(|frame| frame.lock == LockState::Locked);
-    daemon.told(&["search"]);
+    let answer = daemon.told(&["search"]);
+    assert_eq!(answer["search"], "not started: the loop regulates, so there is nothing to search");
     assert_eq!(daemon.told(&["status"])["loop"]["lock"], "locked", "no search without a loss of the beam");
     let counters = &daemon.told(&["status"])["counters"];
     assert_eq!((&counters["lock_locked"], &counters["lock_released"]), (&json!(3), &json!(2)));

@@ -8,7 +8,7 @@ use serde_json::Value;
 use trifacet::exit;
 
 use super::fixture::{AT_REST, Lab};
-use crate::testkit::{Daemon, Folder, http, lacks, wait_for};
+use crate::testkit::{Daemon, Folder, http, lacks, run, wait_for};
 
 /// Refuses the reload with this text, and the tool stays in force.
 fn refuses(daemon: &mut Lab, text: &str) {
@@ -86,6 +86,33 @@ fn a_daemon_can_start_from_a_pipe_and_refuses_to_reload_it() {
     let (_, _, errors) = daemon.ctl(&["tare", "--save"]);
     assert!(errors.contains("tare unchanged") && errors.contains("it is a pipe"), "{errors}");
     assert_eq!(daemon.status()["config"], before["config"]);
+}
+
+#[test]
+fn relative_paths_in_a_configuration_from_a_pipe_are_refused() {
+    let folder = Folder::new();
+    let config = "channels.a.correction = 'a.csv'\n[recording]\nfolder = 'rec'\n[replay]\nfile = 'a.mcap'\n";
+    let script = "\"$1\" check --config <(cat \"$2\")";
+    let check = |text: &str| {
+        let file = folder.write("lab.toml", text);
+        let mut bash = Command::new("bash");
+        run(bash
+            .args(["-c", script, "-", env!("CARGO_BIN_EXE_trifacet")])
+            .arg(file)
+            .current_dir(folder.path("")))
+    };
+    let done = check(config);
+    assert_eq!(done.code, 78, "{}", done.err);
+    for part in [
+        ":1:25: channels.a.correction = 'a.csv': allowed is an absolute path, because the configuration comes from a pipe",
+        ":3:10: recording.folder = 'rec': allowed is an absolute path",
+        ":5:8: replay.file = 'a.mcap': allowed is an absolute path",
+    ] {
+        assert!(done.err.contains(part), "{}", done.err);
+    }
+    assert_eq!(done.err.lines().count(), 3, "{}", done.err);
+    let done = check(&format!("recording.folder = '{}'", folder.path("rec").display()));
+    assert_eq!(done.code, 0, "{}", done.err);
 }
 
 /// A daemon whose configuration file has moved to a file system that does not respond, and the text of the file

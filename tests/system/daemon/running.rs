@@ -6,6 +6,18 @@ use trifacet_wire::Status;
 use crate::testkit::{Daemon, Frame, Stream, errors, mean, now_ns, truth};
 
 #[test]
+fn the_log_begins_with_version_file_and_config_id() {
+    let mut daemon = Daemon::start("twin.seed = 7");
+    let frame = daemon.client().take(1)[0];
+    daemon.read_log();
+    let first = &daemon.log[0];
+    assert_eq!((&first["message"], &first["level"]), (&"trifacet starts".into(), &"INFO".into()), "{first}");
+    assert_eq!(first["version"], env!("CARGO_PKG_VERSION"));
+    assert_eq!(first["file"], daemon.file().to_str().unwrap());
+    assert_eq!(first["config"], format!("{:08x}", frame.config));
+}
+
+#[test]
 fn every_sample_becomes_a_frame_over_tcp_and_udp_with_a_true_pose() {
     let begin_ns = now_ns();
     let mut datagrams = Stream::udp();

@@ -164,7 +164,7 @@ fn drills_are_refused_on_real_hardware() {
     let mut daemon = systemd.start(&port, None);
     systemd.until("READY=1");
     let (code, _, errors) = daemon.ctl(&["drill", "stall", "centering"]);
-    assert_eq!(code, 64, "{errors}");
+    assert_eq!(code, 65, "{errors}");
     assert!(errors.contains("for the twin"), "{errors}");
     board.status();
     daemon.ends_in_order(Signal::TERM);

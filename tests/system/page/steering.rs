@@ -64,6 +64,8 @@ fn commands_need_permission_and_the_token() {
     stream.until("off", |frame| frame.lock == LockState::Off);
     daemon.ends_in_order(rustix::process::Signal::TERM);
     assert!(daemon.said("a command with a wrong token"));
+    let done = daemon.log.iter().find(|line| line["command"] == "loop off").expect("the command in the log");
+    assert!(done["peer"].as_str().is_some_and(|peer| peer.starts_with("127.0.0.1:")), "{done}");
     let peers: Vec<_> = daemon.log.iter().filter_map(|line| line["peer"].as_str()).collect();
     assert!(peers.iter().filter(|peer| peer.starts_with("127.0.0.1:")).count() >= 1, "{peers:?}");
     assert!(daemon.said("loop off") && !daemon.said(TOKEN), "the log: {:#?}", daemon.log);

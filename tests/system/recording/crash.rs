@@ -82,6 +82,7 @@ fn unfinished_files_without_data_are_deleted_and_unreadable_ones_are_named() {
         for command in ["info", "recover"] {
             let done = on(&[command], &file(n));
             assert_eq!(done.code, 65, "{}", done.err);
+            assert!(command == "info" || done.err.lines().count() == 1, "the reason, once: {}", done.err);
             assert!((done.out + &done.err).contains(why), "{command} {n}");
         }
     }

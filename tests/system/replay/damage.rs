@@ -153,8 +153,15 @@ fn a_truncated_file_is_readable_up_to_its_last_complete_chunk() {
     assert_eq!((done.code, &info["whole"], &info["finished"]), (65, &false.into(), &false.into()));
     assert!(info["torn_bytes"].as_u64().unwrap() > 0, "{info}");
     let done = on(&["replay"], &torn);
-    assert_eq!(done.code, 0, "{}", done.err);
+    assert_eq!(done.code, 65, "{}", done.err);
     assert!(done.err.contains("torn.mcap: not closed"), "{}", done.err);
+    let lost = format!("not complete: {} bytes at its end are an incomplete chunk", info["torn_bytes"]);
+    assert!(done.err.contains(&lost), "{}", done.err);
+    let done = on(&["export", "--format", "csv"], &torn);
+    assert!(done.code == 65 && done.err.contains("not closed"), "{}", done.err);
+    let done = on(&["recover"], &torn);
+    assert!(done.code == 0 && done.err.contains("bytes at the end: an incomplete chunk"), "{}", done.err);
+    assert_eq!(on(&["replay"], &lab.path("torn.recovered.mcap")).code, 0, "the new file has no gap");
 }
 
 #[test]

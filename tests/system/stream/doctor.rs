@@ -5,6 +5,7 @@ use std::net::{TcpListener, UdpSocket};
 
 use trifacet::client::PoseFrame;
 use trifacet::exit;
+use trifacet_wire::{LockState, Status};
 
 use super::fixture::{frame, publishing};
 use crate::testkit::{run, trifacet};
@@ -104,6 +105,24 @@ fn serve(bytes: Vec<u8>) -> String {
         drop(clients);
     });
     format!("tcp://{address}")
+}
+
+#[test]
+fn a_short_loss_of_the_lock_is_reported_with_its_duration() {
+    let frames = |lost: u64, last: LockState| {
+        let held = Status::POSE_VALID | Status::NOT_LOCKED;
+        let of = |n| {
+            let (status, lock) = if n < lost { (held, LockState::Held) } else { (Status::POSE_VALID, last) };
+            PoseFrame { status, lock, ..frame(n) }
+        };
+        (0..10).flat_map(|n| of(n).encode()).collect()
+    };
+    let (code, text) = doctor(&[&serve(frames(3, LockState::Locked))]);
+    assert_eq!(code, 0, "{text}");
+    assert!(text.contains("NOT_LOCKED: was not locked for 3 of 10 frames"), "{text}");
+    assert!(text.contains("the loop lost its lock for a short time, and has it again"), "{text}");
+    let (_, text) = doctor(&[&serve(frames(10, LockState::Held))]);
+    assert!(text.contains("NOT_LOCKED: the lock state is held"), "{text}");
 }
 
 #[test]

@@ -112,6 +112,8 @@ fn frames_end_with_the_lease_and_a_forged_request_is_not_served() {
     let mut daemon = publishing("tcp = 'off'\nudp = []\nsubscribe = '127.0.0.1:0'\nsubscribers = 1");
     let address = daemon.subscriptions();
     let [client, victim] = [receiver(), receiver()];
+    let refused = ask(&client, address, "subscribe lease_s=100");
+    assert_eq!(refused, "error: lease_s=100; allowed: 1 to 60");
     let challenge = ask(&client, address, "subscribe lease_s=1 divider=1");
     let nonce = challenge.strip_prefix("challenge ").unwrap();
     // The nonce of one address is invalid at another one, as is a guessed nonce.

@@ -134,19 +134,19 @@ impl Centering {
         Ok(())
     }
 
-    /// Starts a search for the apex, on request of the operator.
+    /// Starts a search for the apex, on request of the operator. Returns false if the loop regulates, so that
+    /// there is nothing to search.
     ///
     /// # Errors
     /// The loop is not on, or searches are disabled.
-    pub fn search(&mut self) -> Result<(), LoopRefusal> {
+    pub fn search(&mut self) -> Result<bool, LoopRefusal> {
         if self.params.mode != LoopMode::On {
             return Err(LoopRefusal::NotOn);
         }
         if !self.params.limits.search {
             return Err(LoopRefusal::SearchDisabled);
         }
-        self.lock.search();
-        Ok(())
+        Ok(self.lock.search())
     }
 
     /// Number of samples missed between the last one and `sample`, without those that the source reports as

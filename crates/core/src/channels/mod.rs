@@ -73,7 +73,7 @@ pub struct ChannelMap {
 
 /// Error: the source does not measure all nine signals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("no channel for {0:?}")]
+#[error("it has no channel for {0}")]
 pub struct MissingSignal(pub Role);
 
 /// The previous scan.

@@ -108,15 +108,20 @@ pub struct CommandError {
     pub(super) allowed: String,
 }
 
-fn wrong<T>(found: impl Into<String>, allowed: impl Into<String>) -> Result<T, CommandError> {
+pub(super) fn wrong<T>(found: impl Into<String>, allowed: impl Into<String>) -> Result<T, CommandError> {
     Err(CommandError { found: found.into(), allowed: allowed.into() })
 }
 
 /// Text from a client, made safe to send back: ASCII, and limited in length.
 fn quoted(text: &[u8]) -> String {
+    format!("\"{}\"", harmless(text))
+}
+
+/// The same without quotes.
+pub(super) fn harmless(text: &[u8]) -> String {
     let some = &text[..text.len().min(40)];
     let more = if some.len() < text.len() { "..." } else { "" };
-    format!("\"{}{more}\"", some.escape_ascii())
+    format!("{}{more}", some.escape_ascii())
 }
 
 impl ClientCommand {

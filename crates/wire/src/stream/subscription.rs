@@ -2,10 +2,11 @@
 
 use std::fmt;
 
-use super::request::{CommandError, divider, on_or_off};
+use super::request::{CommandError, divider, harmless, on_or_off, wrong};
 
 /// The longest lease, seconds.
 pub const MAX_LEASE_S: u32 = 60;
+
 /// The frames that a receiver of datagrams gets, and their format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Delivery {
@@ -36,25 +37,11 @@ pub enum SubscriptionRequest {
     },
 }
 
-/// The reason why a request for datagrams is not valid. The text names what is allowed.
+/// The reason why a request for datagrams is not valid: what was found, and what is allowed. The text is short,
+/// because an answer is at most twice as long as the request.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum SubscriptionError {
-    /// A request to unsubscribe without a nonce.
-    #[error("allowed: unsubscribe nonce=HEX")]
-    NoNonce,
-    /// The nonce is not a hexadecimal number of at most 64 bits.
-    #[error("allowed: nonce=HEX")]
-    Nonce,
-    /// The lease is absent or out of range.
-    #[error("allowed: lease_s=1 to {MAX_LEASE_S}")]
-    Lease,
-    /// An unknown option.
-    #[error("allowed: lease_s= divider= held= big_endian= nonce=")]
-    Option,
-    /// A value of `divider`, `held` or `big_endian` that is not allowed.
-    #[error("{}; allowed: {}", .0.found, .0.allowed)]
-    Value(#[from] CommandError),
-}
+#[error("{}; allowed: {}", .0.found, .0.allowed)]
+pub struct SubscriptionError(#[from] CommandError);
 
 impl SubscriptionRequest {
     /// Parses a datagram. Returns `None` if the datagram is not such a request and gets no answer.
@@ -66,36 +53,49 @@ impl SubscriptionRequest {
         let mut words = text.split_ascii_whitespace();
         match words.next()? {
             "subscribe" => Some(subscribe(words)),
-            "unsubscribe" => Some(match words.next().and_then(|w| w.strip_prefix("nonce=")).map(nonce) {
-                Some(nonce) => nonce.map(|nonce| Self::Unsubscribe { nonce }),
-                None => Err(SubscriptionError::NoNonce),
-            }),
+            "unsubscribe" => Some(unsubscribe(words.next())),
             _ => None,
         }
     }
 }
 
 fn subscribe<'a>(options: impl Iterator<Item = &'a str>) -> Result<SubscriptionRequest, SubscriptionError> {
-    let (mut lease_s, mut nonce_said) = (None, None);
+    let (mut lease, mut nonce_said) = (None, None);
     let mut delivery = Delivery { divider: 1, big_endian: false, held: false };
     for option in options {
+        let found = harmless(option.as_bytes());
         match option.split_once('=').unwrap_or((option, "")) {
-            ("lease_s", value) => lease_s = value.parse().ok().filter(|s| (1..=MAX_LEASE_S).contains(s)),
-            ("divider", value) => delivery.divider = divider("divider", value)?,
-            ("held", value) => delivery.held = on_or_off("held", value)?,
-            ("big_endian", value) => delivery.big_endian = on_or_off("big_endian", value)?,
-            ("nonce", value) => nonce_said = Some(nonce(value)?),
-            _ => return Err(SubscriptionError::Option),
+            ("lease_s", value) => lease = Some(lease_s(found, value)?),
+            ("divider", value) => delivery.divider = divider(&found, value)?,
+            ("held", value) => delivery.held = on_or_off(&found, value)?,
+            ("big_endian", value) => delivery.big_endian = on_or_off(&found, value)?,
+            ("nonce", value) => nonce_said = Some(nonce(found, value)?),
+            _ => wrong(found, "lease_s= divider= held= big_endian= nonce=")?,
         }
     }
-    match lease_s {
+    match lease {
         Some(lease_s) => Ok(SubscriptionRequest::Subscribe { lease_s, delivery, nonce: nonce_said }),
-        None => Err(SubscriptionError::Lease),
+        None => Ok(wrong("no lease_s", format!("lease_s=1 to {MAX_LEASE_S}"))?),
     }
 }
 
-fn nonce(text: &str) -> Result<u64, SubscriptionError> {
-    u64::from_str_radix(text, 16).map_err(|_| SubscriptionError::Nonce)
+fn unsubscribe(option: Option<&str>) -> Result<SubscriptionRequest, SubscriptionError> {
+    let found = option.map_or_else(|| "no nonce".into(), |option| harmless(option.as_bytes()));
+    match option.and_then(|option| option.strip_prefix("nonce=")) {
+        Some(value) => Ok(SubscriptionRequest::Unsubscribe { nonce: nonce(found, value)? }),
+        None => Ok(wrong(found, "unsubscribe nonce=HEX")?),
+    }
+}
+
+fn lease_s(found: String, value: &str) -> Result<u32, CommandError> {
+    match value.parse() {
+        Ok(lease_s @ 1..=MAX_LEASE_S) => Ok(lease_s),
+        _ => wrong(found, format!("1 to {MAX_LEASE_S}")),
+    }
+}
+
+fn nonce(found: String, value: &str) -> Result<u64, CommandError> {
+    u64::from_str_radix(value, 16).or_else(|_| wrong(found, "nonce=HEX"))
 }
 
 /// The request as sent by a client.

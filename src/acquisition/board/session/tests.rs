@@ -347,7 +347,7 @@ fn an_unusable_board_is_reported_with_the_reason() {
         bench.session.connected(bench.now);
         bench.start(board);
         match bench.session.event() {
-            Some(SourceEvent::Down(SourceError::Unfit(message))) => {
+            Some(SourceEvent::Down(SourceError::Unfit { reason: message, .. })) => {
                 assert!(message.contains(reason), "{message}");
             }
             other => panic!("{reason}: {other:?}"),
@@ -364,13 +364,13 @@ fn a_board_of_another_version_is_reported() {
     let mut frame = Vec::new();
     trifacet_wire::board::framing::encode(&[0x81, 2, 9, 9, 9], &mut frame);
     bench.session.received(&frame, bench.now);
-    let Some(SourceEvent::Down(SourceError::Unfit(reason))) = bench.session.event() else {
+    let Some(SourceEvent::Down(SourceError::Unfit { reason, .. })) = bench.session.event() else {
         panic!("no reason")
     };
     assert!(reason.contains("version 2"), "{reason}");
     bench.session.connected(bench.now);
     bench.answer(&Answer::Error { reason: ErrorReason::Version, kind: 1 });
-    let Some(SourceEvent::Down(SourceError::Unfit(reason))) = bench.session.event() else {
+    let Some(SourceEvent::Down(SourceError::Unfit { reason, .. })) = bench.session.event() else {
         panic!("no reason")
     };
     assert!(reason.contains("version 1"), "{reason}");
@@ -382,7 +382,7 @@ fn a_wire_too_slow_for_the_rate_is_refused() {
     bench.session.settings.baud = 115_200;
     bench.session.connected(bench.now);
     bench.start(&board());
-    let Some(SourceEvent::Down(SourceError::Unfit(reason))) = bench.session.event() else {
+    let Some(SourceEvent::Down(SourceError::Unfit { reason, .. })) = bench.session.event() else {
         panic!("no reason")
     };
     assert!(reason.contains("115200") && reason.contains("600000"), "{reason}");

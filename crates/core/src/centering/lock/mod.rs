@@ -194,12 +194,15 @@ impl Lock {
         (from != self.state).then_some(Transition { from, to: self.state, cause: self.cause })
     }
 
-    /// Starts a search on request of the operator: without the waiting time, and with all counts reset.
-    pub fn search(&mut self) {
-        if self.action != Action::Regulating {
+    /// Starts a search on request of the operator: without the waiting time, and with all counts reset. Returns
+    /// false if the loop regulates: then only the counts are reset.
+    pub fn search(&mut self) -> bool {
+        let starts = self.action != Action::Regulating;
+        if starts {
             (self.action, self.blind_s) = (Action::Holding, f64::INFINITY);
         }
         (self.jumps, self.attempts, self.slips) = (0, 0, 0);
+        starts
     }
 
     /// The state.

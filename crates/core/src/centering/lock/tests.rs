@@ -82,7 +82,7 @@ fn a_beam_that_is_found_and_lost_repeatedly_is_abandoned() {
         assert_eq!(course(&mut lock, seen, 1000), [(Action::Waiting, LockState::Held)]);
     }
     assert!(found == MOST_SLIPS, "{found}");
-    lock.search();
+    assert!(lock.search());
     assert_eq!(feed(&mut lock, off_by(0.0), 200), LockState::Locked);
 }
 
@@ -153,7 +153,7 @@ fn after_the_limit_of_failed_searches_the_loop_waits_for_light_or_a_command() {
     };
     assert_eq!(searched(&mut lock), 2);
     assert_eq!(course(&mut lock, LockInput::Dark, 10_000), [(Action::Waiting, LockState::Held)]);
-    lock.search();
+    assert!(lock.search());
     assert_eq!(searched(&mut lock), 2, "a person");
     assert_eq!(course(&mut lock, ELSEWHERE, 1000), [(Action::Waiting, LockState::Held)], "no news");
     let news =
