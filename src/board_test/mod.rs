@@ -1,6 +1,6 @@
 //! `trifacet board-test`: puts a board through the rules of `docs/board-protocol.md`.
 //!
-//! - `line`: the port. [`bench`]: the board on it. [`scans`]: what is read from it in a series.
+//! - `line`: the port. [`bench`](mod@bench): the board on it. [`scans`]: what is read from it in a series.
 //! - [`verdict`]: the results. `rules`: the rules, by the sections of the document.
 
 pub mod bench;

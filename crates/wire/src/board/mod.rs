@@ -1,7 +1,8 @@
 //! The protocol of the acquisition board (`docs/board-protocol.md`), for both sides of the cable.
 //!
 //! - [`framing`]: from the byte stream to checked messages. [`message`]: their contents. [`scan`]: a scan.
-//! - [`identity`]: the identity of a board. [`unit`]: units of its channels. [`bandwidth`]: the required data rate of the line.
+//! - [`identity`]: the identity of a board. [`unit`](mod@unit): units of its
+//!   channels. [`bandwidth`]: the required data rate of the line.
 
 pub mod bandwidth;
 mod error;
