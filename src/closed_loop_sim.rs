@@ -176,7 +176,9 @@ impl ClosedLoopSim {
         if accepted {
             self.twin.steer(codes, t_s);
         }
-        self.pipeline.centering().stage_answers(Ack { id, accepted });
+        if let Some(id) = self.twin.acknowledged(id) {
+            self.pipeline.centering().stage_answers(Ack { id, accepted });
+        }
     }
 }
 

@@ -25,6 +25,8 @@ pub enum FaultKind {
         /// Index of the channel.
         channel: u8,
     },
+    /// The readback of the stage repeats its last codes.
+    ReadbackFrozen,
     /// The clock of the board runs at another rate; with factor 0 it stands still. Only an emulated board has a
     /// clock of its own.
     ClockRate {
@@ -65,6 +67,11 @@ pub enum FaultKind {
         fraction: f64,
         /// Frequency, hertz.
         frequency_hz: f64,
+    },
+    /// Other light than that of the laser falls on all PSDs.
+    AmbientLight {
+        /// Its power on each PSD, as a fraction of a third of the power of the laser, 0 to 1.
+        fraction: f64,
     },
     /// The noise of spots and powers is multiplied by a factor.
     NoiseBurst {
@@ -114,6 +121,7 @@ enum KindName {
     PsdDark,
     Clipped,
     Frozen,
+    ReadbackFrozen,
     ClockRate,
     Dropped,
     Corrupted,
@@ -124,6 +132,7 @@ enum KindName {
     SteeringStuck,
     LaserPower,
     Flicker,
+    AmbientLight,
     NoiseBurst,
     LaserBump,
 }
@@ -154,6 +163,7 @@ impl TryFrom<FaultKeys> for Fault {
             KindName::PsdDark => FaultKind::PsdDark { psd: needed(keys.psd.take(), "psd")? },
             KindName::Clipped => FaultKind::Clipped { channel: needed(keys.channel.take(), "channel")? },
             KindName::Frozen => FaultKind::Frozen { channel: needed(keys.channel.take(), "channel")? },
+            KindName::ReadbackFrozen => FaultKind::ReadbackFrozen,
             KindName::ClockRate => FaultKind::ClockRate { factor: needed(keys.factor.take(), "factor")? },
             KindName::Dropped => FaultKind::Dropped { fraction: needed(keys.fraction.take(), "fraction")? },
             KindName::Corrupted => {
@@ -171,6 +181,9 @@ impl TryFrom<FaultKeys> for Fault {
                 fraction: needed(keys.fraction.take(), "fraction")?,
                 frequency_hz: needed(keys.frequency_hz.take(), "frequency_hz")?,
             },
+            KindName::AmbientLight => {
+                FaultKind::AmbientLight { fraction: needed(keys.fraction.take(), "fraction")? }
+            }
             KindName::NoiseBurst => FaultKind::NoiseBurst { factor: needed(keys.factor.take(), "factor")? },
             KindName::LaserBump => {
                 FaultKind::LaserBump { shift_um: needed(keys.shift_um.take(), "shift_um")? }
@@ -205,7 +218,9 @@ impl Fault {
             FaultKind::Clipped { channel } | FaultKind::Frozen { channel } => {
                 at.number("channel", channel, 0.0..=8.0);
             }
-            FaultKind::Dropped { fraction } | FaultKind::Corrupted { fraction } => {
+            FaultKind::Dropped { fraction }
+            | FaultKind::Corrupted { fraction }
+            | FaultKind::AmbientLight { fraction } => {
                 at.number("fraction", fraction, 0.0..=1.0);
             }
             FaultKind::LaserPower { factor }
@@ -220,6 +235,7 @@ impl Fault {
             FaultKind::Bursts { interval_ms } => at.number("interval_ms", interval_ms, 1.0..=10_000.0),
             FaultKind::LaserBump { shift_um } => at.numbers("shift_um", &shift_um, -10_000.0..=10_000.0),
             FaultKind::BeamBlocked
+            | FaultKind::ReadbackFrozen
             | FaultKind::Stalled
             | FaultKind::MuteAcks
             | FaultKind::WrongAcks

@@ -98,16 +98,27 @@ impl Electronics {
         self.laser_mw * 1e-3
     }
 
-    /// The code of one of the nine signals, with the laser at `power` times its nominal power.
-    pub fn signal(&self, channel: usize, spots: &[Option<Spot>; 3], power: f64, noise: &Noise) -> i32 {
+    /// The code of one of the nine signals, with the laser at `power` times its nominal power, and with `ambient`
+    /// times a third of this power on the whole of each PSD.
+    pub fn signal(
+        &self,
+        channel: usize,
+        spots: &[Option<Spot>; 3],
+        [power, ambient]: [f64; 2],
+        noise: &Noise,
+    ) -> i32 {
         let (i, part) = (channel / 3, channel % 3);
         let psd = &self.psds[i];
-        let sum_mw = spots[i].map_or(0.0, |s| s.power * power * self.laser_mw);
+        let laser_mw = spots[i].map_or(0.0, |s| s.power * power * self.laser_mw);
+        let sum_mw = laser_mw + ambient * self.laser_mw / 3.0;
+        // The centre of all light; that of the ambient light is the centre of the PSD.
+        let share = if ambient > 0.0 { laser_mw / sum_mw } else { 1.0 };
+        let spot = spots[i].map(|spot| Spot { at: spot.at.map(|at| at * share), ..spot });
         let sum_v = sum_mw * (1.0 + self.power_noise * noise.powers[i])
             / (self.power_mw_per_v * psd.channels.gain[2]);
         let volts = match part {
             2 => sum_v,
-            _ => psd.position(part, spots[i], sum_v, noise.spots[2 * i + part]),
+            _ => psd.position(part, spot, sum_v, noise.spots[2 * i + part]),
         };
         self.converter.code(volts + psd.dark_v[part])
     }
@@ -157,7 +168,8 @@ mod tests {
 
     fn volts(config: &Config, channel: usize, spot: Option<Spot>, power: f64) -> f64 {
         let electronics = Electronics::new(config, [HALF; 3]);
-        f64::from(electronics.signal(channel, &[spot; 3], power, &QUIET)) * electronics.converter.step_v()
+        f64::from(electronics.signal(channel, &[spot; 3], [power, 0.0], &QUIET))
+            * electronics.converter.step_v()
     }
 
     fn near(a: f64, b: f64) {
@@ -198,7 +210,8 @@ mod tests {
         let mut config = Config::default();
         config.twin.converter_bits = 12;
         let electronics = Electronics::new(&config, [HALF; 3]);
-        let code = |u: f64| electronics.signal(0, &[Some(Spot { at: [u, 0.0], power: 0.3 }); 3], 1.0, &QUIET);
+        let code =
+            |u: f64| electronics.signal(0, &[Some(Spot { at: [u, 0.0], power: 0.3 }); 3], [1.0, 0.0], &QUIET);
         assert_eq!([code(HALF), code(-HALF), code(1.1 * HALF)], [2047, -2048, 2047]);
         let step = HALF / 2048.0;
         assert_eq!([code(100.4 * step), code(100.6 * step), code(-0.4 * step)], [100, 101, 0]);

@@ -49,6 +49,8 @@ pub struct Active {
     pub clipped: [bool; SIGNALS.len()],
     /// Channels that repeat their last code.
     pub frozen: [bool; SIGNALS.len()],
+    /// The readback of the stage repeats its last codes.
+    pub readback_frozen: bool,
     /// The clock of the board runs at this rate, 1 without a fault.
     pub clock: f64,
     /// Fraction of the scans that is dropped.
@@ -65,6 +67,8 @@ pub struct Active {
     pub stuck: bool,
     /// The laser's power is multiplied by this.
     pub power: f64,
+    /// Other light on each PSD, as a fraction of a third of the laser's nominal power.
+    pub ambient: f64,
     /// The noise of spots and powers is multiplied by this.
     pub noise: f64,
     /// The laser is displaced by this, x and y, metres.
@@ -110,6 +114,7 @@ impl Default for Active {
             dark: [false; 3],
             clipped: [false; SIGNALS.len()],
             frozen: [false; SIGNALS.len()],
+            readback_frozen: false,
             clock: 1.0,
             dropped: 0.0,
             corrupted: 0.0,
@@ -118,6 +123,7 @@ impl Default for Active {
             acks: Acks::Right,
             stuck: false,
             power: 1.0,
+            ambient: 0.0,
             noise: 1.0,
             shift: [0.0; 2],
         }
@@ -150,6 +156,7 @@ impl Active {
             FaultKind::PsdDark { psd } => self.dark[usize::from(psd)] = true,
             FaultKind::Clipped { channel } => self.clipped[usize::from(channel)] = true,
             FaultKind::Frozen { channel } => self.frozen[usize::from(channel)] = true,
+            FaultKind::ReadbackFrozen => self.readback_frozen = true,
             FaultKind::ClockRate { factor } => self.clock *= factor,
             FaultKind::Dropped { fraction } => self.dropped = either(self.dropped, fraction),
             FaultKind::Corrupted { fraction } => self.corrupted = either(self.corrupted, fraction),
@@ -162,6 +169,7 @@ impl Active {
             FaultKind::Flicker { fraction, frequency_hz } => {
                 self.power *= 1.0 + fraction * (std::f64::consts::TAU * frequency_hz * t_s).sin();
             }
+            FaultKind::AmbientLight { fraction } => self.ambient += fraction,
             FaultKind::NoiseBurst { factor } => self.noise *= factor,
             FaultKind::LaserBump { shift_um: [x, y] } => {
                 self.shift = [self.shift[0] + x * 1e-6, self.shift[1] + y * 1e-6];
@@ -191,6 +199,7 @@ fn check(fault: &Fault) -> Result<(), (&'static str, &'static str)> {
         FaultKind::Dropped { fraction }
         | FaultKind::Corrupted { fraction }
         | FaultKind::Flicker { fraction, .. }
+        | FaultKind::AmbientLight { fraction }
             if !within(fraction, 1.0) =>
         {
             Err(("fraction", "must be from 0 to 1"))
@@ -267,6 +276,7 @@ mod tests {
             (FaultKind::Corrupted { fraction: f64::NAN }, "fraction"),
             (FaultKind::LaserPower { factor: -1.0 }, "factor"),
             (FaultKind::NoiseBurst { factor: f64::INFINITY }, "factor"),
+            (FaultKind::AmbientLight { fraction: -0.1 }, "fraction"),
             (FaultKind::Flicker { fraction: 1.5, frequency_hz: 100.0 }, "fraction"),
             (FaultKind::Flicker { fraction: 0.5, frequency_hz: f64::NAN }, "frequency_hz"),
             (FaultKind::Bursts { interval_ms: f64::NAN }, "interval_ms"),

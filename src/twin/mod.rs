@@ -235,6 +235,9 @@ impl Twin {
         for (channel, _) in faults.frozen.iter().enumerate().filter(|(_, frozen)| **frozen) {
             codes[channel] = self.codes[channel];
         }
+        if faults.readback_frozen {
+            codes[READBACK..].copy_from_slice(&self.codes[READBACK..]);
+        }
         self.codes = codes;
         self.clock_ahead_s += (faults.clock - 1.0) / self.rate_hz;
         let (burst_s, output_railed) = (faults.burst_s, self.stage.railed());
@@ -266,7 +269,7 @@ impl Twin {
         for (spot, dark) in spots.iter_mut().zip(faults.dark) {
             *spot = spot.filter(|_| !dark);
         }
-        self.electronics.signal(channel, &spots, faults.power, noise)
+        self.electronics.signal(channel, &spots, [faults.power, faults.ambient], noise)
     }
 }
 

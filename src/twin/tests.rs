@@ -96,6 +96,14 @@ fn faults_change_only_their_channels_and_not_the_later_noise() {
     assert_eq!(changed(&dimmed), [2, 5, 8]);
     assert!((volts(&dimmed[0], 2) / volts(&plain[100], 2) - 0.5).abs() < 1e-4);
 
+    // Half as much light again, at the centre: the sums increase by a half, and the spots shrink by a third.
+    let lit = faulty(FaultKind::AmbientLight { fraction: 0.5 });
+    for psd in 0..3 {
+        assert!((volts(&lit[0], 3 * psd + 2) / volts(&plain[100], 3 * psd + 2) - 1.5).abs() < 1e-2);
+        assert!((volts(&lit[0], 3 * psd + 1) / volts(&plain[100], 3 * psd + 1) - 1.0 / 1.5).abs() < 0.02);
+    }
+    let stuck = faulty(FaultKind::ReadbackFrozen);
+    assert!(stuck.iter().all(|s| s.codes[9..11] == plain[99].codes[9..11]));
     let loud = faulty(FaultKind::NoiseBurst { factor: 10.0 });
     assert_eq!(changed(&loud), [0, 1, 2, 3, 4, 5, 6, 7, 8]);
     let off = |scans: &[TwinScan]| mean_and_sd(&scans.iter().map(|s| volts(s, 0)).collect::<Vec<_>>()).1;

@@ -12,6 +12,7 @@ S is a duration in seconds; without S, a fault is permanent:
   psd-dark 0..2 [S]         a PSD sees no light
   clipped 0..8 [S]          a channel reads the limit of its range
   frozen 0..8 [S]           a channel repeats its last code
+  readback-frozen [S]       the readback of the stage repeats its last codes
   clock-rate FACTOR [S]     the clock of the board runs at this multiple of its rate
   dropped 0..1 [S]          this fraction of the scans is not sent
   corrupted 0..1 [S]        this fraction of the scans is damaged in transit
@@ -22,6 +23,7 @@ S is a duration in seconds; without S, a fault is permanent:
   steering-stuck [S]        the stage ignores commands
   laser-power FACTOR [S]    the power of the laser is multiplied
   flicker 0..1 HZ [S]       the power of the laser changes as a sine with this amplitude and frequency
+  ambient-light 0..1 [S]    other light on each PSD, as a fraction of a third of the laser's power
   noise-burst FACTOR [S]    the noise of spots and powers is multiplied
   laser-bump X Y [S]        the laser is displaced by X, Y micrometres; the readback does not change
   unplug S                  the port disappears for S seconds
@@ -29,10 +31,11 @@ S is a duration in seconds; without S, a fault is permanent:
   status                    prints the state of the board, one line of JSON";
 
 /// The same list for error messages.
-const ALLOWED: &str = "allowed are: beam-blocked [S], psd-dark 0..2 [S], clipped 0..8 [S], frozen 0..8 [S], \
+const ALLOWED: &str = "allowed are: beam-blocked [S], psd-dark 0..2 [S], clipped 0..8 [S], frozen 0..8 [S], readback-frozen [S], \
     clock-rate FACTOR [S], dropped 0..1 [S], \
     corrupted 0..1 [S], stalled [S], bursts MS [S], mute-acks [S], wrong-acks [S], steering-stuck [S], laser-power FACTOR [S], \
-     flicker 0..1 HZ [S], noise-burst FACTOR [S], laser-bump X Y [S], unplug S, restart, status (S: duration in seconds)";
+     flicker 0..1 HZ [S], ambient-light 0..1 [S], noise-burst FACTOR [S], laser-bump X Y [S], unplug S, restart, \
+     status (S: duration in seconds)";
 
 /// Longest duration, seconds. A longer fault can be permanent.
 const LONGEST_S: f64 = 1e6;
@@ -78,6 +81,7 @@ fn parse<'a>(words: &mut impl Iterator<Item = &'a str>) -> Option<EmulatorComman
         "psd-dark" => FaultKind::PsdDark { psd: number(words.next()?)? },
         "clipped" => FaultKind::Clipped { channel: number(words.next()?)? },
         "frozen" => FaultKind::Frozen { channel: number(words.next()?)? },
+        "readback-frozen" => FaultKind::ReadbackFrozen,
         "clock-rate" => FaultKind::ClockRate { factor: number(words.next()?)? },
         "dropped" => FaultKind::Dropped { fraction: number(words.next()?)? },
         "corrupted" => FaultKind::Corrupted { fraction: number(words.next()?)? },
@@ -90,6 +94,7 @@ fn parse<'a>(words: &mut impl Iterator<Item = &'a str>) -> Option<EmulatorComman
         "flicker" => {
             FaultKind::Flicker { fraction: number(words.next()?)?, frequency_hz: number(words.next()?)? }
         }
+        "ambient-light" => FaultKind::AmbientLight { fraction: number(words.next()?)? },
         "noise-burst" => FaultKind::NoiseBurst { factor: number(words.next()?)? },
         "laser-bump" => FaultKind::LaserBump { shift_um: [number(words.next()?)?, number(words.next()?)?] },
         _ => return None,
@@ -113,9 +118,9 @@ fn possible(kind: FaultKind) -> bool {
     match kind {
         FaultKind::PsdDark { psd } => psd <= 2,
         FaultKind::Clipped { channel } | FaultKind::Frozen { channel } => channel <= 8,
-        FaultKind::Dropped { fraction } | FaultKind::Corrupted { fraction } => {
-            (0.0..=1.0).contains(&fraction)
-        }
+        FaultKind::Dropped { fraction }
+        | FaultKind::Corrupted { fraction }
+        | FaultKind::AmbientLight { fraction } => (0.0..=1.0).contains(&fraction),
         FaultKind::LaserPower { factor }
         | FaultKind::NoiseBurst { factor }
         | FaultKind::ClockRate { factor } => (0.0..=1e3).contains(&factor),
@@ -125,6 +130,7 @@ fn possible(kind: FaultKind) -> bool {
         FaultKind::Bursts { interval_ms } => (1.0..=1e4).contains(&interval_ms),
         FaultKind::LaserBump { shift_um } => shift_um.iter().all(|um| (-1e4..=1e4).contains(um)),
         FaultKind::BeamBlocked
+        | FaultKind::ReadbackFrozen
         | FaultKind::Stalled
         | FaultKind::MuteAcks
         | FaultKind::WrongAcks

@@ -1,18 +1,37 @@
-//! Lock state and poses during 200 random sequences of faults: neither may claim what is false.
+//! Lock state and poses during random sequences of faults: neither may claim what is false.
 //!
 //! 10 kHz, without skew between the channels, so no scan is split by a jump of the mirror. The mirror moves
-//! throughout. Each sequence has two to five faults, which may overlap.
+//! throughout. Each sequence has two to five faults, which may overlap. In one of twenty, the polarity of the stage is
+//! reversed.
+//!
+//! Not judged are poses within the time in which a fault is found: the first 12 scans of light with a frozen channel, and
+//! the first 200 poses of a noise burst. Nor is anything judged that nothing can tell:
+//!
+//! - ambient light;
+//! - fused poses with a readback that is wrong by less than five standard uncertainties: that of a frozen readback, or of
+//!   a stage with reversed polarity, passes such positions again and again (`docs/sensor-model.md`, *Eleven signals*).
+//!
+//! Faults of the tick and bursts do not occur: this simulation has no link with delays of its own; the tests of the
+//! timebase have them.
+//!
+//! A thousand sequences: `cargo test --release --test numeric centering::faults::a_thousand -- --ignored --nocapture`
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use trifacet::closed_loop_sim::{ClosedLoopSim, SimStep};
 use trifacet::config::{Axis, Config, Fault, FaultKind, Motion, MotionKind};
+use trifacet::core::signals::PsdState;
 use trifacet_wire::{LockState, Status};
 
 use super::{bench, motion, wide_bench};
 
 /// The range of the stage, micrometres.
 const LIMIT_UM: f64 = 2000.0;
+
+/// A frozen channel is found after 7 scans of 18 bits with light; here with a margin for its noise.
+const FROZEN: u32 = 12;
+/// The loop is right again after this time without ambient light, seconds.
+const SETTLED_S: f64 = 0.05;
 
 /// The continuous motion of the mirror: axis, um or urad, Hz.
 const WANDER: [(Axis, f64, f64); 4] =
@@ -24,7 +43,14 @@ struct Sequence {
     config: Config,
     over_s: f64,
     replugged: bool,
+    /// The stage moves against its commands: the loop cannot lock.
+    reversed: bool,
     bursts: Vec<std::ops::Range<f64>>,
+    /// When a channel freezes, and when ambient light falls on the PSDs.
+    frozen: Vec<std::ops::Range<f64>>,
+    ambient: Vec<std::ops::Range<f64>>,
+    /// When the readback repeats its codes.
+    readback: Vec<std::ops::Range<f64>>,
 }
 
 fn sequence(seed: u64) -> Sequence {
@@ -35,13 +61,18 @@ fn sequence(seed: u64) -> Sequence {
         .into_iter()
         .map(|(axis, amount, hz)| Motion { frequency_hz: Some(hz), ..motion(axis, MotionKind::Sine, amount) })
         .collect();
-    let (mut at_s, mut over_s, mut bursts) = (0.3, 0.0_f64, Vec::new());
+    let (mut at_s, mut over_s) = (0.3, 0.0_f64);
+    let (mut bursts, mut frozen, mut ambient, mut readback) = (vec![], vec![], vec![], vec![]);
+    let reversed = random.random_range(0..20) == 0;
+    if reversed {
+        config.twin.steering.matrix = config.twin.steering.matrix.map(|row| row.map(|x| -x));
+    }
     let mut jumped = false;
     for _ in 0..random.random_range(2..=5) {
         let lasts_s = 0.01 * 100_f64.powf(random.random::<f64>());
         let angle = std::f64::consts::TAU * random.random::<f64>();
         let one_of = |n: u8, random: &mut Pcg64| random.random_range(0..n);
-        let kind = match one_of(9, &mut random) {
+        let kind = match one_of(15, &mut random) {
             0 => Some(FaultKind::BeamBlocked),
             1 => Some(FaultKind::PsdDark { psd: one_of(3, &mut random) }),
             2 => Some(FaultKind::SteeringStuck),
@@ -59,6 +90,24 @@ fn sequence(seed: u64) -> Sequence {
                 jumped = true;
                 None
             }
+            8 => {
+                frozen.push(at_s..at_s + lasts_s);
+                Some(FaultKind::Frozen { channel: one_of(9, &mut random) })
+            }
+            9 => {
+                readback.push(at_s..at_s + lasts_s);
+                Some(FaultKind::ReadbackFrozen)
+            }
+            10 => Some(FaultKind::Flicker {
+                fraction: 0.2 * random.random::<f64>(),
+                frequency_hz: 50.0 + 250.0 * random.random::<f64>(),
+            }),
+            11 => Some([FaultKind::MuteAcks, FaultKind::WrongAcks][usize::from(one_of(2, &mut random))]),
+            12 => {
+                ambient.push(at_s..at_s + lasts_s);
+                Some(FaultKind::AmbientLight { fraction: 0.1 * random.random::<f64>() })
+            }
+            13 => Some(FaultKind::LaserBump { shift_um: [40.0 * angle.cos(), 40.0 * angle.sin()] }),
             // The apex is out of range for a limited time: the loop is railed at the limit of the actuator.
             _ => {
                 let away = 1.3 * LIMIT_UM;
@@ -70,7 +119,7 @@ fn sequence(seed: u64) -> Sequence {
         over_s = over_s.max(at_s + lasts_s);
         at_s += lasts_s * random.random::<f64>() * 1.5 + 0.3 * random.random::<f64>();
     }
-    Sequence { config, over_s, replugged: random.random(), bursts }
+    Sequence { config, over_s, replugged: random.random(), reversed, bursts, frozen, ambient, readback }
 }
 
 fn jump(config: &mut Config, from_s: f64, until_s: Option<f64>, amount_um: f64, angle: f64) {
@@ -90,17 +139,18 @@ struct Worst {
     false_lock_s: f64,
     /// Largest error of a valid pose in units of its reported standard uncertainty.
     error: f64,
+    /// When it occurred.
+    error_s: f64,
     /// From the end of the last fault to the next lock, seconds; `None` without a lock.
     relocked_s: Option<f64>,
 }
 
 impl Worst {
     fn of(self, other: Self) -> Self {
-        let relocked_s = self.relocked_s.zip(other.relocked_s).map(|(a, b)| a.max(b));
         Self {
             false_lock_s: self.false_lock_s.max(other.false_lock_s),
             error: self.error.max(other.error),
-            relocked_s,
+            ..Self::default()
         }
     }
 }
@@ -112,6 +162,8 @@ struct Watch<'a> {
     /// Active noise bursts, and the number of poses since the last one began.
     bursts: usize,
     poses_in_burst: u32,
+    /// Scans with a frozen channel and light on all PSDs.
+    frozen: u32,
     worst: Worst,
 }
 
@@ -123,6 +175,14 @@ impl Watch<'_> {
         }
         let Some(report) = turn.report else { return };
         let t_s = turn.scan.t_s;
+        let lit = |psd: &PsdState| matches!(psd, PsdState::Good | PsdState::Frozen);
+        let all_lit = turn.sample.is_some_and(|sample| sample.psds.iter().all(lit));
+        self.frozen = if all_lit && self.sequence.freezes(t_s) { self.frozen + 1 } else { 0 };
+        if self.sequence.untold(t_s) {
+            self.false_lock_since = None;
+            self.new_burst(t_s);
+            return;
+        }
         let beyond = turn.scan.truth.offset.norm() > self.sequence.config.centering.lock_limit_um * 1e-6;
         if report.lock == LockState::Locked && beyond {
             let since = *self.false_lock_since.get_or_insert(t_s);
@@ -132,15 +192,38 @@ impl Watch<'_> {
         }
         if let (Some(pose), Some(covariance)) = (report.pose, report.covariance)
             && !self.new_burst(t_s)
+            && report.status.usable(Status::SIMULATED)
+            && !(1..=FROZEN).contains(&self.frozen)
+            && !self.sequence.misled(t_s)
         {
-            assert!(report.status.has(Status::POSE_VALID));
             let error = pose.to_array().into_iter().zip(turn.scan.truth.pose.to_array()).enumerate();
             let error = error.map(|(i, (p, true_p))| (p - true_p).abs() / covariance[(i, i)].sqrt());
-            self.worst.error = self.worst.error.max(error.fold(0.0, f64::max));
+            let error = error.fold(0.0, f64::max);
+            if error > self.worst.error {
+                (self.worst.error, self.worst.error_s) = (error, t_s);
+            }
         }
         if t_s > self.sequence.over_s && report.lock == LockState::Locked {
             self.worst.relocked_s = Some(t_s - self.sequence.over_s);
         }
+    }
+}
+
+impl Sequence {
+    /// Whether nothing can tell a fault at this time, or its effects on the loop within `SETTLED_S`.
+    fn untold(&self, t_s: f64) -> bool {
+        self.ambient.iter().any(|during| (during.start..during.end + SETTLED_S).contains(&t_s))
+    }
+
+    /// Whether a channel is frozen.
+    fn freezes(&self, t_s: f64) -> bool {
+        self.frozen.iter().any(|during| during.contains(&t_s))
+    }
+
+    /// Whether a fused pose follows a readback that is wrong.
+    fn misled(&self, t_s: f64) -> bool {
+        let wrong = self.reversed || self.readback.iter().any(|during| during.contains(&t_s));
+        self.config.estimation.fuse_steering && wrong
     }
 }
 
@@ -158,8 +241,14 @@ impl Watch<'_> {
 
 fn run(sequence: &Sequence) -> Worst {
     let mut sim = ClosedLoopSim::new(&sequence.config).unwrap();
-    let mut watch =
-        Watch { sequence, false_lock_since: None, bursts: 0, poses_in_burst: 0, worst: Worst::default() };
+    let mut watch = Watch {
+        sequence,
+        false_lock_since: None,
+        bursts: 0,
+        poses_in_burst: 0,
+        frozen: 0,
+        worst: Worst::default(),
+    };
     let mut silent = false;
     loop {
         let turn = sim.step();
@@ -168,7 +257,8 @@ fn run(sequence: &Sequence) -> Worst {
             sim.centering().stage_up(); // as at the identification of the board
         }
         silent = turn.sample.is_none();
-        if watch.worst.relocked_s.is_some() || turn.scan.t_s > sequence.over_s + 10.0 {
+        let longest_s = if sequence.reversed { 2.0 } else { 10.0 };
+        if watch.worst.relocked_s.is_some() || turn.scan.t_s > sequence.over_s + longest_s {
             return watch.worst;
         }
     }
@@ -191,8 +281,10 @@ fn try_out(label: &str, sequences: u64, signals: fn(&mut Config)) {
         all.extend(other.join().unwrap());
         all
     });
-    let Worst { false_lock_s, error, relocked_s } =
-        all.iter().map(|(_, worst, _)| *worst).reduce(Worst::of).unwrap();
+    let Worst { false_lock_s, error, .. } = all.iter().map(|(_, worst, _)| *worst).reduce(Worst::of).unwrap();
+    let relocked_s =
+        all.iter().filter(|(.., sequence)| !sequence.reversed).map(|(_, worst, _)| worst.relocked_s);
+    let relocked_s = relocked_s.reduce(|a, b| a.zip(b).map(|(a, b)| a.max(b))).flatten();
     println!(
         "{label:<16} {sequences:>4} sequences of faults; at worst: \"locked\" beyond the limit for {:.1} ms, \
          a pose wrong by {error:.1} sigma, locked again after {:.2} s",
@@ -200,10 +292,25 @@ fn try_out(label: &str, sequences: u64, signals: fn(&mut Config)) {
         relocked_s.unwrap_or(f64::NAN)
     );
     let lock_s = bench().centering.lock_time_ms * 1e-3;
+    let mut failed = Vec::new();
     for (seed, worst, sequence) in &all {
-        let fine = worst.false_lock_s <= lock_s && worst.error <= 7.0 && worst.relocked_s.is_some();
-        assert!(fine, "seed {seed}: {worst:?}\n{:?}", sequence.config.twin);
+        let locks = worst.relocked_s.is_some() || sequence.reversed;
+        if !(worst.false_lock_s <= lock_s && worst.error <= 7.0 && locks) {
+            let Sequence { config, reversed, .. } = sequence;
+            println!("seed {seed}, reversed {reversed}: {worst:?}\n{:#?}", config.twin.fault);
+            failed.push(*seed);
+        }
     }
+    assert!(failed.is_empty(), "{label}: seeds {failed:?}");
+}
+
+fn nine_signals(config: &mut Config) {
+    config.twin.steering.readback_noise_um = None;
+}
+
+fn eleven_signals(config: &mut Config) {
+    config.estimation.fuse_steering = true;
+    config.steering.deviation_um = Some(0.1);
 }
 
 #[test]
@@ -213,15 +320,20 @@ fn faults_cause_no_false_lock_and_no_wrong_pose() {
 
 #[test]
 fn faults_without_readback_cause_no_false_lock_and_no_wrong_pose() {
-    try_out("nine signals", 100, |config| config.twin.steering.readback_noise_um = None);
+    try_out("nine signals", 100, nine_signals);
 }
 
 #[test]
 fn faults_with_eleven_signals_cause_no_false_lock_and_no_wrong_pose() {
-    try_out("eleven signals", 100, |config| {
-        config.estimation.fuse_steering = true;
-        config.steering.deviation_um = Some(0.1);
-    });
+    try_out("eleven signals", 100, eleven_signals);
+}
+
+#[test]
+#[ignore = "a command: takes many minutes"]
+fn a_thousand() {
+    try_out("with readback", 500, |_| {});
+    try_out("nine signals", 250, nine_signals);
+    try_out("eleven signals", 250, eleven_signals);
 }
 
 /// The default configuration with a mirror at rest and one fault from 0.5 s on.
