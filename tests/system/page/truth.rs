@@ -120,7 +120,9 @@ fn without_a_board_the_page_reports_no_samples_and_shows_no_values() {
     let (_daemon, _stream, at) =
         daemon("acquisition.source = 'serial'\nacquisition.serial.port = '/nowhere/board'\n");
     let mut page = Browser::open(&format!("http://{at}/"), DESK);
-    page.until("document.querySelector('#headline')?.innerText.includes('No valid pose: no samples since')");
+    page.until(
+        "/No valid pose: no samples: .*\\/nowhere\\/board.* since/.test(document.querySelector('#headline')?.innerText)",
+    );
     page.until("document.querySelectorAll('#latency dd').length >= 5");
     page.until("document.querySelector('#beam-facts').innerText.includes('no samples')"); // the cause
     let told = page.eval(

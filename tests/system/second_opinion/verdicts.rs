@@ -21,21 +21,31 @@ fn rules<'a>(report: &'a Value, verdict: &str) -> BTreeSet<&'a str> {
     all.iter().filter(|rule| rule["verdict"] == verdict).map(|rule| rule["rule"].as_str().unwrap()).collect()
 }
 
+/// Runs a check with each of these at the same time: a test of a board takes half a minute, in which the processor has
+/// little to do.
+fn each<T: Sync>(all: &[T], check: impl Fn(&T) + Sync) {
+    std::thread::scope(|scope| {
+        for one in all {
+            scope.spawn(|| check(one));
+        }
+    });
+}
+
 #[test]
 fn an_emulated_board_of_each_version_keeps_all_rules() {
-    for version in ["1.0", "1.1"] {
+    each(&["1.0", "1.1"], |version| {
         let mut board = testkit::Board::of_version(version, "");
         let (found, code, errors) = report(&board.link(), &["--move", "3000"]);
         assert_eq!((rules(&found, "FAIL"), code), (BTreeSet::new(), 0), "{version}: {found} {errors}");
         let skipped = rules(&found, "SKIP");
         let newer = BTreeSet::from(["applied-command", "boot-id", "long-scan"]);
-        assert_eq!(version == "1.0", newer.is_subset(&skipped), "{skipped:?}");
+        assert_eq!(*version == "1.0", newer.is_subset(&skipped), "{skipped:?}");
         // A busy machine cannot check the leases.
         assert!(rules(&found, "PASS").len() >= 20, "{found}");
         let status = board.status();
         assert_eq!(status["output_codes"], serde_json::json!([0, 0]), "sent back");
         assert_eq!(status["started"], false);
-    }
+    });
 }
 
 #[test]
@@ -51,7 +61,7 @@ fn without_permission_nothing_moves() {
 #[test]
 fn the_firmware_keeps_all_rules() {
     let program = Program::board();
-    for arguments in ["", "wide=1"] {
+    each(&["", "wide=1"], |arguments| {
         let board = Board::start(&program, arguments);
         let (found, code, errors) = report(&board.port(), &["--move", "3000", "--rate", "500"]);
         assert_eq!(rules(&found, "FAIL"), BTreeSet::new(), "{found} {errors}");
@@ -60,7 +70,7 @@ fn the_firmware_keeps_all_rules() {
             rules(&found, "PASS").is_superset(&BTreeSet::from(["long-scan", "steer-accepted", "tick"])),
             "{found}"
         );
-    }
+    });
 }
 
 /// Faults, and the rules that a board with them breaks.
@@ -88,9 +98,6 @@ const FAULTS: [(&str, &[&str]); 11] = [
     ("no_applied=1", &["applied-command"]),
 ];
 
-/// A test takes half a minute, in which the processor has little to do.
-const AT_ONCE: usize = 4;
-
 fn check_fault(program: &Program, arguments: &str, broken: &[&str]) {
     let board = Board::start(program, arguments);
     let (found, code, errors) = report(&board.port(), &["--move", "3000"]);
@@ -106,13 +113,7 @@ fn check_fault(program: &Program, arguments: &str, broken: &[&str]) {
 #[test]
 fn a_wrong_board_breaks_the_rules_that_its_fault_concerns() {
     let program = &Program::board();
-    for faults in FAULTS.chunks(AT_ONCE) {
-        std::thread::scope(|scope| {
-            for (arguments, broken) in faults {
-                scope.spawn(move || check_fault(program, arguments, broken));
-            }
-        });
-    }
+    each(&FAULTS, |(arguments, broken)| check_fault(program, arguments, broken));
 }
 
 #[test]

@@ -183,8 +183,13 @@ function still({ status, lock }) {
   return `${pose}, beam ${lock === "locked" ? "locked" : `not locked (${lock})`}`;
 }
 
-/** "PSD_A_LOW, PSD_B_LOW" in words; equal faults of several detectors in one phrase. */
-function reasons(names) {
+/** "PSD_A_LOW, PSD_B_LOW" in words; equal faults of several detectors in one phrase. A cause may follow: "SOURCE_DOWN: why". */
+function reasons(reason) {
+  const colon = reason.indexOf(": ");
+  return colon < 0 ? bits(reason) : bits(reason.slice(0, colon)) + reason.slice(colon);
+}
+
+function bits(names) {
   const words = names.split(", ").map((name) => {
     const bit = hello.bits.find((bit) => bit.name === name);
     return bit ? meaning(bit).text : name;
