@@ -1,5 +1,5 @@
-//! Situations in which a board, the light or the stage misleads: what the error is, what tells it, how soon, and what
-//! nothing can tell. `docs/honesty.md` contains the same list.
+//! Situations in which a board, the light or the stage misleads the daemon: the error, the signs, after what time they
+//! are found, and what cannot be detected. `docs/honesty.md` contains the same list.
 
 use std::sync::Mutex;
 
@@ -59,7 +59,7 @@ pub(super) struct Situation {
     pub(super) error: Error,
     /// Nothing tells the situation if there is no sign.
     pub(super) signs: &'static [Sign],
-    /// What nothing can tell.
+    /// What cannot be detected.
     pub(super) silent: &'static str,
 }
 
