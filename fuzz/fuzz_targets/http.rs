@@ -10,7 +10,9 @@ use std::time::Duration;
 
 use libfuzzer_sys::fuzz_target;
 use tokio::sync::{mpsc, watch};
+use trifacet::condition::Condition;
 use trifacet::config::{Config, RecordingMode};
+use trifacet::doubts;
 use trifacet::monitor::host_filter::Hosts;
 use trifacet::monitor::http;
 use trifacet::monitor::view::{Sources, View};
@@ -80,14 +82,18 @@ fn server() -> &'static SocketAddr {
 
 fn sources() -> Sources {
     let facts = StreamFacts::example(StreamId { session: 1, config: 0 });
-    Sources {
+    let condition = Condition {
         counters: Arc::default(),
-        descriptor: watch::channel(facts.descriptor()).1,
-        config: watch::channel(Config::default()).1,
+        heartbeats: Arc::default(),
         receivers: watch::channel(Vec::new().into()).1,
         lock: watch::channel(None).1,
         source_down: watch::channel(None).1,
-        heartbeats: Arc::default(),
+        doubts: doubts::pair().1,
+    };
+    Sources {
+        condition,
+        descriptor: watch::channel(facts.descriptor()).1,
+        config: watch::channel(Config::default()).1,
         recording: Arc::new(State::new(RecordingMode::Off)),
         commands: Arc::default(),
         control: None,
