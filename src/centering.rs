@@ -18,6 +18,7 @@ use trifacet_core::telemetry::{CommandGauge, Counters};
 use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::actuator::Ack;
 
+use crate::doubts::{Doubter, Subject};
 use crate::recording::{Entry, RecordSender};
 use crate::steering::{Driver, StageEvent};
 
@@ -46,6 +47,8 @@ pub struct CenteringLinks {
     pub records: RecordSender,
     /// The commands without an acknowledgement, for the monitor.
     pub commands: Arc<CommandGauge>,
+    /// The doubt about the loop delay, to all outputs.
+    pub doubter: Doubter,
     /// Time without samples until silence is reported to the loop.
     pub silence: Duration,
 }
@@ -72,7 +75,8 @@ pub async fn run<C: Clock>(
     links: CenteringLinks,
     stop: CancellationToken,
 ) {
-    let CenteringLinks { mut newest, poses, state, lock, mut orders, records, commands, silence } = links;
+    let CenteringLinks { mut newest, poses, state, lock, mut orders, records, commands, doubter, silence } =
+        links;
     let (mut last_arrival, mut silent_from) = (clock.now(), Instant::now());
     let lock = LockReporter::new(lock, &centering, last_arrival);
     let mut heartbeat = interval(HEARTBEAT);
@@ -89,6 +93,7 @@ pub async fn run<C: Clock>(
         lock,
         commands,
         overdue: false,
+        doubter,
         doubted: false,
     };
     loop {
@@ -145,7 +150,8 @@ struct Side<D, C> {
     commands: Arc<CommandGauge>,
     /// It was logged that answers to commands are overdue.
     overdue: bool,
-    /// It was logged that the loop delay is longer than configured.
+    doubter: Doubter,
+    /// The loop delay is doubted.
     doubted: bool,
 }
 
@@ -255,17 +261,13 @@ impl<D: Driver, C: Clock> Side<D, C> {
         }
     }
 
-    /// Logs when the measured delay begins to contradict the configured one, and when it ends to.
+    /// The configured loop delay is doubted while the measured one contradicts it.
     fn watch_delay(&mut self) {
         let doubt = self.centering.delay_doubt();
         if std::mem::replace(&mut self.doubted, doubt.is_some()) == doubt.is_some() {
             return;
         }
-        if let Some(doubt) = doubt {
-            tracing::warn!("{doubt}");
-        } else {
-            tracing::info!("commands are applied within the configured loop delay again");
-        }
+        self.doubter.set(Subject::LoopDelay, self.clock.now(), doubt.map(|doubt| doubt.to_string()));
     }
 
     /// Sends the last command, and waits for its acknowledgement.

@@ -23,11 +23,14 @@ pub enum Subject {
     Power,
     /// What the PSDs read without the laser.
     AmbientLight,
+    /// The configured delay of the loop, which is shorter than the measured one.
+    LoopDelay,
 }
 
 impl Subject {
     /// All subjects.
-    pub const ALL: [Subject; 3] = [Subject::Residual, Subject::Power, Subject::AmbientLight];
+    pub const ALL: [Subject; 4] =
+        [Subject::Residual, Subject::Power, Subject::AmbientLight, Subject::LoopDelay];
 
     /// Name of the subject, as on all outputs.
     pub fn name(self) -> &'static str {
@@ -35,6 +38,7 @@ impl Subject {
             Subject::Residual => "residual",
             Subject::Power => "power",
             Subject::AmbientLight => "ambient_light",
+            Subject::LoopDelay => "loop_delay",
         }
     }
 
@@ -44,6 +48,7 @@ impl Subject {
             Subject::Residual => "steering and pose agree again",
             Subject::Power => "the total power is no longer doubted",
             Subject::AmbientLight => "the readings without light are no longer doubted",
+            Subject::LoopDelay => "commands are applied within the configured loop delay again",
         }
     }
 }
@@ -98,7 +103,7 @@ impl Doubts {
 }
 
 /// Begins and ends doubts.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Doubter {
     standing: watch::Sender<Vec<Doubt>>,
     /// The mean steering residual.

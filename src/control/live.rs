@@ -331,7 +331,6 @@ impl RunningConfig {
                 "overdue": view.backlog.overdue,
                 "delay_ms": view.delay_s.map(|seconds| seconds * 1e3),
                 "loop_delay_ms": centering.loop_delay_s(self.running.acquisition.rate_hz) * 1e3,
-                "delay_doubt": view.delay_doubt.map(|doubt| doubt.to_string()),
             },
             "shadow": view.shadow.map(|(at, to)| json!({ "stands_at_um": um(&at), "would_go_to_um": um(&to) })),
             "kp": gains.kp,

@@ -161,6 +161,7 @@ async fn fast<S: Source + 'static>(
                 orders,
                 records: records.clone(),
                 commands: gauge,
+                doubter: doubter.clone(),
                 silence: config.acquisition.silence_times().first,
             },
             stop.clone(),

@@ -81,7 +81,6 @@ impl<C: Clock, Publish: FnMut(&Republished)> Republisher<C, Publish> {
         LoopView {
             backlog: CommandBacklog::default(),
             delay_s: None,
-            delay_doubt: None,
             mode: LoopMode::Off,
             lock: self.last.map_or(steering.lock, |report| report.lock),
             offset: sampled.and_then(|report| report.offset).map(BeamOffset),

@@ -38,7 +38,6 @@ pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
     let how = if frame.status.has(Status::STEERING_MEASURED) { "read back" } else { "as commanded" };
     lines.push(row("steering", &format!("x    {x} um          y     {y} um    {how}")));
     lines.extend(commands(known.control.as_ref()));
-    lines.extend(delay(known.control.as_ref()));
     lines.extend(doubts(known));
     lines.push(row("losses", &losses(known)));
     lines.extend(receivers(known));
@@ -166,11 +165,6 @@ fn commands(control: Option<&Value>) -> Option<String> {
             &format!("{count} unanswered, the oldest for {age_s:.3} s: the stage does not answer"),
         )
     })
-}
-
-/// The doubt about the loop delay. Only the control socket tells it.
-fn delay(control: Option<&Value>) -> Option<String> {
-    Some(row("delay", control?["loop"]["commands"]["delay_doubt"].as_str()?))
 }
 
 /// The doubts that stand. Only the control socket tells them.

@@ -16,6 +16,12 @@ fn measured(daemon: &mut Daemon) -> Value {
         .clone()
 }
 
+/// The doubt about the loop delay in a status; null without one.
+fn doubt(status: &Value) -> Value {
+    let all = status["doubts"].as_array().unwrap();
+    all.iter().find(|doubt| doubt["subject"] == "loop_delay").cloned().unwrap_or_default()
+}
+
 #[test]
 fn a_delay_beyond_the_margins_of_the_loop_is_measured_and_doubted() {
     let program = Program::board();
@@ -24,7 +30,8 @@ fn a_delay_beyond_the_margins_of_the_loop_is_measured_and_doubted() {
     let commands = measured(&mut daemon);
     assert!(commands["delay_ms"].as_f64().unwrap() >= LINE_MS, "{commands}");
     assert_eq!(commands["loop_delay_ms"], 2.5);
-    let doubt = commands["delay_doubt"].as_str().unwrap().to_owned();
+    let status = daemon.status_until(|status| !doubt(status).is_null());
+    let doubt = doubt(&status)["text"].as_str().unwrap().to_owned();
     assert!(doubt.contains("2.5 ms") && doubt.contains("trifacet tune"), "{doubt}");
     daemon.says("a warning", |line| {
         line["level"] == "WARN" && line["message"].as_str().is_some_and(|text| text.contains("trifacet tune"))
@@ -38,23 +45,26 @@ fn a_delay_beyond_the_margins_of_the_loop_is_measured_and_doubted() {
     assert_eq!(metric("trifacet_loop_delay_seconds"), 2.5e-3);
     let endpoint = format!("tcp://{}", daemon.address());
     let shown = run(trifacet(&["status", &endpoint, "--socket"]).arg(daemon.socket()));
-    assert!(shown.out.lines().any(|line| line.starts_with("delay ")), "{}", shown.out);
+    assert!(
+        shown.out.lines().any(|line| line.starts_with("doubt ") && line.contains("trifacet tune")),
+        "{}",
+        shown.out
+    );
 }
 
 #[test]
 fn a_delay_that_is_configured_is_not_doubted_and_version_1_0_measures_none() {
     let program = Program::board();
     let board = Board::start(&program, &format!("line_ms={LINE_MS}"));
-    let commands = measured(&mut board.daemon("centering.loop_delay_ms = 100"));
-    assert!(
-        commands["delay_ms"].as_f64().unwrap() >= LINE_MS && commands["delay_doubt"].is_null(),
-        "{commands}"
-    );
+    let mut daemon = board.daemon("centering.loop_delay_ms = 100");
+    let commands = measured(&mut daemon);
+    assert!(commands["delay_ms"].as_f64().unwrap() >= LINE_MS, "{commands}");
+    assert_eq!(doubt(&daemon.status()), Value::Null);
     let board = Board::start(&program, "minor=0");
     let mut daemon = board.daemon("");
     let mut client = daemon.client();
     client.locked();
     client.samples(500);
-    let commands = &daemon.status_until(|status| status["loop"]["lock"] == "locked")["loop"]["commands"];
-    assert!(commands["delay_ms"].is_null() && commands["delay_doubt"].is_null(), "{commands}");
+    let status = daemon.status_until(|status| status["loop"]["lock"] == "locked");
+    assert!(status["loop"]["commands"]["delay_ms"].is_null() && doubt(&status).is_null(), "{status}");
 }

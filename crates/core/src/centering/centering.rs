@@ -86,7 +86,6 @@ impl Centering {
             attempts: self.lock.attempts(),
             backlog: self.stage.backlog(),
             delay_s: self.stage.delay_s(),
-            delay_doubt: self.delay_doubt(),
         }
     }
 

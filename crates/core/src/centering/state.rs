@@ -4,7 +4,7 @@ use trifacet_optics::Pose;
 use trifacet_wire::LockState;
 
 use super::lock::Transition;
-use crate::centering::{CommandBacklog, DelayDoubt, LoopMode};
+use crate::centering::{CommandBacklog, LoopMode};
 use crate::steering::{BeamOffset, Command, StagePosition};
 use crate::time::Mono;
 
@@ -48,8 +48,6 @@ pub struct LoopView {
     pub backlog: CommandBacklog,
     /// Measured delay from a sample to the first one that has its command applied, seconds, if it is known.
     pub delay_s: Option<f64>,
-    /// The doubt about the configured loop delay.
-    pub delay_doubt: Option<DelayDoubt>,
 }
 
 /// Result of one sample.
