@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::check::Checker;
+use super::check::{Checker, Report};
 
 /// Kind of a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -210,6 +210,13 @@ fn needed<T>(value: Option<T>, key: &'static str) -> Result<T, FaultKeyError> {
 }
 
 impl Fault {
+    /// Whether all its values are in range.
+    pub fn is_possible(&self) -> bool {
+        let mut report = Report::default();
+        self.check(Checker::root(&mut report));
+        report.findings.is_empty()
+    }
+
     pub(super) fn check(&self, mut at: Checker<'_>) {
         at.number("at_s", self.at_s, 0.0..=1e6);
         at.optional("for_s", self.for_s, 0.0..=1e6);

@@ -44,7 +44,7 @@ impl<T> SentCommands<T> {
         self.0.len()
     }
 
-    /// Whether there is none.
+    /// Whether no command waits.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }

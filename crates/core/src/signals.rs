@@ -37,6 +37,16 @@ impl Identity {
             simulated: false,
         }
     }
+
+    /// Index of the channel that measures this.
+    pub fn place(&self, role: Role) -> Option<usize> {
+        self.roles.iter().position(|other| *other == role)
+    }
+
+    /// Sampling time of each channel after the time of the scan, as a part of the sampling period.
+    pub fn skews(&self) -> impl Iterator<Item = f64> {
+        self.skew_ns.iter().map(|ns| f64::from(*ns) * 1e-9 * self.rate_hz)
+    }
 }
 
 /// One scan of the converter: raw codes with their time.

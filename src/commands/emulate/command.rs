@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use trifacet::config::FaultKind;
+use trifacet::config::{Fault, FaultKind};
 
 /// The commands, as `--help` lists them.
 pub(super) const HELP: &str = "\
@@ -103,7 +103,8 @@ fn parse<'a>(words: &mut impl Iterator<Item = &'a str>) -> Option<EmulatorComman
         Some(word) => Some(seconds(word)?),
         None => None,
     };
-    possible(kind).then_some(EmulatorCommand::Fault { kind, for_s })
+    let fault = Fault { at_s: 0.0, for_s, kind };
+    fault.is_possible().then_some(EmulatorCommand::Fault { kind, for_s })
 }
 
 fn number<T: FromStr>(word: &str) -> Option<T> {
@@ -112,30 +113,6 @@ fn number<T: FromStr>(word: &str) -> Option<T> {
 
 fn seconds(word: &str) -> Option<f64> {
     number(word).filter(|s| (0.0..=LONGEST_S).contains(s))
-}
-
-fn possible(kind: FaultKind) -> bool {
-    match kind {
-        FaultKind::PsdDark { psd } => psd <= 2,
-        FaultKind::Clipped { channel } | FaultKind::Frozen { channel } => channel <= 8,
-        FaultKind::Dropped { fraction }
-        | FaultKind::Corrupted { fraction }
-        | FaultKind::AmbientLight { fraction } => (0.0..=1.0).contains(&fraction),
-        FaultKind::LaserPower { factor }
-        | FaultKind::NoiseBurst { factor }
-        | FaultKind::ClockRate { factor } => (0.0..=1e3).contains(&factor),
-        FaultKind::Flicker { fraction, frequency_hz } => {
-            (0.0..=1.0).contains(&fraction) && (0.0..=1e5).contains(&frequency_hz)
-        }
-        FaultKind::Bursts { interval_ms } => (1.0..=1e4).contains(&interval_ms),
-        FaultKind::LaserBump { shift_um } => shift_um.iter().all(|um| (-1e4..=1e4).contains(um)),
-        FaultKind::BeamBlocked
-        | FaultKind::ReadbackFrozen
-        | FaultKind::Stalled
-        | FaultKind::MuteAcks
-        | FaultKind::WrongAcks
-        | FaultKind::SteeringStuck => true,
-    }
 }
 
 #[cfg(test)]

@@ -68,8 +68,7 @@ impl DarkOffsetEstimator {
     pub fn new(identity: &Identity) -> Result<Self, DarkError> {
         let mut places = [0; 9];
         for (place, role) in places.iter_mut().zip(SIGNALS) {
-            let found = identity.roles.iter().position(|r| *r == role);
-            *place = found.ok_or_else(|| DarkError::Missing(format!("{role:?}")))?;
+            *place = identity.place(role).ok_or_else(|| DarkError::Missing(format!("{role:?}")))?;
         }
         let (step_v, full_scale) = (identity.converter.step_v(), identity.converter.full_scale());
         Ok(Self { places, step_v, full_scale, count: 0, means: [0.0; 9], squares: [0.0; 9] })

@@ -116,22 +116,20 @@ impl Channels {
     /// # Errors
     /// The source has no channel for one of the nine signals.
     pub fn map(&self, identity: &Identity) -> Result<ChannelMap, MissingSignal> {
-        let find = |role| identity.roles.iter().position(|r| *r == role);
-        let need = |role: Role| find(role).ok_or(MissingSignal(role));
+        let need = |role: Role| identity.place(role).ok_or(MissingSignal(role));
         let mut places = [[0; 3]; 3];
         for (i, place) in (0..).zip(&mut places) {
             *place = [need(Role::U(i))?, need(Role::V(i))?, need(Role::Sum(i))?];
         }
+        let steering = identity.place(Role::Steering(0)).zip(identity.place(Role::Steering(1)));
         let mut skew = [0.0; MAX_CHANNELS];
-        for (skew, ns) in skew.iter_mut().zip(&identity.skew_ns) {
-            *skew = f64::from(*ns) * 1e-9 * identity.rate_hz;
-        }
+        skew.iter_mut().zip(identity.skews()).for_each(|(skew, of_channel)| *skew = of_channel);
         Ok(ChannelMap {
             channels: self.clone(),
             step_v: identity.converter.step_v(),
             largest: identity.converter.full_scale() - 1,
             places,
-            steering: find(Role::Steering(0)).zip(find(Role::Steering(1))).map(|(x, y)| [x, y]),
+            steering: steering.map(|(x, y)| [x, y]),
             skew,
             last: None,
             frozen: FrozenChannels::new(),

@@ -44,9 +44,7 @@ impl Exposure {
     /// For the channels of a source with these amplifiers.
     pub fn new(identity: &Identity, amplifiers: [Amplifier; 3]) -> Self {
         let skew = |role: Role| {
-            let place = identity.roles.iter().position(|r| *r == role);
-            let ns = place.and_then(|place| identity.skew_ns.get(place)).copied().unwrap_or(0);
-            f64::from(ns) * 1e-9 * identity.rate_hz
+            identity.place(role).and_then(|place| identity.skews().nth(place)).unwrap_or_default()
         };
         let sums = [0, 1, 2].map(|i| skew(Role::Sum(i)));
         let powers = sums.map(error);

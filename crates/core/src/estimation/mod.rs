@@ -20,6 +20,7 @@ pub mod power_noise;
 pub mod power_step;
 mod power_step_0_1;
 pub mod report;
+mod second_differences;
 pub mod settings;
 mod signal_checks;
 #[cfg(test)]

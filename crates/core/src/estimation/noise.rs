@@ -6,10 +6,10 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::second_differences::{SecondDifferences, WINDOWS};
+
 /// Number of monitored signals.
 const SIGNALS: usize = 9;
-/// Averaging lengths in samples: one for a burst, one for slow growth.
-pub(super) const WINDOWS: [f64; 2] = [64.0, 4096.0];
 /// The first signals are the spot coordinates. Most noise (laser, vibration) affects all of them, and their
 /// mean shows it within fewer samples.
 const SPOTS: usize = 6;
@@ -22,9 +22,7 @@ const SIGNIFICANT: f64 = 4.0;
 /// Live standard uncertainties of the nine signals.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct LiveNoise {
-    last: Option<[f64; SIGNALS]>,
-    last_step: Option<[f64; SIGNALS]>,
-    variance: [[f64; WINDOWS.len()]; SIGNALS],
+    differences: SecondDifferences<SIGNALS>,
     /// Mean variance of the spot coordinates.
     common: f64,
     count: f64,
@@ -33,24 +31,15 @@ pub struct LiveNoise {
 impl LiveNoise {
     /// Forgets the last samples (there was a gap), but not the noise.
     pub fn interrupt(&mut self) {
-        (self.last, self.last_step) = (None, None);
+        self.differences.interrupt();
     }
 
     /// Takes the next sample.
     pub fn push(&mut self, signals: [f64; SIGNALS]) {
-        let step = self.last.map(|last| std::array::from_fn(|i| signals[i] - last[i]));
-        if let Some((step, last_step)) = step.zip(self.last_step) {
-            self.count += 1.0;
-            let square = |i: usize| (step[i] - last_step[i]).powi(2) / 6.0;
-            for i in 0..SIGNALS {
-                for (variance, window) in self.variance[i].iter_mut().zip(WINDOWS) {
-                    *variance += (square(i) - *variance) / self.count.min(window);
-                }
-            }
-            let mean = (0..SPOTS).map(square).sum::<f64>() / SPOTS as f64;
+        if let Some(single) = self.differences.push(signals, &mut self.count) {
+            let mean = single[..SPOTS].iter().sum::<f64>() / SPOTS as f64;
             self.common += (mean - self.common) / self.count.min(COMMON_WINDOW);
         }
-        (self.last, self.last_step) = (Some(signals), step);
     }
 
     /// The standard uncertainty of a signal: the configured one, or the live one where it is significantly
@@ -62,11 +51,12 @@ impl LiveNoise {
     /// As [`sigma`](Self::sigma), where `bound` gives the variance for a window, the number of samples in it, and the
     /// variance of the signal.
     pub fn bounded(&self, signal: usize, configured: f64, bound: impl Fn(usize, f64, f64) -> f64) -> f64 {
-        let own =
-            self.variance[signal].iter().zip(WINDOWS).enumerate().map(|(window, (variance, length))| {
+        let own = self.differences.variance(signal).into_iter().zip(WINDOWS).enumerate().map(
+            |(window, (variance, length))| {
                 let n = self.count.min(length);
-                (bound(window, n, *variance), n)
-            });
+                (bound(window, n, variance), n)
+            },
+        );
         let n = if signal < SPOTS { self.count.min(COMMON_WINDOW) * SPOTS as f64 } else { 0.0 };
         let mut sigma = configured;
         for (variance, n) in own.chain([(self.common, n)]) {

@@ -8,7 +8,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::noise::WINDOWS;
+use super::second_differences::SecondDifferences;
 
 /// The total, and the fractions on A, B and C.
 const SIGNALS: usize = 4;
@@ -16,9 +16,7 @@ const SIGNALS: usize = 4;
 /// Noise of the sum of the powers and of their fractions.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct PowerNoise {
-    last: Option<[f64; SIGNALS]>,
-    last_step: Option<[f64; SIGNALS]>,
-    variance: [[f64; WINDOWS.len()]; SIGNALS],
+    differences: SecondDifferences<SIGNALS>,
     count: f64,
     /// The newest signals.
     newest: [f64; SIGNALS],
@@ -27,26 +25,15 @@ pub struct PowerNoise {
 impl PowerNoise {
     /// Forgets the last sample (there was a gap), but not the noise.
     pub fn interrupt(&mut self) {
-        (self.last, self.last_step) = (None, None);
+        self.differences.interrupt();
     }
 
     /// Takes the powers of the next sample.
     pub fn push(&mut self, powers: [f64; 3]) {
         let total: f64 = powers.iter().sum();
         let [a, b, c] = powers.map(|power| power / total);
-        let signals = [total, a, b, c];
-        let step = self.last.map(|last| std::array::from_fn(|i| signals[i] - last[i]));
-        if let Some((step, last_step)) = step.zip(self.last_step) {
-            let (step, last_step): ([f64; SIGNALS], [f64; SIGNALS]) = (step, last_step);
-            self.count += 1.0;
-            for i in 0..SIGNALS {
-                let square = (step[i] - last_step[i]).powi(2) / 6.0;
-                for (variance, window) in self.variance[i].iter_mut().zip(WINDOWS) {
-                    *variance += (square - *variance) / self.count.min(window);
-                }
-            }
-        }
-        (self.last, self.last_step, self.newest) = (Some(signals), step, signals);
+        self.newest = [total, a, b, c];
+        self.differences.push(self.newest, &mut self.count);
     }
 
     /// Upper bounds of the variance of a power from its last `count` samples: by the total, and by the fraction. `None`
@@ -56,8 +43,9 @@ impl PowerNoise {
             return None;
         }
         let [total, fractions @ ..] = self.newest;
-        let by_fraction = self.variance[1 + psd][window] * (total / (1.0 - fractions[psd])).powi(2);
-        Some([self.variance[0][window], by_fraction])
+        let by_fraction =
+            self.differences.variance(1 + psd)[window] * (total / (1.0 - fractions[psd])).powi(2);
+        Some([self.differences.variance(0)[window], by_fraction])
     }
 }
 
@@ -67,6 +55,7 @@ mod tests {
     use rand_distr::StandardNormal;
 
     use super::*;
+    use crate::estimation::second_differences::WINDOWS;
 
     /// The bounds of the standard uncertainties of A, B and C after samples with this noise on A, B and C. `light` gives
     /// the powers of a sample without noise.

@@ -1,8 +1,9 @@
 //! The commands that the stage has not acknowledged, and the delay of the others, for occasional readers.
 
 use std::sync::atomic::Ordering::Relaxed;
-use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU32, AtomicU64};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU32};
 
+use super::known_number::KnownNumber;
 use crate::centering::CommandBacklog;
 use crate::time::Mono;
 
@@ -15,8 +16,8 @@ pub struct CommandGauge {
     count: AtomicU32,
     oldest: AtomicI64,
     overdue: AtomicBool,
-    /// The bits of the measured delay in seconds; NaN while it is unknown.
-    delay_s: AtomicU64,
+    /// The measured delay, seconds.
+    delay_s: KnownNumber,
 }
 
 impl Default for CommandGauge {
@@ -25,7 +26,7 @@ impl Default for CommandGauge {
             count: AtomicU32::new(0),
             oldest: AtomicI64::new(NONE),
             overdue: AtomicBool::new(false),
-            delay_s: AtomicU64::new(f64::NAN.to_bits()),
+            delay_s: KnownNumber::default(),
         }
     }
 }
@@ -36,7 +37,7 @@ impl CommandGauge {
         self.count.store(backlog.count, Relaxed);
         self.oldest.store(backlog.oldest.map_or(NONE, |oldest| oldest.0), Relaxed);
         self.overdue.store(backlog.overdue, Relaxed);
-        self.delay_s.store(delay_s.unwrap_or(f64::NAN).to_bits(), Relaxed);
+        self.delay_s.set(delay_s);
     }
 
     /// The commands without an acknowledgement. Their age grows also while the centering task stalls.
@@ -47,6 +48,6 @@ impl CommandGauge {
 
     /// The measured delay of commands, seconds, if it is known.
     pub fn delay_s(&self) -> Option<f64> {
-        Some(f64::from_bits(self.delay_s.load(Relaxed))).filter(|delay_s| !delay_s.is_nan())
+        self.delay_s.get()
     }
 }

@@ -9,6 +9,7 @@
 mod command_gauge;
 mod counters;
 pub mod heartbeat;
+mod known_number;
 mod latest_status;
 mod residual_gauge;
 

@@ -1,31 +1,23 @@
 //! The mean steering residual, for occasional readers.
 
-use std::sync::atomic::AtomicU64;
-use std::sync::atomic::Ordering::Relaxed;
-
+use super::known_number::KnownNumber;
 use crate::estimation::PoseReport;
 
 /// Written by the estimation task, read on demand. The axes are not read in one step: either may be newer.
-#[derive(Debug)]
-pub struct ResidualGauge([AtomicU64; 2]);
-
-impl Default for ResidualGauge {
-    fn default() -> Self {
-        Self([f64::NAN; 2].map(|unknown| AtomicU64::new(unknown.to_bits())))
-    }
-}
+#[derive(Debug, Default)]
+pub struct ResidualGauge([KnownNumber; 2]);
 
 impl ResidualGauge {
     /// Records the mean of a report.
     pub fn set(&self, report: &PoseReport) {
-        let mean = report.mean_residual.map_or([f64::NAN; 2], |residual| residual.mean);
-        self.0.iter().zip(mean).for_each(|(axis, metres)| axis.store(metres.to_bits(), Relaxed));
+        for (axis, number) in self.0.iter().enumerate() {
+            number.set(report.mean_residual.map(|residual| residual.mean[axis]));
+        }
     }
 
     /// The mean of the newest report, x and y, metres; `None` if it has none.
     pub fn mean(&self) -> Option<[f64; 2]> {
-        let [x, y] = [0, 1].map(|axis: usize| f64::from_bits(self.0[axis].load(Relaxed)));
-        (x.is_finite() && y.is_finite()).then_some([x, y])
+        Some([self.0[0].get()?, self.0[1].get()?])
     }
 }
 
