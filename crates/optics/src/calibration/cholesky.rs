@@ -62,6 +62,11 @@ impl Factor {
         self.scale.len()
     }
 
+    /// Whether the matrix has no rows.
+    pub fn is_empty(&self) -> bool {
+        self.scale.is_empty()
+    }
+
     /// Logarithm of the determinant of the matrix.
     pub fn ln_determinant(&self) -> f64 {
         let diagonal = self.lower.diagonal();

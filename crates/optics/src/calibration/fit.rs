@@ -138,7 +138,7 @@ pub fn fit(job: Job<'_>, mut progress: impl FnMut(Progress)) -> Result<Fitted, F
     let mut session = Session::new(job, job.fields[0].knots)?;
     let first = job.fields.iter().find(|f| **f == FIRST_FIELD).unwrap_or(&job.fields[0]);
     session.set_field(first)?;
-    let mut theta = Vector::zeros(session.layout.len());
+    let mut theta = Vector::zeros(session.layout.parameters());
     session.steps(&mut theta, Stage::First, &mut progress)?;
     let robust = session.steps(&mut theta, Stage::Robust, &mut progress)?;
     let dropped = session.drop_gross(&robust);

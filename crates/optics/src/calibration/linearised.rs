@@ -24,7 +24,7 @@ const ZERO: usize = 6;
 
 impl Layout {
     /// Number of parameters.
-    pub fn len(&self) -> usize {
+    pub fn parameters(&self) -> usize {
         self.splines(3, 0)
     }
 

@@ -15,6 +15,9 @@ const DEGREE: usize = 7;
 /// Correlation of a coefficient with itself beyond the field: keeps the matrix positive definite.
 const NUGGET: f64 = 1e-3;
 
+/// A cell without a reading is covered if so many of the eight around it have one.
+const AROUND: usize = 5;
+
 /// The prior of the spline.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Field {
@@ -113,9 +116,15 @@ impl Lattice {
         self.knots
     }
 
-    /// Whether a reading lies in a cell that had one in the calibration.
+    /// Whether a reading lies among those of the calibration: its cell has one, or most cells around it do.
     pub fn covers(&self, spot: [f64; 2]) -> bool {
-        self.cells.binary_search(&spot.map(|x| (x / self.knots).floor() as i32)).is_ok()
+        let [i, j] = spot.map(|x| (x / self.knots).floor() as i32);
+        let has = |cell| self.cells.binary_search(&cell).is_ok();
+        let around = || {
+            let cells = (-1..=1).flat_map(|a| (-1..=1).map(move |b| [i + a, j + b]));
+            cells.filter(|cell| has(*cell)).count()
+        };
+        has([i, j]) || around() >= AROUND
     }
 
     /// The splines at a reading that are unknowns: place and value, by ascending place.

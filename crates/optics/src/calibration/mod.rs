@@ -5,6 +5,7 @@
 //! fits all parameters to the references and readbacks by Gauss-Newton steps. Priors, which are the tolerances
 //! of the head, make every combination of parameters finite that no data determine.
 //!
+//! - [`cholesky`]: large matrices. [`linearised`]: the parameters and one point.
 //! - [`point`]: what is measured.
 //! - [`parameters`]: the unknown numbers and their tolerances.
 //! - `instrument`: the forward model, with an elliptical beam.
@@ -14,11 +15,11 @@
 //! - [`mistakes`]: signs, axes and units that are plainly wrong.
 //! - [`result`]: the calibrated head, and the covariance of its poses.
 
-mod cholesky;
+pub mod cholesky;
 pub mod fit;
 pub mod held_out;
 mod instrument;
-mod linearised;
+pub mod linearised;
 pub mod map;
 pub mod mistakes;
 mod normal;

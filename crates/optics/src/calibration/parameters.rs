@@ -11,7 +11,7 @@ use crate::{Head, Mat3, Rigid, Vec3};
 pub const GEOMETRY: usize = 49;
 
 /// What is known before the fit: the head as drawn, and how it is mounted.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Nominal {
     /// The head as drawn.
     pub head: Head,
@@ -74,6 +74,31 @@ impl Default for Tolerances {
             frame_mrad: 20.0,
             psd_error_um: [50.0, 100.0, 150.0, 30.0, 30.0, 10.0, 10.0],
         }
+    }
+}
+
+impl Tolerances {
+    /// What is wrong with a value; `None`: all are usable.
+    pub fn wrong(&self) -> Option<String> {
+        let singles = [
+            ("psd_position_mm", self.psd_position_mm),
+            ("psd_rotation_mrad", self.psd_rotation_mrad),
+            ("facet_mrad", self.facet_mrad),
+            ("beam_mrad", self.beam_mrad),
+            ("diameter_percent", self.diameter_percent),
+            ("ellipticity_percent", self.ellipticity_percent),
+            ("power_gain_percent", self.power_gain_percent),
+            ("steering_matrix_percent", self.steering_matrix_percent),
+            ("steering_scale_percent", self.steering_scale_percent.unwrap_or(1.0)),
+            ("steering_origin_mm", self.steering_origin_mm),
+            ("frame_mm", self.frame_mm),
+            ("frame_mrad", self.frame_mrad),
+        ];
+        let all = singles.into_iter().chain(self.psd_error_um.map(|um| ("psd_error_um", um)));
+        // False for a NaN.
+        let usable = |x: f64| x >= 1e-9 && x <= 1e6;
+        let (name, value) = all.into_iter().find(|(_, value)| !usable(*value))?;
+        Some(format!("{name} is {value}: allowed is 1e-9 to 1e6"))
     }
 }
 

@@ -57,7 +57,7 @@ impl<'a> Session<'a> {
             return Err(FitError::NoPoints(states.len()));
         }
         let layout = layout(&job, &states, knots);
-        let (bases, normal) = (bases(&job, &layout), Normal::new(layout.len()));
+        let (bases, normal) = (bases(&job, &layout), Normal::new(layout.parameters()));
         let field = Field { knots, ..FIRST_FIELD };
         Ok(Self { job, layout, bases, states, normal, prior: None, field })
     }
@@ -191,7 +191,7 @@ impl<'a> Session<'a> {
         fields.sort_by(|a, b| a.knots.total_cmp(&b.knots));
         for same_knots in fields.chunk_by(|a, b| a.knots == b.knots) {
             self.change_knots(same_knots[0].knots);
-            let start = smooth.clone().resize_vertically(self.layout.len(), 0.0);
+            let start = smooth.clone().resize_vertically(self.layout.parameters(), 0.0);
             let sums = self.assess(&start, false).ok_or(FitError::Singular)?;
             for field in same_knots {
                 self.set_field(field)?;
@@ -214,7 +214,7 @@ impl<'a> Session<'a> {
             self.normal = Normal::new(0); // frees its memory before the next one is made
             self.layout = layout(&self.job, &self.states, knots);
             self.bases = bases(&self.job, &self.layout);
-            self.normal = Normal::new(self.layout.len());
+            self.normal = Normal::new(self.layout.parameters());
         }
     }
 
