@@ -30,9 +30,11 @@ const FLAGS: [(&str, Status); 5] = [
     ("CLOCK_UNSYNCED", Status::CLOCK_UNSYNCED),
 ];
 /// Name, and configuration.
-const SETTINGS: [(&str, &str); 6] = [
+const SETTINGS: [(&str, &str); 8] = [
     ("at rest", "twin.motion = []"),
     ("moving", ""),
+    ("at rest, the laser drifts by 1 um", "twin.motion = []\ntwin.pointing_um = 1\ntwin.pointing_s = 10"),
+    ("moving, the laser drifts by 1 um", "twin.pointing_um = 1\ntwin.pointing_s = 10"),
     ("vibrating, 20 um at 200 Hz", VIBRATING),
     ("flicker of 5 % at 100 Hz", FLICKERING),
     ("multiplexed, moving", MULTIPLEXED),
