@@ -2,6 +2,7 @@
 //!
 //! - [`head`]: geometry of the PSDs, the facets and the beam.
 //! - [`pose`]: position and orientation, Eq. 3 of the paper.
+//! - [`relative`]: a pose relative to another one, with derivatives.
 //! - [`ray`]: from a point on a facet to a spot on a PSD, with derivatives.
 //! - [`beam`]: how the mirror splits a Gaussian beam: powers and centroids, with derivatives.
 //! - [`model`]: the forward model, from pose and beam offset to signals.
@@ -45,6 +46,7 @@ mod linear;
 pub mod model;
 pub mod pose;
 pub mod ray;
+pub mod relative;
 
 pub use covariance::{ErrorPropagation, Noise, Sensitivity};
 pub use estimate::{Estimator, Signals, Solution, SolveError};
@@ -53,6 +55,7 @@ pub use fusion::{BeamPosition, Fused, Innovation};
 pub use head::{Head, HeadError, Psd};
 pub use model::{Model, Optics, Reading, TraceError};
 pub use pose::{Pose, Rigid};
+pub use relative::Relative;
 
 /// A vector in space.
 pub type Vec3 = nalgebra::Vector3<f64>;
