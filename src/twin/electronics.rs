@@ -139,15 +139,14 @@ impl Electronics {
         let spot = spots[i].map(|spot| Spot { at: spot.at.map(|at| at * share), ..spot });
         let sum_v = sum_mw * (1.0 + self.power_noise * noise.powers[i])
             / (self.power_mw_per_v * psd.channels.gain[2]);
-        let volts = match part {
-            2 => sum_v,
-            _ => {
-                let mut reading = spot.map_or([0.0; 2], |spot| psd.distortion.reading(spot.at));
-                if let Some(temperature) = &self.temperature {
-                    reading = temperature.reading(i, reading, kelvin);
-                }
-                psd.position(part, reading[part], sum_v, noise.spots[2 * i + part])
+        let volts = if part == 2 {
+            sum_v
+        } else {
+            let mut reading = spot.map_or([0.0; 2], |spot| psd.distortion.reading(spot.at));
+            if let Some(temperature) = &self.temperature {
+                reading = temperature.reading(i, reading, kelvin);
             }
+            psd.position(part, reading[part], sum_v, noise.spots[2 * i + part])
         };
         self.converter.code(volts + psd.dark_v[part])
     }

@@ -92,7 +92,7 @@ fn an_uncalibrated_estimator_is_wrong_by_far_more_than_it_states_and_says_uncali
 #[test]
 fn check_states_the_head_and_refuses_one_whose_light_misses_a_psd() {
     let folder = Folder::new();
-    let done = on(&["check", "--config"], &folder.write("real.toml", &real_head()));
+    let done = on(&["check", "--config"], &folder.write("real.toml", real_head()));
     assert_eq!(done.code, 0, "{}", done.err);
     assert!(
         done.out.contains("with a head of its own, which the estimator does not know: seed 7"),
@@ -120,4 +120,34 @@ fn check_states_the_head_and_refuses_one_whose_light_misses_a_psd() {
         assert_eq!(done.code, 78, "{text}: {}", done.out);
         assert!(done.err.contains(said), "{text}: {}", done.err);
     }
+}
+
+#[test]
+fn a_calibration_does_not_change_the_readings_of_the_twin_only_what_is_made_of_them() {
+    let folder = Folder::new();
+    let uncalibrated = folder.write("uncalibrated.toml", real_head());
+    folder.write(
+        "psd-b.csv",
+        "u_m,v_m,du_m,dv_m\n-7e-3,-7e-3,1e-5,0\n7e-3,-7e-3,1e-5,0\n-7e-3,7e-3,1e-5,0\n7e-3,7e-3,1e-5,0\n",
+    );
+    let keys = "[head]\nbeam_diameter_mm = 0.48\n[head.b]\npsd_origin_mm = [-125.5, 216.2, 0.3]\n\
+                [channels.b]\ngain = [1.0, 1.0, 0.97]\ncorrection = \"psd-b.csv\"\n";
+    let calibrated = folder.write("calibrated.toml", real_head() + keys);
+    let simulated = |file: &Path, more: &[&str]| {
+        let mut command = testkit::trifacet(&["simulate", "--samples", "200"]);
+        let done = command.args(more).arg("--config").arg(file).output().unwrap();
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        String::from_utf8(done.stdout).unwrap()
+    };
+    let readings = simulated(&uncalibrated, &[]);
+    assert!(readings == simulated(&calibrated, &["--readings"]));
+    let corrected = simulated(&calibrated, &[]);
+    for (name, ratio, shift) in [("u_b_m", 1.0, 1e-5), ("u_a_m", 1.0, 0.0), ("power_b", 0.97, 0.0)] {
+        let (before, after) = (column(&readings, name), column(&corrected, name));
+        let near = |(a, b): (&f64, &f64)| (a * ratio + shift - b).abs() < 1e-12;
+        assert!(before.iter().zip(&after).all(near), "{name}: {} {}", before[0], after[0]);
+    }
+    // In the loop, the readings are those of the same scans.
+    let looped = simulated(&uncalibrated, &["--closed-loop", "--readings"]);
+    assert_eq!(column(&looped, "u_b_m")[0], column(&readings, "u_b_m")[0]);
 }
