@@ -10,6 +10,7 @@
 //! - [`estimate`]: the inverse, from signals to pose and beam offset.
 //! - [`facet_offset`]: the offset of the beam when a single PSD sees light.
 //! - [`covariance`]: from the noise of the signals to the uncertainty of the result.
+//! - [`calibration`]: the estimator of a head's geometry and errors.
 //! - [`fusion`]: the beam position from another instrument, as two more signals.
 //!
 //! The paper: *Measurement of 3-D position and orientation of rigid bodies using a 3-facet mirror*.
@@ -36,6 +37,7 @@
 
 mod balance;
 pub mod beam;
+pub mod calibration;
 pub mod covariance;
 pub mod elliptical;
 pub mod estimate;
