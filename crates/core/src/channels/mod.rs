@@ -249,6 +249,6 @@ impl PsdChannels {
             Amplifier::Difference => sum,
         };
         let spot = [0, 1].map(|k| position[k] * self.gain[k] / unit * self.half_size);
-        self.correction.as_ref().map_or(spot, |table| table.apply(spot))
+        self.correction.as_ref().map_or(spot, |table| table.apply(spot).spot)
     }
 }
