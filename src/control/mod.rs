@@ -29,6 +29,7 @@ use tokio::sync::mpsc;
 use crate::acquisition::task::SettingsChange;
 use crate::centering::CenteringRequest;
 use crate::estimation::EstimationRequest;
+use crate::twin::MoveRequest;
 
 /// Requests that can wait in each channel. They come one at a time, so there is always room.
 const QUEUE: usize = 4;
@@ -39,6 +40,7 @@ pub struct FastRequests {
     changes: mpsc::Sender<SettingsChange>,
     questions: mpsc::Sender<EstimationRequest>,
     orders: mpsc::Sender<CenteringRequest>,
+    moves: mpsc::Sender<MoveRequest>,
 }
 
 /// The receiving ends of the channels to the fast side.
@@ -50,6 +52,8 @@ pub struct FastLink {
     pub questions: mpsc::Receiver<EstimationRequest>,
     /// Requests to centering.
     pub orders: mpsc::Receiver<CenteringRequest>,
+    /// Requests to the twin.
+    pub moves: mpsc::Receiver<MoveRequest>,
 }
 
 /// The channels between the main thread and the fast side.
@@ -57,8 +61,9 @@ pub fn ways() -> (FastRequests, FastLink) {
     let (changes, changes_end) = mpsc::channel(QUEUE);
     let (questions, questions_end) = mpsc::channel(QUEUE);
     let (orders, orders_end) = mpsc::channel(QUEUE);
+    let (moves, moves_end) = mpsc::channel(QUEUE);
     (
-        FastRequests { changes, questions, orders },
-        FastLink { changes: changes_end, questions: questions_end, orders: orders_end },
+        FastRequests { changes, questions, orders, moves },
+        FastLink { changes: changes_end, questions: questions_end, orders: orders_end, moves: moves_end },
     )
 }

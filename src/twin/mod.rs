@@ -4,7 +4,7 @@
 //! [`Twin`] is pure: it computes scan after scan for the times `index / rate`, as fast as it is called.
 //! [`TwinSource`] runs it in real time. The board emulator and `trifacet simulate` also use it.
 //!
-//! - [`trajectory`]: the motion of the mirror.
+//! - [`trajectory`]: the motion of the mirror. [`moves`]: its moves by command.
 //! - [`stage`], [`outputs`]: the response of the laser to its commands.
 //! - [`pointing`]: the drift of the laser.
 //! - [`scene`]: the light on the PSDs.
@@ -17,6 +17,7 @@ pub mod board_state;
 pub mod electronics;
 pub mod emulator;
 pub mod faults;
+pub mod moves;
 pub mod outputs;
 pub mod pointing;
 pub mod pty;
@@ -29,6 +30,7 @@ use electronics::{Electronics, Noise, READBACK};
 pub use emulator::Emulator;
 pub use faults::Fate;
 use faults::{Active, Faults};
+pub use moves::{MirrorMove, MoveRequest};
 pub use outputs::{OUTPUT_BITS, Outputs};
 use pointing::Pointing;
 pub use pty::Pty;
@@ -208,6 +210,14 @@ impl Twin {
     /// Holds the mirror at this pose from the next scan on, instead of its configured motion.
     pub fn place(&mut self, pose: Pose) {
         self.trajectory = Trajectory::rest(pose);
+    }
+
+    /// Moves the mirror from where it is in the next scan to this pose, within `over_s` seconds, and holds it
+    /// there; its configured motion ends. Returns the time of arrival, seconds since the start of the twin.
+    pub fn travel(&mut self, to: Pose, over_s: f64) -> f64 {
+        let now_s = self.next_s();
+        self.trajectory = Trajectory::travel(&self.trajectory.pose(now_s), &to, now_s, over_s);
+        now_s + over_s
     }
 
     /// Takes the next scan.
