@@ -8,6 +8,7 @@
 //! - [`estimate`]: the inverse, from signals to pose and beam offset.
 //! - [`facet_offset`]: the offset of the beam when a single PSD sees light.
 //! - [`covariance`]: from the noise of the signals to the uncertainty of the result.
+//! - [`calibration`]: how the numbers of a head are found.
 //! - [`fusion`]: the beam position from another instrument, as two more signals.
 //!
 //! The paper: *Measurement of 3-D position and orientation of rigid bodies using a 3-facet mirror*.
@@ -34,6 +35,7 @@
 
 mod balance;
 pub mod beam;
+pub mod calibration;
 pub mod covariance;
 pub mod estimate;
 pub mod facet_offset;
