@@ -39,7 +39,7 @@ enum Command {
     Dark(commands::DarkArgs),
     /// Measure the loop with small steps of the stage, and write the result into the configuration
     Tune(commands::TuneArgs),
-    /// Calibrate the head from measured points
+    /// Calibrate a real head: find its numbers from measurements
     Calibrate(commands::CalibrateArgs),
     /// Compute signals from poses: CSV in, CSV out
     Trace(commands::TableArgs),
