@@ -39,12 +39,12 @@ enum Command {
     Dark(commands::DarkArgs),
     /// Measure the loop with small steps of the stage, and write the result into the configuration
     Tune(commands::TuneArgs),
-    /// Calibrate the head from measured points
+    /// Calibrate a real head: find its numbers from measurements
     Calibrate(commands::CalibrateArgs),
     /// Compute signals from poses: CSV in, CSV out
     Trace(commands::TableArgs),
     /// Compute poses from signals: CSV in, CSV out
-    Solve(commands::TableArgs),
+    Solve(commands::SolveArgs),
     /// Write samples of the digital twin with the true poses, as CSV
     Simulate(commands::SimulateArgs),
     /// Repeat the experiment of the paper, on the twin or with a running daemon, and write a report

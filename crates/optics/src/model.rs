@@ -161,7 +161,7 @@ impl Optics {
         on_plane(normal, rho)
     }
 
-    fn spot(&self, facet: usize, mirror: &Mirror, arm: Vec3) -> Result<[f64; 2], TraceError> {
+    pub(super) fn spot(&self, facet: usize, mirror: &Mirror, arm: Vec3) -> Result<[f64; 2], TraceError> {
         let psd = &self.psds[facet];
         let ray = Ray::new(psd, mirror.normals[facet], mirror.t + arm);
         if !ray.reaches() {

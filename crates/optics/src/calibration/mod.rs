@@ -6,6 +6,7 @@
 //! of the head, make every combination of parameters finite that no data determine.
 //!
 //! - [`cholesky`]: large matrices. [`linearised`]: the parameters and one point.
+//! - [`plan`]: poses that cover the PSDs evenly.
 //! - [`point`]: what is measured.
 //! - [`parameters`]: the unknown numbers and their tolerances.
 //! - `instrument`: the forward model, with an elliptical beam.
@@ -24,6 +25,7 @@ pub mod map;
 pub mod mistakes;
 mod normal;
 pub mod parameters;
+pub mod plan;
 pub mod point;
 pub mod result;
 mod session;
