@@ -6,6 +6,8 @@
 
 mod fingerprint;
 mod record;
+mod standing;
 
 pub use fingerprint::fingerprint;
 pub use record::{FORMAT, RecordError, RecordHeader};
+pub use standing::{Calibration, Standing};

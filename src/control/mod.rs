@@ -2,6 +2,7 @@
 //!
 //! - [`command`]: the commands and their syntax; pure.
 //! - [`live`]: the configuration in force, and its changes, with `reload` and `tare`.
+//! - `calibration`: the end of a calibration while the daemon runs.
 //! - [`config_file`]: the configuration file, whose file system may stop responding.
 //! - [`page`]: the permission of the live page.
 //! - [`server`]: the socket. [`client`]: its client.
@@ -9,6 +10,7 @@
 //! All of this runs on the main thread. Requests reach the fast side through bounded channels. Each request
 //! carries a channel for its answer. Neither side blocks the other.
 
+mod calibration;
 pub mod client;
 pub mod command;
 pub mod config_file;
@@ -19,6 +21,7 @@ mod self_check;
 pub mod server;
 mod tare;
 
+pub use calibration::{log_calibration, watch_expiry};
 pub use command::Command;
 pub use config_file::ConfigFile;
 pub use live::RunningConfig;
