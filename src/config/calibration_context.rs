@@ -75,7 +75,7 @@ impl CalibrationContext {
         let channels = config.channels(&tables)?;
         let record = config.calibration.read().map_err(AssemblyError::Record)?;
         let calibration = Calibration::of(&config, &channels, record, Timestamp::now());
-        Ok(Self { tables, calibration, config })
+        Ok(Self { config, tables, calibration })
     }
 
     /// Whether a valid calibration record belongs to the configuration. Otherwise frames carry `UNCALIBRATED`.
