@@ -39,6 +39,8 @@ enum Command {
     Dark(commands::DarkArgs),
     /// Measure the loop with small steps of the stage, and write the result into the configuration
     Tune(commands::TuneArgs),
+    /// Calibrate a real head: find its numbers from measurements
+    Calibrate(commands::CalibrateArgs),
     /// Compute signals from poses: CSV in, CSV out
     Trace(commands::TableArgs),
     /// Compute poses from signals: CSV in, CSV out
@@ -87,6 +89,7 @@ fn main() -> ExitCode {
         Command::BoardTest(args) => commands::board_test(&args),
         Command::Dark(args) => commands::dark(&args),
         Command::Tune(args) => commands::tune(&args),
+        Command::Calibrate(args) => commands::calibrate(&args),
         Command::Trace(args) => commands::trace(&args),
         Command::Solve(args) => commands::solve(&args),
         Command::Simulate(args) => commands::simulate(&args),

@@ -12,7 +12,7 @@ const DAY_S: f64 = 86_400.0;
 
 /// What is known of the calibration of the head.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Calibration {
+pub struct CalibrationState {
     /// The record, if the configuration names one.
     pub record: Option<RecordHeader>,
     /// Whether it is valid.
@@ -34,7 +34,7 @@ pub enum Standing {
     Valid,
 }
 
-impl Calibration {
+impl CalibrationState {
     /// The calibration of a configuration with this record, at this time. `channels` are those of `config`.
     pub fn of(config: &Config, channels: &Channels, record: Option<RecordHeader>, now: Timestamp) -> Self {
         let standing = match &record {
@@ -151,11 +151,11 @@ mod tests {
         }
     }
 
-    fn standing(text: &str, fits: bool, expires: Option<&str>, now: &str) -> Calibration {
+    fn standing(text: &str, fits: bool, expires: Option<&str>, now: &str) -> CalibrationState {
         let config = parse(text, None).unwrap();
         let channels = config.read_channels().unwrap();
         let fits = if fits { fingerprint(&config, &channels) } else { "0123".into() };
-        Calibration::of(&config, &channels, Some(record(fits, expires)), now.parse().unwrap())
+        CalibrationState::of(&config, &channels, Some(record(fits, expires)), now.parse().unwrap())
     }
 
     #[test]

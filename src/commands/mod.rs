@@ -10,6 +10,7 @@ use anyhow::Context;
 use trifacet::config::{self, Config};
 
 mod board_test;
+mod calibrate;
 mod check;
 mod ctl;
 mod dark;
@@ -34,6 +35,7 @@ mod tune;
 mod watch;
 
 pub(crate) use board_test::{BoardTestArgs, board_test};
+pub(crate) use calibrate::{CalibrateArgs, calibrate};
 pub(crate) use check::{CheckArgs, check};
 pub(crate) use ctl::{CtlArgs, ctl};
 pub(crate) use dark::{DarkArgs, dark};

@@ -8,7 +8,7 @@ use trifacet_optics::FACETS;
 use super::Config;
 use super::assembly::AssemblyError;
 use super::file::read_regular;
-use crate::calibration::Calibration;
+use crate::calibration::CalibrationState;
 
 /// Contents of the correction tables of PSDs A, B and C.
 ///
@@ -62,7 +62,7 @@ pub struct CalibrationContext {
     /// Its correction tables.
     pub tables: Tables,
     /// Its calibration.
-    pub calibration: Calibration,
+    pub calibration: CalibrationState,
 }
 
 impl CalibrationContext {
@@ -74,7 +74,7 @@ impl CalibrationContext {
         let tables = Tables::read(&config)?;
         let channels = config.channels(&tables)?;
         let record = config.calibration.read().map_err(AssemblyError::Record)?;
-        let calibration = Calibration::of(&config, &channels, record, Timestamp::now());
+        let calibration = CalibrationState::of(&config, &channels, record, Timestamp::now());
         Ok(Self { config, tables, calibration })
     }
 

@@ -7,14 +7,14 @@ use tokio::sync::Mutex;
 use tokio::time::{MissedTickBehavior, interval};
 
 use super::RunningConfig;
-use crate::calibration::Calibration;
+use crate::calibration::CalibrationState;
 use crate::config::SourceKind;
 
 /// Interval of the checks whether a calibration has expired.
 const LOOK: Duration = Duration::from_secs(1);
 
 /// Logs whether the record is valid: at the start, and when this changes. Without a record the frames say all.
-pub fn log_calibration(calibration: &Calibration, expires_days: Option<f64>) {
+pub fn log_calibration(calibration: &CalibrationState, expires_days: Option<f64>) {
     let record = calibration.describe(Timestamp::now(), expires_days);
     match (calibration.objection(), record) {
         (None, Some(record)) => tracing::info!(record, "the head is calibrated"),

@@ -10,7 +10,7 @@ use tokio::sync::Mutex;
 use super::RunningConfig;
 use super::config_file::Access;
 use super::live::ChannelMap;
-use crate::calibration::Calibration;
+use crate::calibration::CalibrationState;
 use crate::config::reload::{Reload, reload};
 use crate::config::{self, CalibrationContext, SteeringConfig};
 use crate::exit::{self, Failure};
@@ -64,7 +64,7 @@ impl RunningConfig {
     fn plan(
         &self,
         file: &CalibrationContext,
-    ) -> anyhow::Result<(Box<Reload>, Option<ChannelMap>, Option<Calibration>)> {
+    ) -> anyhow::Result<(Box<Reload>, Option<ChannelMap>, Option<CalibrationState>)> {
         let CalibrationContext { config, tables, calibration } = file;
         let mut plan = Box::new(reload(&self.running, &self.taken, config)?);
         let map = plan.running.channels != self.running.channels;
@@ -81,7 +81,7 @@ impl RunningConfig {
         let channels = plan.running.channels(tables)?;
         // The record may belong to the file, but not to what of it can take effect.
         let record = calibration.record.clone();
-        let calibration = Calibration::of(&plan.running, &channels, record, Timestamp::now());
+        let calibration = CalibrationState::of(&plan.running, &channels, record, Timestamp::now());
         let calibration = (calibration != *before).then_some(calibration);
         Ok((plan, (map || contents).then(|| (channels, tables.clone())), calibration))
     }

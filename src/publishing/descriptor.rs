@@ -9,7 +9,7 @@ use trifacet_wire::stream::{CalibrationEntry, Descriptor, FieldEntry, Heartbeat,
 use trifacet_wire::{LockState, Status};
 
 use super::publisher::StreamId;
-use crate::calibration::Calibration;
+use crate::calibration::CalibrationState;
 use crate::config::{Config, Model};
 
 /// The facts about the stream that the descriptor needs from outside this module.
@@ -24,7 +24,7 @@ pub struct StreamFacts {
     /// The sensor model of the estimator.
     pub model: Model,
     /// The calibration of the head.
-    pub calibration: Calibration,
+    pub calibration: CalibrationState,
     /// As `calibration.expires_days`.
     pub expires_days: Option<f64>,
     /// As in [`Descriptor::systematic`].
@@ -33,7 +33,7 @@ pub struct StreamFacts {
 
 impl StreamFacts {
     /// The facts of this configuration.
-    pub fn new(id: StreamId, config: &Config, calibration: Calibration) -> Self {
+    pub fn new(id: StreamId, config: &Config, calibration: CalibrationState) -> Self {
         Self {
             id,
             sample_rate_hz: config.acquisition.rate_hz,
@@ -52,7 +52,7 @@ impl StreamFacts {
             sample_rate_hz: 1000.0,
             average: 1,
             model: Model::Ray,
-            calibration: Calibration::default(),
+            calibration: CalibrationState::default(),
             expires_days: None,
             systematic: [0.0; 6],
         }
@@ -107,7 +107,10 @@ impl StreamFacts {
 }
 
 /// What the record of a calibration states.
-pub fn calibration_entry(calibration: &Calibration, expires_days: Option<f64>) -> Option<CalibrationEntry> {
+pub fn calibration_entry(
+    calibration: &CalibrationState,
+    expires_days: Option<f64>,
+) -> Option<CalibrationEntry> {
     let record = calibration.record.as_ref()?;
     let ([x, y, z], [roll, pitch, yaw]) = (record.std_um, record.std_urad);
     Some(CalibrationEntry {

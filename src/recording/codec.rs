@@ -14,7 +14,7 @@ use trifacet_wire::Status;
 
 use super::message::{self, Time, Unknown};
 use super::{Entry, Keyframe, Topic};
-use crate::calibration::{Calibration, Standing};
+use crate::calibration::{CalibrationState, Standing};
 use crate::config::{CalibrationContext, ConfigError, Tables, parse};
 
 /// Version of this program. The state of another version may have another format.
@@ -316,8 +316,10 @@ fn context(message: message::Config) -> Result<CalibrationContext, DecodeError> 
     let tables = Tables([a, b, c].map(|table| (!table.is_empty()).then_some(table)));
     let calibration = match message.calibration.as_str() {
         // Versions without records: a head with three tables counted as calibrated.
-        "" if tables.0.iter().all(Option::is_some) => Calibration { record: None, standing: Standing::Valid },
-        "" => Calibration::default(),
+        "" if tables.0.iter().all(Option::is_some) => {
+            CalibrationState { record: None, standing: Standing::Valid }
+        }
+        "" => CalibrationState::default(),
         json => serde_json::from_str(json).map_err(|e| DecodeError::Calibration(e.to_string()))?,
     };
     Ok(CalibrationContext { config, tables, calibration })

@@ -207,7 +207,7 @@ impl<'t> Row<'t> {
         Failure::new(exit::DATA, format!("{}:{}: {what}", self.name, self.line))
     }
 
-    /// The line of the file, from 1.
+    /// The line of the file in which the row begins, from 1.
     pub fn line(&self) -> u64 {
         self.line
     }

@@ -7,14 +7,16 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 
 use jiff::Timestamp;
-use trifacet::calibration::Calibration;
+use trifacet::calibration::CalibrationState;
 use trifacet::config::{
     CalibrationContext, Config, Destination, FacetConfig, FramesConfig, Host, LogFormat, SourceKind,
-    SteeringKind, TransformConfig,
+    SteeringKind, TransformConfig, TwinConfig,
 };
+use trifacet::exit::{self, Failure};
 use trifacet::publishing::columns::rfc3339;
 use trifacet::publishing::udp::resolve;
 use trifacet::replay::RecordingHeader;
+use trifacet::twin::Twin;
 use trifacet_core::centering::LoopMode;
 use trifacet_optics::covariance::sigmas;
 use trifacet_optics::{
@@ -45,6 +47,9 @@ pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
             (then.holding(&config), then.context.id(), then.context.calibration.clone())
         }
     };
+    if config.acquisition.source == SourceKind::Twin {
+        Twin::new(&config).map_err(|error| Failure::new(exit::CONFIG, error.to_string()))?;
+    }
     let mut lines = Lines::default();
     let name = args.config.config.as_ref().map_or("defaults".into(), |file| file.display().to_string());
     lines.say("configuration", format!("{name}: valid, id {id:08x}"));
@@ -136,6 +141,23 @@ fn source(config: &Config, lines: &mut Lines) {
             ),
         },
     );
+    if acquisition.source == SourceKind::Twin {
+        twin(&config.twin, lines);
+    }
+}
+
+/// Whether the head of the twin is another one than the estimator believes.
+fn twin(twin: &TwinConfig, lines: &mut Lines) {
+    if let Some(tolerances) = &twin.tolerances {
+        let seed = tolerances.seed;
+        lines.say("", format!("with a head of its own, which the estimator does not know: seed {seed}"));
+    } else if twin.has_own_head() {
+        lines.say("", "with a head of its own, which the estimator does not know");
+    }
+    if let Some(temperature) = &twin.temperature {
+        let (warm_up, swing) = (temperature.warm_up_k, temperature.swing_k);
+        lines.say("", format!("its temperature rises by {warm_up} K and swings by +-{swing} K"));
+    }
 }
 
 fn estimation(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
@@ -244,7 +266,7 @@ fn machine(config: &Config, lines: &mut Lines) {
 }
 
 /// Settings that are allowed but may have unexpected effects.
-fn notes(config: &Config, calibration: &Calibration, lines: &mut Lines) {
+fn notes(config: &Config, calibration: &CalibrationState, lines: &mut Lines) {
     if let Some(why) = calibration.objection() {
         lines.say("note", format!("{why}: the frames carry UNCALIBRATED"));
     }

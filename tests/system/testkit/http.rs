@@ -43,7 +43,8 @@ fn send(at: SocketAddr, line: &str, headers: &str, body: &str) -> Page {
     let sent = write!(stream, "{line}\r\n{headers}Connection: close\r\n\r\n{body}");
     let mut answer = String::new();
     let received = stream.read_to_string(&mut answer);
-    let (head, body) = answer.split_once("\r\n\r\n").unwrap_or_else(|| panic!("{answer:?} {sent:?} {received:?}"));
+    let (head, body) =
+        answer.split_once("\r\n\r\n").unwrap_or_else(|| panic!("{answer:?} {sent:?} {received:?}"));
     let code = head.split(' ').nth(1).unwrap().parse().unwrap();
     Page { code, headers: head.to_ascii_lowercase(), body: body.into() }
 }

@@ -193,7 +193,8 @@ impl ChannelMap {
         if scan.lost > 0 {
             self.frozen.gap();
         }
-        let codes = self.places.as_flattened().iter().map(|place| scan.codes[*place]);
+        let places = self.places.as_flattened();
+        let codes = std::array::from_fn(|i| scan.codes[places[i]]);
         let usable = psds.map(|state| state == PsdState::Good);
         if self.frozen.push(codes, usable) {
             for (i, state) in psds.iter_mut().enumerate() {
@@ -226,7 +227,10 @@ impl ChannelMap {
     /// the last scan and this one, unless there is a gap in between.
     fn at_scan(&self, channel: usize, scan: &Scan, last: Option<&Last>) -> f64 {
         let now = self.volts(scan.codes[channel]);
-        last.map_or(now, |last| now - self.skew[channel] * (now - self.volts(last.codes[channel])))
+        match (self.skew[channel], last) {
+            (0.0, _) | (_, None) => now,
+            (skew, Some(last)) => now - skew * (now - self.volts(last.codes[channel])),
+        }
     }
 
     fn volts(&self, code: i32) -> f64 {

@@ -92,7 +92,7 @@ function begin(first) {
   detectors.configure(config);
   balance.configure(config);
   strips.period_ms = 1000 / descriptor.rate_hz;
-  const source = config.acquisition.source === "twin" ? "digital twin" :
+  const source = config.acquisition.source === "twin" ? twin(config.twin) :
     config.acquisition.source === "replay" ? `recording ${config.replay.file}` : `board at ${config.acquisition.serial.port}`;
   say($("device"), `${source}, ${descriptor.rate_hz} poses/s`);
   say($("config"), JSON.stringify(config, null, 2));
@@ -126,6 +126,10 @@ function calibration({ calibration: record, uncalibrated }) {
   return uncalibrated ? `${uncalibrated} (${about})` : about;
 }
 
+// The twin: its head is that of the estimator, unless one of these sections gives it another one.
+const OWN_HEAD = ["head", "psd", "beam", "stage", "tolerances"];
+const twin = (config) =>
+  OWN_HEAD.some((section) => config[section] !== undefined) ? "digital twin with a head of its own" : "digital twin";
 const hex = (n) => n.toString(16).padStart(8, "0");
 
 function show(update) {
