@@ -27,6 +27,7 @@
 
 pub mod acquisition;
 pub mod board_test;
+pub mod calibration;
 pub mod centering;
 pub mod charts;
 pub mod clock;

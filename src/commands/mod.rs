@@ -10,6 +10,7 @@ use anyhow::Context;
 use trifacet::config::{self, Config};
 
 mod board_test;
+mod calibrate;
 mod check;
 mod ctl;
 mod dark;
@@ -26,6 +27,7 @@ mod replay;
 mod run;
 mod silence;
 mod simulate;
+mod solve;
 mod status;
 mod table;
 mod trace;
@@ -33,6 +35,7 @@ mod tune;
 mod watch;
 
 pub(crate) use board_test::{BoardTestArgs, board_test};
+pub(crate) use calibrate::{CalibrateArgs, calibrate};
 pub(crate) use check::{CheckArgs, check};
 pub(crate) use ctl::{CtlArgs, ctl};
 pub(crate) use dark::{DarkArgs, dark};
@@ -47,8 +50,9 @@ pub(crate) use recover::{RecoverArgs, recover};
 pub(crate) use replay::{ReplayArgs, replay};
 pub(crate) use run::{RunArgs, run};
 pub(crate) use simulate::{SimulateArgs, simulate};
+pub(crate) use solve::{SolveArgs, solve};
 pub(crate) use status::{StatusArgs, status};
-pub(crate) use trace::{TableArgs, solve, trace};
+pub(crate) use trace::{TableArgs, trace};
 pub(crate) use tune::{TuneArgs, tune};
 pub(crate) use watch::{WatchArgs, watch};
 

@@ -166,7 +166,8 @@ function headline({ frame, ready, dead }, now_ms) {
     const loop = mode === "shadow" ? " (loop in shadow mode)" : "";
     return grade("warn", `Pose valid, beam not locked: ${reason}${loop}${from}`);
   }
-  const fault = name === "time" || name === "consistency" ? "Pose not usable" : "No valid pose";
+  const unusable = ["time", "consistency", "calibration"].includes(name);
+  const fault = unusable ? "Pose not usable" : "No valid pose";
   grade("bad", `${fault}: ${reasons(reason)}${from}`);
 }
 
