@@ -43,6 +43,7 @@ mod steering;
 mod text;
 mod tune;
 mod twin;
+mod uncertainty;
 
 pub use acquisition::{AcquisitionConfig, SerialConfig, SourceKind};
 pub use assembly::AssemblyError;
@@ -72,6 +73,7 @@ use serde::{Deserialize, Serialize};
 pub use steering::{NO_TILT, POINTING_UM, SteeringConfig, SteeringKind, SteeringKindError};
 pub use tune::TuneConfig;
 pub use twin::{TwinConfig, TwinSteering};
+pub use uncertainty::UncertaintyConfig;
 
 /// The whole configuration.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -95,6 +97,8 @@ pub struct Config {
     pub estimation: EstimationConfig,
     /// Coordinate frames of the poses.
     pub frames: FramesConfig,
+    /// What the readings do not tell about the uncertainty of a pose.
+    pub uncertainty: UncertaintyConfig,
     /// Outlets of the poses.
     pub publishing: PublishingConfig,
     /// The control socket.
@@ -125,6 +129,7 @@ impl Config {
         self.tune.check(at.section("tune"));
         self.estimation.check(at.section("estimation"));
         self.frames.check(at.section("frames"));
+        self.uncertainty.check(at.section("uncertainty"));
         self.publishing.check(at.section("publishing"));
         self.control.check(at.section("control"));
         self.monitor.check(at.section("monitor"));
