@@ -20,7 +20,7 @@ pub(crate) struct BudgetArgs {
     #[arg(long, value_name = "TX,TY,TZ,ROLL,PITCH,YAW", value_parser = pose, allow_hyphen_values = true, conflicts_with = "range")]
     pose: Option<Pose>,
     /// The worst pose within plus and minus these translations and angles
-    #[arg(long, value_name = "MM,MRAD", value_parser = range, default_value = "1,5")]
+    #[arg(long, value_name = "MM,MRAD", value_parser = range, allow_hyphen_values = true, default_value = "1,5")]
     range: [f64; 2],
     /// Samples that are averaged in the pose; by default estimation.average
     #[arg(long, value_name = "N", value_parser = whole(1_u32..=1_000_000_000))]
