@@ -3,6 +3,7 @@
 #[cfg(test)]
 pub(crate) mod manual;
 pub mod pace;
+pub mod simulated;
 pub mod utc;
 
 use rustix::time::{ClockId, clock_gettime};

@@ -29,6 +29,7 @@
 pub mod acquisition;
 pub mod board_test;
 pub mod budget;
+pub mod calibration;
 pub mod centering;
 pub mod charts;
 pub mod clock;

@@ -39,10 +39,12 @@ enum Command {
     Dark(commands::DarkArgs),
     /// Measure the loop with small steps of the stage, and write the result into the configuration
     Tune(commands::TuneArgs),
+    /// Calibrate a real head: find its numbers from measurements
+    Calibrate(commands::CalibrateArgs),
     /// Compute signals from poses: CSV in, CSV out
     Trace(commands::TableArgs),
     /// Compute poses from signals: CSV in, CSV out
-    Solve(commands::TableArgs),
+    Solve(commands::SolveArgs),
     /// Write samples of the digital twin with the true poses, as CSV
     Simulate(commands::SimulateArgs),
     /// Repeat the experiment of the paper, on the twin or with a running daemon, and write a report
@@ -89,6 +91,7 @@ fn main() -> ExitCode {
         Command::BoardTest(args) => commands::board_test(&args),
         Command::Dark(args) => commands::dark(&args),
         Command::Tune(args) => commands::tune(&args),
+        Command::Calibrate(args) => commands::calibrate(&args),
         Command::Trace(args) => commands::trace(&args),
         Command::Solve(args) => commands::solve(&args),
         Command::Simulate(args) => commands::simulate(&args),

@@ -7,6 +7,8 @@ use clap::{Args, Subcommand, ValueEnum};
 use trifacet::control::{self, Command};
 use trifacet::exit::{self, Failure};
 use trifacet::recording::RecorderCommand;
+use trifacet::twin::MirrorMove;
+use trifacet::twin::moves::DEFAULT_S;
 use trifacet_core::centering::LoopMode;
 use trifacet_core::telemetry::heartbeat::{Drill, Task};
 
@@ -65,6 +67,17 @@ enum CtlCommand {
     Search,
     /// Move the beam over a small pattern, and test whether the pose depends on it; the mirror must be at rest
     SelfCheck,
+    /// Move the mirror of the twin, as a stage under it would, and wait until it is there; with the twin only.
+    /// Its configured motion ends
+    #[command(allow_negative_numbers = true)]
+    TwinPose {
+        /// tx, ty, tz in micrometres, then roll, pitch, yaw in microradians
+        #[arg(num_args = 6, required = true, value_names = ["TX", "TY", "TZ", "ROLL", "PITCH", "YAW"])]
+        micro: Vec<f64>,
+        /// Duration of the move, seconds
+        #[arg(long, value_name = "S", default_value_t = DEFAULT_S)]
+        over_s: f64,
+    },
     /// Simulate a failure of a task, to test your supervision; with the twin only
     Drill {
         /// Failure of the task
@@ -180,6 +193,11 @@ impl CtlCommand {
             CtlCommand::SelfCheck => Command::SelfCheck,
             CtlCommand::Setpoint { x_um, y_um } => Command::Setpoint([x_um, y_um]),
             CtlCommand::Gains { kp, ki_per_s } => Command::Gains { kp, ki_per_s },
+            CtlCommand::TwinPose { ref micro, over_s } => {
+                // clap takes six values.
+                let micro = std::array::from_fn(|i| micro.get(i).copied().unwrap_or_default());
+                Command::TwinPose(MirrorMove { micro, over_s })
+            }
             CtlCommand::Drill { what, task } => Command::Drill(what.into(), task.into()),
             CtlCommand::Record { what: Recording::Start } => Command::Record(RecorderCommand::Start),
             CtlCommand::Record { what: Recording::Stop } => Command::Record(RecorderCommand::Stop),

@@ -109,6 +109,7 @@ impl Bench {
     fn obey(&mut self, line: &str) -> anyhow::Result<()> {
         match line.parse() {
             Ok(EmulatorCommand::Status) => say(&serde_json::to_string(&self.board.state())?)?,
+            Ok(EmulatorCommand::Pose(to)) => self.board.travel(&to),
             Ok(EmulatorCommand::Restart) => {
                 self.board.restart(SystemClock.now());
             }

@@ -174,7 +174,7 @@ fn bar(length: u64) -> ProgressBar {
 const READINGS: &str = "readings.csv";
 
 /// Opens the folder and locks it for this session, as long as the result is kept.
-fn claimed(out: &Path) -> anyhow::Result<File> {
+pub(super) fn claimed(out: &Path) -> anyhow::Result<File> {
     fs::create_dir_all(out).with_context(|| format!("cannot create the folder {}", out.display()))?;
     let folder = File::open(out).with_context(|| format!("cannot open the folder {}", out.display()))?;
     match folder.try_lock() {
@@ -188,7 +188,7 @@ fn claimed(out: &Path) -> anyhow::Result<File> {
 }
 
 /// Checks before the measurement that no file will be overwritten.
-fn fresh(out: &Path) -> anyhow::Result<()> {
+pub(super) fn fresh(out: &Path) -> anyhow::Result<()> {
     let mut inside =
         fs::read_dir(out).with_context(|| format!("cannot open the folder {}", out.display()))?;
     if inside.next().is_some() {

@@ -11,6 +11,7 @@ use trifacet::config::{self, Config};
 
 mod board_test;
 mod budget;
+mod calibrate;
 mod check;
 mod ctl;
 mod dark;
@@ -27,6 +28,7 @@ mod replay;
 mod run;
 mod silence;
 mod simulate;
+mod solve;
 mod status;
 mod table;
 mod trace;
@@ -35,6 +37,7 @@ mod watch;
 
 pub(crate) use board_test::{BoardTestArgs, board_test};
 pub(crate) use budget::{BudgetArgs, budget};
+pub(crate) use calibrate::{CalibrateArgs, calibrate};
 pub(crate) use check::{CheckArgs, check};
 pub(crate) use ctl::{CtlArgs, ctl};
 pub(crate) use dark::{DarkArgs, dark};
@@ -49,8 +52,9 @@ pub(crate) use recover::{RecoverArgs, recover};
 pub(crate) use replay::{ReplayArgs, replay};
 pub(crate) use run::{RunArgs, run};
 pub(crate) use simulate::{SimulateArgs, simulate};
+pub(crate) use solve::{SolveArgs, solve};
 pub(crate) use status::{StatusArgs, status};
-pub(crate) use trace::{TableArgs, solve, trace};
+pub(crate) use trace::{TableArgs, trace};
 pub(crate) use tune::{TuneArgs, tune};
 pub(crate) use watch::{WatchArgs, watch};
 

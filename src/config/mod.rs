@@ -43,6 +43,7 @@ mod steering;
 mod text;
 mod tune;
 mod twin;
+mod twin_head;
 mod uncertainty;
 
 pub use acquisition::{AcquisitionConfig, SerialConfig, SourceKind};
@@ -73,6 +74,7 @@ use serde::{Deserialize, Serialize};
 pub use steering::{NO_TILT, POINTING_UM, SteeringConfig, SteeringKind, SteeringKindError};
 pub use tune::TuneConfig;
 pub use twin::{TwinConfig, TwinSteering};
+pub use twin_head::{TwinBeam, TwinPsd, TwinPsds, TwinStage, TwinTemperature, TwinTolerances};
 pub use uncertainty::UncertaintyConfig;
 
 /// The whole configuration.

@@ -7,6 +7,8 @@ use trifacet_core::centering::LoopMode;
 use trifacet_core::telemetry::heartbeat::{Drill, Task};
 
 use crate::recording::RecorderCommand;
+use crate::twin::MirrorMove;
+use crate::twin::moves::DEFAULT_S;
 
 /// A command. [`ALLOWED`] lists their syntax.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,6 +46,8 @@ pub enum Command {
     Search,
     /// Moves the beam over a small pattern and tests whether the pose depends on it.
     SelfCheck,
+    /// Moves the mirror of the twin; twin only.
+    TwinPose(MirrorMove),
     /// Makes a task stall or end, to test the supervision; twin only.
     Drill(Drill, Task),
     /// Queries the state of the recorder.
@@ -65,6 +69,7 @@ pub struct NoCommand {
 pub const ALLOWED: &str = "status, tare [poses=N] [save], tare clear [save], loop on|off|shadow|manual, \
     setpoint X_UM Y_UM, gains KP KI_PER_S, move X_UM Y_UM, park, search, self-check, reload, \
     record start|stop|trigger|status, \
+    twin-pose TX_UM TY_UM TZ_UM ROLL_URAD PITCH_URAD YAW_URAD [over_s=S], \
     drill stall|block|end acquisition|centering|estimation";
 
 impl FromStr for Command {
@@ -91,6 +96,10 @@ fn parse(word: &str, rest: &[&str]) -> Option<Command> {
         ("search", []) => Command::Search,
         ("self-check", []) => Command::SelfCheck,
         ("move", [x, y]) => Command::Move([number(x)?, number(y)?]),
+        ("twin-pose", [pose @ .., last]) if last.starts_with("over_s=") => {
+            twin_pose(pose, number(last.strip_prefix("over_s=")?)?)?
+        }
+        ("twin-pose", pose) => twin_pose(pose, DEFAULT_S)?,
         ("drill", [drill, task]) => Command::Drill(
             Drill::ALL.into_iter().find(|d| d.name() == *drill)?,
             Task::ALL.into_iter().find(|t| t.name() == *task)?,
@@ -115,6 +124,11 @@ fn parse(word: &str, rest: &[&str]) -> Option<Command> {
     })
 }
 
+fn twin_pose(words: &[&str], over_s: f64) -> Option<Command> {
+    let numbers: Vec<_> = words.iter().map(|word| number(word)).collect::<Option<_>>()?;
+    Some(Command::TwinPose(MirrorMove { micro: numbers.try_into().ok()?, over_s }))
+}
+
 fn number(text: &str) -> Option<f64> {
     text.parse().ok().filter(|x: &f64| x.is_finite())
 }
@@ -135,6 +149,9 @@ impl fmt::Display for Command {
             Command::Park => f.write_str("park"),
             Command::Search => f.write_str("search"),
             Command::SelfCheck => f.write_str("self-check"),
+            Command::TwinPose(MirrorMove { micro: [x, y, z, roll, pitch, yaw], over_s }) => {
+                write!(f, "twin-pose {x:?} {y:?} {z:?} {roll:?} {pitch:?} {yaw:?} over_s={over_s:?}")
+            }
             Command::Drill(drill, task) => write!(f, "drill {} {task}", drill.name()),
             Command::Recording => f.write_str("record status"),
             Command::Record(action) => write!(f, "record {}", action.name()),
@@ -169,6 +186,7 @@ mod tests {
             Command::Record(RecorderCommand::Start),
             Command::Record(RecorderCommand::Stop),
             Command::Record(RecorderCommand::Trigger),
+            Command::TwinPose(MirrorMove { micro: [1.0, -2.5, 1e-3, 0.0, -5000.0, 6.0], over_s: 0.25 }),
             Command::Drill(Drill::Stall, Task::Centering),
             Command::Drill(Drill::Block, Task::Acquisition),
             Command::Drill(Drill::End, Task::Estimation),
@@ -177,6 +195,8 @@ mod tests {
         for command in commands {
             assert_eq!(command.to_string().parse(), Ok(command));
         }
+        let at_default_speed = MirrorMove { micro: [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], over_s: DEFAULT_S };
+        assert_eq!("twin-pose 1 2 3 4 5 6".parse(), Ok(Command::TwinPose(at_default_speed)));
         assert_eq!(" LOOP  on\r".parse(), Ok(Command::Loop(LoopMode::On)));
     }
 
@@ -205,6 +225,12 @@ mod tests {
             "gains 0.1",
             "gains inf 1",
             "gains 0,1 200",
+            "twin-pose",
+            "twin-pose 1 2 3 4 5",
+            "twin-pose 1 2 3 4 5 6 7",
+            "twin-pose 1 2 3 4 5 nan",
+            "twin-pose 1 2 3 4 5 6 over_s=",
+            "twin-pose 1 2 3 4 5 6 2",
             "reload /etc/passwd",
             "record",
             "record on",

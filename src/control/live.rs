@@ -25,12 +25,14 @@ use crate::config::reload::changes;
 use crate::config::{
     CalibrationContext, Config, SourceKind, SteeringConfig, SteeringKind, Tables, TransformConfig,
 };
+use crate::doubts::Doubter;
 use crate::estimation::EstimationRequest;
 use crate::exit::{self, Failure};
 use crate::logging::Logging;
 use crate::publishing::descriptor::StreamFacts;
 use crate::publishing::lock_event::lock_event;
 use crate::recording::{Handle, RecorderCommand};
+use crate::twin::{MirrorMove, MoveRequest};
 
 /// Time limit for an answer of the fast side.
 pub(super) const FAST_SIDE_TIMEOUT: Duration = Duration::from_secs(5);
@@ -67,6 +69,8 @@ pub struct RunningConfig {
     pub condition: Condition,
     /// Result of the last self-check.
     pub last_self_check: Option<Value>,
+    /// For the doubt that a self-check raises.
+    pub doubter: Doubter,
     /// Time of the daemon's start.
     pub started: Mono,
 }
@@ -77,7 +81,7 @@ pub async fn obey(live: &Mutex<RunningConfig>, command: Command) -> Value {
     execute(live, command).await.unwrap_or_else(|failure| error(&failure))
 }
 
-async fn execute(live: &Mutex<RunningConfig>, command: Command) -> Result<Value, Failure> {
+pub(super) async fn execute(live: &Mutex<RunningConfig>, command: Command) -> Result<Value, Failure> {
     live.lock().await.permit(command)?;
     match command {
         Command::Reload => take_over_file(live, access(live, "configuration unchanged").await?).await,
@@ -101,6 +105,7 @@ async fn execute(live: &Mutex<RunningConfig>, command: Command) -> Result<Value,
         Command::Park => live.lock().await.park().await,
         Command::Search => live.lock().await.search().await,
         Command::SelfCheck => live.lock().await.self_check().await,
+        Command::TwinPose(to) => twin_pose(live, to).await,
         Command::Drill(drill, task) => live.lock().await.drill(drill, task),
         Command::Recording => Ok(live.lock().await.recording.state.tell()),
         Command::Record(request) => live.lock().await.record(request).await,
@@ -113,6 +118,23 @@ async fn access(live: &Mutex<RunningConfig>, without: &str) -> Result<Access, Fa
     let file = live.lock().await.file.clone();
     let none = || format!("{without}: the daemon was started without a configuration file");
     file.ok_or_else(|| Failure::new(exit::CONFIG, none()))?.access().await
+}
+
+/// Moves the mirror of the twin and waits until it is there. Other commands are executed meanwhile.
+async fn twin_pose(live: &Mutex<RunningConfig>, to: MirrorMove) -> Result<Value, Failure> {
+    let to = to.checked().map_err(|why| Failure::new(exit::USAGE, why))?;
+    let moves = live.lock().await.twin_moves()?;
+    let patience = FAST_SIDE_TIMEOUT + Duration::from_secs_f64(to.over_s);
+    let (done, arrived) = oneshot::channel();
+    moves.try_send((to, done)).map_err(|_| unavailable("the daemon is stopping, or too busy to answer"))?;
+    match timeout(patience, arrived).await {
+        Ok(Ok(())) => {
+            let pose = to.to().to_array();
+            Ok(json!({ "twin_pose": { "tx_ty_tz_m": pose[..3], "roll_pitch_yaw_rad": pose[3..] } }))
+        }
+        Ok(Err(_)) => Err(Failure::new(exit::DATA, "another twin-pose moved the mirror before it was there")),
+        Err(_) => Err(unavailable("the fast side of the daemon does not answer")),
+    }
 }
 
 async fn save_to(live: &Mutex<RunningConfig>, save: bool) -> Result<Option<Access>, Failure> {
@@ -157,6 +179,15 @@ impl RunningConfig {
         let search =
             if starts { "started" } else { "not started: the loop regulates, so there is nothing to search" };
         Ok(json!({ "search": search, "loop": self.loop_now().await? }))
+    }
+
+    /// The way to the mirror of the twin. Refused with another source.
+    fn twin_moves(&self) -> Result<mpsc::Sender<MoveRequest>, Failure> {
+        if self.running.acquisition.source != SourceKind::Twin {
+            let why = "the mirror moves by command only with the twin as source: acquisition.source";
+            return Err(Failure::new(exit::DATA, why));
+        }
+        Ok(self.fast.moves.clone())
     }
 
     /// Starts a drill. Refused unless both source and stage are simulated.
@@ -344,13 +375,16 @@ pub fn error(failure: &Failure) -> Value {
     json!({ "error": failure.message, "code": failure.code })
 }
 
+fn unavailable(why: &str) -> Failure {
+    Failure::new(exit::UNAVAILABLE, why)
+}
+
 /// Sends a request to a task of the fast side and waits for the answer.
 pub(super) async fn ask<Q, A>(
     to: &mpsc::Sender<Q>,
     patience: Duration,
     question: impl FnOnce(oneshot::Sender<A>) -> Q,
 ) -> Result<A, Failure> {
-    let unavailable = |why: &str| Failure::new(exit::UNAVAILABLE, why);
     let (reply, answer) = oneshot::channel();
     to.try_send(question(reply)).map_err(|_| unavailable("the daemon is stopping, or too busy to answer"))?;
     match timeout(patience, answer).await {

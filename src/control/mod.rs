@@ -3,6 +3,7 @@
 //! - [`command`]: the commands and their syntax; pure.
 //! - [`live`]: the configuration in force, and its changes, with `reload` and `tare`.
 //! - [`config_file`]: the configuration file, whose file system may stop responding.
+//! - [`self_check`]: whether the pose depends on where the beam meets the mirror.
 //! - [`page`]: the permission of the live page.
 //! - [`server`]: the socket. [`client`]: its client.
 //!
@@ -15,7 +16,7 @@ pub mod config_file;
 pub mod live;
 pub mod page;
 mod reload;
-mod self_check;
+pub mod self_check;
 pub mod server;
 mod tare;
 
@@ -29,6 +30,7 @@ use tokio::sync::mpsc;
 use crate::acquisition::task::SettingsChange;
 use crate::centering::CenteringRequest;
 use crate::estimation::EstimationRequest;
+use crate::twin::MoveRequest;
 
 /// Requests that can wait in each channel. They come one at a time, so there is always room.
 const QUEUE: usize = 4;
@@ -39,6 +41,7 @@ pub struct FastRequests {
     changes: mpsc::Sender<SettingsChange>,
     questions: mpsc::Sender<EstimationRequest>,
     orders: mpsc::Sender<CenteringRequest>,
+    moves: mpsc::Sender<MoveRequest>,
 }
 
 /// The receiving ends of the channels to the fast side.
@@ -50,6 +53,8 @@ pub struct FastLink {
     pub questions: mpsc::Receiver<EstimationRequest>,
     /// Requests to centering.
     pub orders: mpsc::Receiver<CenteringRequest>,
+    /// Requests to the twin.
+    pub moves: mpsc::Receiver<MoveRequest>,
 }
 
 /// The channels between the main thread and the fast side.
@@ -57,8 +62,9 @@ pub fn ways() -> (FastRequests, FastLink) {
     let (changes, changes_end) = mpsc::channel(QUEUE);
     let (questions, questions_end) = mpsc::channel(QUEUE);
     let (orders, orders_end) = mpsc::channel(QUEUE);
+    let (moves, moves_end) = mpsc::channel(QUEUE);
     (
-        FastRequests { changes, questions, orders },
-        FastLink { changes: changes_end, questions: questions_end, orders: orders_end },
+        FastRequests { changes, questions, orders, moves },
+        FastLink { changes: changes_end, questions: questions_end, orders: orders_end, moves: moves_end },
     )
 }

@@ -27,7 +27,8 @@ use crate::publishing::Publisher;
 use crate::recording::{Entry, EstimationRecorder, RecordSender};
 use crate::replay::{self, RecordingHeader};
 use crate::steering::{OutputLink, StageDriver};
-use crate::twin::{Twin, TwinSource};
+use crate::twin::moves::Moves;
+use crate::twin::{MoveRequest, Twin, TwinSource};
 use crate::{acquisition, centering, estimation, realtime};
 
 /// Samples that can wait for estimation.
@@ -69,15 +70,17 @@ pub(super) fn start(parts: Parts) -> anyhow::Result<Fast> {
     let counters = Arc::clone(&parts.counters);
     match parts.config.acquisition.source {
         SourceKind::Twin => {
-            let twin = Twin::new(&parts.config)?;
+            let twin = Twin::new(&parts.config).map_err(|e| Failure::new(exit::CONFIG, e.to_string()))?;
             let silence = parts.config.acquisition.silence_times();
-            let source = move || TwinSource::new(twin, SystemClock, counters, silence);
+            let source = move |moves| {
+                Ok(TwinSource::new(twin, SystemClock, counters, silence)?.with_moves(Moves::new(moves)))
+            };
             start_fast(parts.config.realtime.clone(), || fast(parts, source))
         }
         SourceKind::Replay => start_fast(parts.config.realtime.clone(), || replayed(parts)),
         SourceKind::Serial => {
             let source = SerialSource::open(&parts.config, SystemClock, counters)?;
-            start_fast(parts.config.realtime.clone(), || fast(parts, || Ok(source)))
+            start_fast(parts.config.realtime.clone(), || fast(parts, |_| Ok(source)))
         }
     }
 }
@@ -103,7 +106,7 @@ fn start_fast<F: Future<Output = anyhow::Result<()>>>(
 /// Runs the three tasks. Returns when `stop` is cancelled, or with an error when a task ends by itself.
 async fn fast<S: Source + 'static>(
     parts: Parts,
-    source: impl FnOnce() -> io::Result<S>,
+    source: impl FnOnce(mpsc::Receiver<MoveRequest>) -> io::Result<S>,
 ) -> anyhow::Result<()> {
     let Parts { config, pipeline, stage: (driver, outputs), mut publisher, source_down, .. } = parts;
     let Parts {
@@ -119,8 +122,8 @@ async fn fast<S: Source + 'static>(
         doubter,
         ..
     } = parts;
-    let FastLink { changes, questions, orders } = control;
-    let source = source().context("cannot start the source")?;
+    let FastLink { changes, questions, orders, moves } = control;
+    let source = source(moves).context("cannot start the source")?;
     let (mapping, centering, estimation) = pipeline.into_parts();
     let (samples_in, samples) = mpsc::channel(QUEUE);
     let (newest_in, newest) = watch::channel(None);

@@ -141,6 +141,11 @@ impl RecordSender {
         })
     }
 
+    /// Number of entries that fit into the queue; `None` while nothing is recorded.
+    pub fn room(&self) -> Option<usize> {
+        self.0.as_ref().filter(|_| self.open()).map(|queue| queue.to.capacity())
+    }
+
     /// Sends an entry if the recorder is open. Returns false if the queue was full. Never waits.
     pub fn put(&self, entry: impl FnOnce() -> Entry) -> bool {
         let Some(queue) = self.0.as_ref().filter(|_| self.open()) else { return true };

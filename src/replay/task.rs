@@ -35,7 +35,7 @@ pub async fn run<C: Clock>(
     stop: CancellationToken,
 ) {
     let ReplayLinks { control, publish, means } = links;
-    let FastLink { changes: _changes, mut questions, mut orders } = control;
+    let FastLink { changes: _changes, mut questions, mut orders, .. } = control;
     let mut player = Player::new(recording, clock, publish, means);
     loop {
         tokio::select! {

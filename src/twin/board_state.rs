@@ -24,6 +24,8 @@ pub struct BoardState {
     pub time_s: f64,
     /// Whether a host has started the board.
     pub started: bool,
+    /// Pose of the mirror in the last scan: tx, ty, tz (m), roll, pitch, yaw (rad).
+    pub mirror: [f64; 6],
     /// Codes of the steering outputs.
     pub output_codes: [i32; 2],
     /// Position of the steering outputs in micrometres.

@@ -11,7 +11,7 @@ use trifacet_wire::board::{
 
 use super::applied::AppliedCommands;
 use super::board_state::{BoardState, Steering};
-use super::{Fate, OUTPUT_BITS, Outputs, Twin, TwinError, TwinScan};
+use super::{Fate, MirrorMove, OUTPUT_BITS, Outputs, Twin, TwinError, TwinScan};
 use crate::config::{Config, FaultKind};
 
 /// Clock of the board, ticks per second.
@@ -114,6 +114,11 @@ impl Emulator {
         self.twin.inject(kind, for_s)
     }
 
+    /// Moves the mirror, and holds it there.
+    pub fn travel(&mut self, to: &MirrorMove) {
+        self.twin.travel(to.to(), to.over_s);
+    }
+
     /// The bytes to write next.
     pub fn output(&self) -> &[u8] {
         &self.out[..self.released.unwrap_or(self.out.len())]
@@ -162,6 +167,7 @@ impl Emulator {
         self.clock_s = scan.clock_s;
         let applied = self.applied.at(now);
         self.state.time_s = scan.t_s;
+        self.state.mirror = scan.truth.pose.to_array();
         self.stalled = scan.fate == Fate::Stalled;
         let Some(sequence) = self.sequence else { return };
         self.sequence = Some(sequence.wrapping_add(1));

@@ -11,6 +11,7 @@ use trifacet_core::time::Mono;
 use trifacet_wire::actuator::{Ack, LeaseAction, OutputCommand};
 
 use super::applied::AppliedCommands;
+use super::moves::Moves;
 use super::{Fate, Outputs, Twin};
 use crate::acquisition::in_flight::InFlight;
 use crate::acquisition::{Source, SourceError, SourceEvent};
@@ -26,6 +27,7 @@ pub struct TwinSource<C: Waiting> {
     counters: Arc<Counters>,
     in_flight: InFlight,
     applied: AppliedCommands,
+    moves: Option<Moves>,
     /// Events that have not been returned yet.
     events: VecDeque<SourceEvent>,
     /// Number of scans that are due and not yet taken.
@@ -54,6 +56,7 @@ impl<C: Waiting> TwinSource<C> {
             outputs: twin.outputs().clone(),
             in_flight: InFlight::new(usize::MAX, Arc::clone(&counters)),
             applied: AppliedCommands::default(),
+            moves: None,
             counters,
             due: 0,
             lost: 0,
@@ -66,8 +69,17 @@ impl<C: Waiting> TwinSource<C> {
         })
     }
 
+    /// The same with a mirror that moves by command.
+    #[must_use]
+    pub fn with_moves(self, moves: Moves) -> Self {
+        Self { moves: Some(moves), ..self }
+    }
+
     /// Takes the next scan, which is due.
     fn sample(&mut self) {
+        if let Some(moves) = &mut self.moves {
+            moves.before_scan(&mut self.twin);
+        }
         let time = self.pace.schedule().time(self.twin.next_index());
         if let Some(then) = self.outputs.expire(time) {
             self.counters.leases_expired.inc();

@@ -32,11 +32,13 @@ struct Movement {
     course: Course,
 }
 
-/// Amounts in metres or radians; waves as a function of the time since `from_s`.
+/// Amounts in metres or radians; waves as a function of the time since `from_s`. `Travel` is the way that is
+/// still to go: its amount at `from_s`, zero at `until_s`.
 #[derive(Clone, Debug)]
 enum Course {
     Step(f64),
     Ramp(f64),
+    Travel(f64),
     Waves(Vec<Wave>),
 }
 
@@ -68,6 +70,17 @@ impl Trajectory {
         Self { movements: pose.to_array().into_iter().enumerate().map(stay).collect() }
     }
 
+    /// A move from `from` to `to` that begins at `at_s` and takes `over_s` seconds. It begins and ends without a
+    /// step of velocity or acceleration (minimum jerk), so that the loop can follow.
+    pub fn travel(from: &Pose, to: &Pose, at_s: f64, over_s: f64) -> Self {
+        let Self { mut movements } = Self::rest(*to);
+        for (axis, (from, to)) in from.to_array().into_iter().zip(to.to_array()).enumerate() {
+            let course = Course::Travel(from - to);
+            movements.push(Movement { axis, from_s: at_s, until_s: at_s + over_s, course });
+        }
+        Self { movements }
+    }
+
     /// The pose at `t_s` seconds.
     pub fn pose(&self, t_s: f64) -> Pose {
         let mut pose = [0.0; 6];
@@ -88,6 +101,10 @@ impl Movement {
             Course::Ramp(amount) => amount * (since / (self.until_s - self.from_s)).min(1.0),
             _ if t_s >= self.until_s => 0.0,
             Course::Step(amount) => *amount,
+            Course::Travel(way) => {
+                let part = since / (self.until_s - self.from_s);
+                way * (1.0 - part.powi(3) * (10.0 + part * (6.0 * part - 15.0)))
+            }
             Course::Waves(waves) => {
                 waves.iter().map(|w| w.amplitude * (w.omega * since + w.phase).sin()).sum()
             }
@@ -201,6 +218,27 @@ mod tests {
         expect(3.0, 4e-6, 0.0);
         expect(99.0, 4e-6, 0.0);
         assert_eq!(at(&[], 2.0), [0.0; 6]);
+    }
+
+    #[test]
+    fn a_move_begins_where_the_mirror_is_ends_at_its_target_and_never_jumps() {
+        let (from, to) = ([1e-3, 0.0, -2e-4, 5e-3, 0.0, 1e-4], [-1e-3, 3e-4, -2e-4, -5e-3, 2e-3, 0.0]);
+        let travel = Trajectory::travel(&Pose::from_array(from), &Pose::from_array(to), 3.0, 0.5);
+        let at = |t_s: f64| travel.pose(t_s).to_array();
+        assert_eq!(at(3.5), to);
+        assert_eq!(at(99.0), to);
+        let near = |a: [f64; 6], b: [f64; 6]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-18);
+        assert!(near(at(3.0), from), "{:?}", at(3.0));
+        assert!(near(at(3.25), [0, 1, 2, 3, 4, 5].map(|i| f64::midpoint(from[i], to[i]))), "{:?}", at(3.25));
+        // The largest velocity of a minimum-jerk move is 1.875 times the mean.
+        let step = |k: u32| (at(3.0 + 1e-3 * f64::from(k + 1))[0] - at(3.0 + 1e-3 * f64::from(k))[0]).abs();
+        let largest = (0..500).map(step).fold(0.0, f64::max);
+        assert!((largest / (2e-3 / 500.0) - 1.875).abs() < 0.01, "{largest:e}");
+        assert!(step(0) < 1e-9 && step(499) < 1e-9);
+        assert_eq!(
+            Trajectory::travel(&Pose::from_array(from), &Pose::from_array(to), 3.0, 0.0).pose(3.0).to_array(),
+            to
+        );
     }
 
     #[test]

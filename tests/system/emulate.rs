@@ -30,10 +30,19 @@ fn emulate_links_to_its_port_obeys_orders_and_ends_in_order() {
         let port = out.next().unwrap();
         assert_eq!(fs::read_link(&link).unwrap(), Path::new(&port));
         let mut orders = child.stdin.take().unwrap();
-        writeln!(orders, "explode 5\nstatus\nunplug 0.05").unwrap();
+        writeln!(orders, "explode 5\nstatus\npose 100 0 0 0 0 -250 0").unwrap();
         let status: serde_json::Value = serde_json::from_str(&out.next().unwrap()).unwrap();
         assert_eq!((&status["started"], &status["steering"]), (&false.into(), &"idle".into()));
         assert_eq!(status["output_um"], serde_json::json!([0.0, 0.0]));
+        let there = serde_json::json!([1e-4, 0.0, 0.0, 0.0, 0.0, -2.5e-4]);
+        loop {
+            writeln!(orders, "status").unwrap();
+            let status: serde_json::Value = serde_json::from_str(&out.next().unwrap()).unwrap();
+            if status["mirror"] == there {
+                break;
+            }
+        }
+        writeln!(orders, "unplug 0.05").unwrap();
         let port = out.next().unwrap();
         assert_eq!(fs::read_link(&link).unwrap(), Path::new(&port), "plugged in again");
         drop(orders); // the end of its input does not end the emulator

@@ -3,6 +3,8 @@
 use std::str::FromStr;
 
 use trifacet::config::{Fault, FaultKind};
+use trifacet::twin::MirrorMove;
+use trifacet::twin::moves::DEFAULT_S;
 
 /// The commands, as `--help` lists them.
 pub(super) const HELP: &str = "\
@@ -28,6 +30,9 @@ S is a duration in seconds; without S, a fault is permanent:
   laser-bump X Y [S]        the laser is displaced by X, Y micrometres; the readback does not change
   unplug S                  the port disappears for S seconds
   restart                   the board restarts: it stops, its outputs go to code 0, its clock begins anew
+  pose TX TY TZ ROLL PITCH YAW [S]
+                            the mirror moves there within S seconds (default 1) and stays; micrometres and
+                            microradians
   status                    prints the state of the board, one line of JSON";
 
 /// The same list for error messages.
@@ -35,7 +40,7 @@ const ALLOWED: &str = "allowed are: beam-blocked [S], psd-dark 0..2 [S], clipped
     clock-rate FACTOR [S], dropped 0..1 [S], \
     corrupted 0..1 [S], stalled [S], bursts MS [S], mute-acks [S], wrong-acks [S], steering-stuck [S], laser-power FACTOR [S], \
      flicker 0..1 HZ [S], ambient-light 0..1 [S], noise-burst FACTOR [S], laser-bump X Y [S], unplug S, restart, \
-     status (S: duration in seconds)";
+     pose TX TY TZ ROLL PITCH YAW [S], status (S: duration in seconds)";
 
 /// Longest duration, seconds. A longer fault can be permanent.
 const LONGEST_S: f64 = 1e6;
@@ -49,6 +54,8 @@ pub(super) enum EmulatorCommand {
     Unplug { for_s: f64 },
     /// Restart the board.
     Restart,
+    /// Move the mirror.
+    Pose(MirrorMove),
     /// Print the state of the board.
     Status,
 }
@@ -75,6 +82,7 @@ fn parse<'a>(words: &mut impl Iterator<Item = &'a str>) -> Option<EmulatorComman
     let name = words.next()?;
     let kind = match name {
         "status" => return Some(EmulatorCommand::Status),
+        "pose" => return pose(words),
         "restart" => return Some(EmulatorCommand::Restart),
         "unplug" => return Some(EmulatorCommand::Unplug { for_s: seconds(words.next()?)? }),
         "beam-blocked" => FaultKind::BeamBlocked,
@@ -107,6 +115,15 @@ fn parse<'a>(words: &mut impl Iterator<Item = &'a str>) -> Option<EmulatorComman
     fault.is_possible().then_some(EmulatorCommand::Fault { kind, for_s })
 }
 
+fn pose<'a>(words: &mut impl Iterator<Item = &'a str>) -> Option<EmulatorCommand> {
+    let mut micro = [0.0; 6];
+    for x in &mut micro {
+        *x = number(words.next()?)?;
+    }
+    let over_s = words.next().map_or(Some(DEFAULT_S), number)?;
+    MirrorMove { micro, over_s }.checked().ok().map(EmulatorCommand::Pose)
+}
+
 fn number<T: FromStr>(word: &str) -> Option<T> {
     word.parse().ok()
 }
@@ -132,6 +149,9 @@ mod tests {
         assert_eq!("laser-bump -30 5 1".parse(), fault(bump, Some(1.0)));
         assert_eq!("restart".parse(), Ok(EmulatorCommand::Restart));
         assert_eq!("unplug 1".parse(), Ok(EmulatorCommand::Unplug { for_s: 1.0 }));
+        let there = |over_s| MirrorMove { micro: [1.0, -2.0, 3.0, 4.0, 5.0, -6e3], over_s };
+        assert_eq!("pose 1 -2 3 4 5 -6e3".parse(), Ok(EmulatorCommand::Pose(there(DEFAULT_S))));
+        assert_eq!("pose 1 -2 3 4 5 -6e3 0".parse(), Ok(EmulatorCommand::Pose(there(0.0))));
         assert_eq!("status".parse(), Ok(EmulatorCommand::Status));
     }
 
@@ -144,6 +164,12 @@ mod tests {
             "unplug -1",
             "unplug nan",
             "unplug 1e300",
+            "pose",
+            "pose 1 2 3 4 5",
+            "pose 1 2 3 4 5 nan",
+            "pose 1e5 0 0 0 0 0",
+            "pose 1 2 3 4 5 6 -1",
+            "pose 1 2 3 4 5 6 1 1",
             "psd-dark",
             "psd-dark 3",
             "clipped 9",

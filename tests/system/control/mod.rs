@@ -6,4 +6,5 @@ mod self_check;
 mod socket;
 mod steer;
 mod tare;
+mod twin_pose;
 mod unreadable;

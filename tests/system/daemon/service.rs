@@ -166,6 +166,9 @@ fn drills_are_refused_on_real_hardware() {
     let (code, _, errors) = daemon.ctl(&["drill", "stall", "centering"]);
     assert_eq!(code, 65, "{errors}");
     assert!(errors.contains("for the twin"), "{errors}");
+    let (code, _, errors) = daemon.ctl(&["twin-pose", "0", "0", "0", "0", "0", "0"]);
+    assert_eq!(code, 65, "{errors}");
+    assert!(errors.contains("only with the twin as source"), "{errors}");
     board.status();
     daemon.ends_in_order(Signal::TERM);
 }

@@ -1,7 +1,8 @@
 //! Correction table for the non-linearity of a PSD.
 //!
 //! The points form a rectangular grid, in any order, that covers the whole sensitive area. Corrections
-//! between the points are interpolated bilinearly.
+//! between the points are interpolated bilinearly. A table states where measurements support it: a reading is
+//! covered if all four points around it are.
 
 /// A table may end this far before the edge, metres: rounding.
 const SLACK: f64 = 1e-9;
@@ -12,10 +13,30 @@ const LARGEST: f64 = 0.4;
 /// A correction table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Correction {
-    u: Vec<f64>,
-    v: Vec<f64>,
+    u: Axis,
+    v: Axis,
     /// Corrections in metres; row by row, with `u` as the inner index.
     d: Vec<[f64; 2]>,
+    /// The points that are not covered, in the order of `d`; `None`: all points are.
+    uncovered: Option<Vec<bool>>,
+}
+
+/// The places of the grid along one axis.
+#[derive(Clone, Debug, PartialEq)]
+struct Axis {
+    /// In ascending order; at least two.
+    places: Vec<f64>,
+    /// Intervals per metre, on average: finds the interval at once if the places are evenly spaced.
+    per_metre: f64,
+}
+
+/// A spot after its correction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Corrected {
+    /// The true spot, metres.
+    pub spot: [f64; 2],
+    /// Whether measurements support the correction.
+    pub covered: bool,
 }
 
 /// Reasons why points do not form a correction table.
@@ -73,6 +94,8 @@ pub struct CorrectionPoint {
     pub du: f64,
     /// Correction of `v`.
     pub dv: f64,
+    /// Whether measurements support this point.
+    pub covered: bool,
 }
 
 impl Correction {
@@ -101,9 +124,11 @@ impl Correction {
             return Err(no_grid);
         }
         let mut d = vec![[f64::NAN; 2]; rows.len()];
+        let mut uncovered = vec![false; rows.len()];
         for row in rows {
             let at = |places: &[f64], x: f64| places.partition_point(|p| *p < x);
-            d[at(&v, row.v) * u.len() + at(&u, row.u)] = [row.du, row.dv];
+            let point = at(&v, row.v) * u.len() + at(&u, row.u);
+            (d[point], uncovered[point]) = ([row.du, row.dv], !row.covered);
         }
         if d.iter().any(|d| d[0].is_nan()) {
             return Err(no_grid); // one point is duplicated, so another one is missing
@@ -113,20 +138,40 @@ impl Correction {
         if !(covers(&u) && covers(&v)) {
             return Err(CorrectionError::TooSmall { half_size });
         }
-        Ok(Self { u, v, d })
+        let uncovered = uncovered.contains(&true).then_some(uncovered);
+        Ok(Self { u: Axis::new(u), v: Axis::new(v), d, uncovered })
     }
 
-    /// The true spot for a reading, metres. A reading outside the grid gets the correction of the nearest
-    /// edge.
-    pub fn apply(&self, spot: [f64; 2]) -> [f64; 2] {
-        let (i, a) = cell(&self.u, spot[0]);
-        let (k, b) = cell(&self.v, spot[1]);
-        let at = |i: usize, k: usize| self.d[k * self.u.len() + i];
-        [0, 1].map(|x| {
-            let low = at(i, k)[x] * (1.0 - a) + at(i + 1, k)[x] * a;
-            let high = at(i, k + 1)[x] * (1.0 - a) + at(i + 1, k + 1)[x] * a;
-            spot[x] + low * (1.0 - b) + high * b
-        })
+    /// The true spot for a reading, and whether measurements support it. A reading outside the grid gets the
+    /// correction of the nearest edge, and is not covered.
+    pub fn apply(&self, reading: [f64; 2]) -> Corrected {
+        let (i, a) = self.u.cell(reading[0]);
+        let (k, b) = self.v.cell(reading[1]);
+        let row = self.u.places.len();
+        let low = k * row + i;
+        let high = low + row;
+        let spot = [0, 1].map(|x| {
+            let low = self.d[low][x] * (1.0 - a) + self.d[low + 1][x] * a;
+            let high = self.d[high][x] * (1.0 - a) + self.d[high + 1][x] * a;
+            reading[x] + low * (1.0 - b) + high * b
+        });
+        let measured = |uncovered: &Vec<bool>| ![low, low + 1, high, high + 1].iter().any(|i| uncovered[*i]);
+        let within = self.u.contains(reading[0]) && self.v.contains(reading[1]);
+        Corrected { spot, covered: within && self.uncovered.as_ref().is_none_or(measured) }
+    }
+
+    /// The numbers of the table, in an order that does not depend on its file: the places along u and v, then du,
+    /// dv and 1 or 0 (covered or not) of each point.
+    pub fn numbers(&self) -> impl Iterator<Item = f64> {
+        let covered = |i: usize| self.uncovered.as_ref().is_none_or(|uncovered| !uncovered[i]);
+        let points = self.d.iter().enumerate().flat_map(move |(i, d)| [d[0], d[1], f64::from(covered(i))]);
+        self.u.places.iter().chain(&self.v.places).copied().chain(points)
+    }
+
+    /// The part of the grid's points that measurements support, 0 to 1.
+    pub fn covered(&self) -> f64 {
+        let uncovered = self.uncovered.iter().flatten().filter(|uncovered| **uncovered).count();
+        1.0 - uncovered as f64 / self.d.len() as f64
     }
 }
 
@@ -138,10 +183,36 @@ fn places(values: impl Iterator<Item = f64>) -> Vec<f64> {
     places
 }
 
-/// The interval of the grid that contains `x`, and the position of `x` in it, 0 to 1.
-fn cell(places: &[f64], x: f64) -> (usize, f64) {
-    let i = places.partition_point(|p| *p <= x).clamp(1, places.len() - 1) - 1;
-    (i, ((x - places[i]) / (places[i + 1] - places[i])).clamp(0.0, 1.0))
+impl Axis {
+    fn new(places: Vec<f64>) -> Self {
+        let per_metre = (places.len() - 1) as f64 / (places[places.len() - 1] - places[0]);
+        Self { places, per_metre }
+    }
+
+    fn contains(&self, x: f64) -> bool {
+        (self.places[0] - SLACK..=self.places[self.places.len() - 1] + SLACK).contains(&x)
+    }
+
+    /// The interval of the grid that contains `x`, and the position of `x` in it, 0 to 1.
+    fn cell(&self, x: f64) -> (usize, f64) {
+        let i = self.interval(x);
+        let (low, high) = (self.places[i], self.places[i + 1]);
+        (i, ((x - low) / (high - low)).clamp(0.0, 1.0))
+    }
+
+    /// The interval that contains `x`, or the nearest one. If the places are evenly spaced, the first guess is right,
+    /// or wrong by one because of rounding.
+    fn interval(&self, x: f64) -> usize {
+        let last = self.places.len() - 2;
+        let guess = (((x - self.places[0]) * self.per_metre) as usize).min(last); // negative and NaN: 0
+        let contains = |i: usize| (i == 0 || self.places[i] <= x) && (i == last || x < self.places[i + 1]);
+        if contains(guess) {
+            return guess;
+        }
+        let neighbours = [guess.saturating_sub(1), (guess + 1).min(last)];
+        let near = neighbours.into_iter().find(|i| contains(*i));
+        near.unwrap_or_else(|| self.places.partition_point(|place| *place <= x).clamp(1, last + 1) - 1)
+    }
 }
 
 #[cfg(test)]
@@ -150,7 +221,7 @@ mod tests {
 
     fn grid(f: impl Fn(f64, f64) -> [f64; 2]) -> Vec<CorrectionPoint> {
         let places = [-7e-3, -2e-3, 0.0, 3e-3, 7e-3];
-        let point = |u, v| CorrectionPoint { u, v, du: f(u, v)[0], dv: f(u, v)[1] };
+        let point = |u, v| CorrectionPoint { u, v, du: f(u, v)[0], dv: f(u, v)[1], covered: true };
         places.into_iter().flat_map(|u| places.map(|v| point(u, v))).collect()
     }
 
@@ -160,8 +231,49 @@ mod tests {
         let table = Correction::new(&grid(error), 6.5e-3).unwrap();
         for (u, v) in [(0.0, 0.0), (1.3e-3, -4.4e-3), (-6.5e-3, 6.5e-3), (3e-3, 3e-3), (7e-3, 7e-3)] {
             let [du, dv] = error(u, v);
-            let [cu, cv] = table.apply([u, v]);
+            let Corrected { spot: [cu, cv], covered } = table.apply([u, v]);
             assert!((cu - u - du).abs() < 1e-15 && (cv - v - dv).abs() < 1e-15, "{u} {v}");
+            assert!(covered, "{u} {v}");
+        }
+    }
+
+    #[test]
+    fn a_reading_is_covered_if_all_points_around_it_are_and_none_is_outside_the_grid() {
+        let mut rows = grid(|_, _| [1e-6, 2e-6]);
+        let corner = rows.iter().position(|row| (row.u, row.v) == (3e-3, 3e-3)).unwrap();
+        rows[corner].covered = false;
+        let table = Correction::new(&rows, 6.5e-3).unwrap();
+        assert_eq!(table.covered(), 24.0 / 25.0);
+        for (u, v, covered) in [
+            (-1e-3, -1e-3, true),
+            (1e-3, 1e-3, false),
+            (5e-3, 5e-3, false),
+            (2.999e-3, -1e-3, true),
+            (-5e-3, 6e-3, true),
+            (7.1e-3, -6e-3, false),
+            (-6e-3, -7.1e-3, false),
+        ] {
+            let corrected = table.apply([u, v]);
+            assert_eq!(corrected.covered, covered, "{u} {v}");
+            // The correction itself is that of the table, covered or not.
+            assert!((corrected.spot[0] - u - 1e-6).abs() < 1e-15, "{u} {v}");
+        }
+        assert!(!table.apply([f64::NAN, 0.0]).covered);
+    }
+
+    #[test]
+    fn the_interval_is_that_of_a_search_on_even_and_uneven_grids() {
+        let even = (0..=130).map(|i| f64::from(i) * 1e-4 - 6.5e-3).collect();
+        let halves = (0..=50).map(|i| f64::from(i * i) * 5e-6 - 6.5e-3).collect();
+        for places in [even, halves, vec![-6.5e-3, 6.5e-3], vec![-6.5e-3, -6.49e-3, 6.5e-3]] {
+            let axis = Axis::new(places.clone());
+            let ends = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY];
+            let between = (-7000..7000).map(|i| f64::from(i) * 1.000_3e-6);
+            let near = places.iter().flat_map(|p| [*p, p.next_up(), p.next_down()]);
+            for x in between.chain(near).chain(ends) {
+                let searched = places.partition_point(|p| *p <= x).clamp(1, places.len() - 1) - 1;
+                assert_eq!(axis.interval(x), searched, "{x} {places:?}");
+            }
         }
     }
 

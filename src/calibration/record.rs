@@ -1,0 +1,178 @@
+//! The header of a calibration record.
+
+use std::io::Read;
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+
+/// The format of records that this version writes and reads.
+pub const FORMAT: u32 = 1;
+
+/// Largest number of bytes of a record that are read.
+const LARGEST: u64 = 1 << 30;
+
+/// What the daemon needs of a calibration record. The other fields of the file are ignored.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RecordHeader {
+    /// Format of the file, [`FORMAT`].
+    pub format: u32,
+    /// Version of the program that wrote the record.
+    pub version: String,
+    /// Time of the calibration, RFC 3339.
+    pub date: String,
+    /// What was measured, in a few words.
+    pub method: String,
+    /// The [`fingerprint`](super::fingerprint) of the configuration that the calibration produced.
+    pub fits: String,
+    /// Range of the translations for which `std_um` and `std_urad` hold, millimetres to both sides of the tare pose.
+    pub range_mm: f64,
+    /// Range of the rotations, milliradians to both sides.
+    pub range_mrad: f64,
+    /// Standard uncertainty of tx, ty, tz over this range, relative to the tare pose, micrometres.
+    pub std_um: [f64; 3],
+    /// Standard uncertainty of roll, pitch, yaw over this range, relative to the tare pose, microradians.
+    pub std_urad: [f64; 3],
+    /// Time from which the calibration is no longer valid, RFC 3339. `None`: no limit was stated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expires: Option<String>,
+}
+
+/// Why a calibration record cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    /// The file cannot be read.
+    #[error("{0}")]
+    Unreadable(#[from] std::io::Error),
+    /// The file is not a record.
+    #[error("not a calibration record: {0}")]
+    NotARecord(#[from] serde_json::Error),
+    /// The file is a record of a later version.
+    #[error(
+        "format {found}: this version reads format {FORMAT}; use the program that wrote it (version {version})"
+    )]
+    Format {
+        /// Format of the file.
+        found: u32,
+        /// Version of the program that wrote it.
+        version: String,
+    },
+    /// A field has a value that is not allowed.
+    #[error("{field} is {found}: allowed is {allowed}")]
+    Field {
+        /// Name of the field.
+        field: &'static str,
+        /// Its value.
+        found: String,
+        /// The allowed values.
+        allowed: &'static str,
+    },
+}
+
+/// The format alone, so that a later format is named as such.
+#[derive(Deserialize)]
+struct Format {
+    format: u32,
+    #[serde(default)]
+    version: String,
+}
+
+impl RecordHeader {
+    /// Reads the header of a record. Blocks.
+    ///
+    /// # Errors
+    /// Fails if `bytes` cannot be read, or are not a record that this version can use.
+    pub fn read(bytes: impl Read) -> Result<Self, RecordError> {
+        let mut text = Vec::new();
+        bytes.take(LARGEST).read_to_end(&mut text)?;
+        let Format { format, version } = serde_json::from_slice(&text)?;
+        if format != FORMAT {
+            return Err(RecordError::Format { found: format, version });
+        }
+        let header: Self = serde_json::from_slice(&text)?;
+        header.check()?;
+        Ok(header)
+    }
+
+    fn check(&self) -> Result<(), RecordError> {
+        let wrong = |field, found: String, allowed| Err(RecordError::Field { field, found, allowed });
+        for (field, time) in [("date", Some(&self.date)), ("expires", self.expires.as_ref())] {
+            if let Some(text) = time
+                && text.parse::<Timestamp>().is_err()
+            {
+                return wrong(field, format!("{text:?}"), "a time in RFC 3339, as 2026-05-04T12:00:00Z");
+            }
+        }
+        for (field, range) in [("range_mm", self.range_mm), ("range_mrad", self.range_mrad)] {
+            if !(range.is_finite() && range > 0.0) {
+                return wrong(field, range.to_string(), "a finite number above 0");
+            }
+        }
+        for (field, deviations) in [("std_um", self.std_um), ("std_urad", self.std_urad)] {
+            if !deviations.iter().all(|x| x.is_finite() && *x >= 0.0) {
+                return wrong(field, format!("{deviations:?}"), "three finite numbers of at least 0");
+            }
+        }
+        Ok(())
+    }
+
+    /// The time of the calibration.
+    pub fn time(&self) -> Option<Timestamp> {
+        self.date.parse().ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header() -> RecordHeader {
+        RecordHeader {
+            format: FORMAT,
+            version: "0.1.0".into(),
+            date: "2026-05-04T12:00:00Z".into(),
+            method: "six-axis stage, 500 points".into(),
+            fits: "00".into(),
+            range_mm: 1.0,
+            range_mrad: 5.0,
+            std_um: [0.1, 0.1, 0.08],
+            std_urad: [0.3, 0.3, 0.2],
+            expires: None,
+        }
+    }
+
+    fn refusal(change: impl FnOnce(&mut serde_json::Value)) -> String {
+        let mut json = serde_json::to_value(header()).unwrap();
+        change(&mut json);
+        RecordHeader::read(json.to_string().as_bytes()).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_header_is_read_from_a_record_with_more_fields() {
+        let mut json = serde_json::to_value(header()).unwrap();
+        json["theta"] = serde_json::json!([1.0, 2.0]);
+        assert_eq!(RecordHeader::read(json.to_string().as_bytes()).unwrap(), header());
+        json["expires"] = "2027-05-04T12:00:00+02:00".into();
+        let read = RecordHeader::read(json.to_string().as_bytes()).unwrap();
+        assert_eq!(read.expires.as_deref(), Some("2027-05-04T12:00:00+02:00"));
+    }
+
+    #[test]
+    fn a_record_that_cannot_be_used_is_refused_with_the_reason() {
+        let later = refusal(|json| {
+            *json = serde_json::json!({ "format": 2, "version": "9.1" });
+        });
+        assert!(
+            later.starts_with("format 2: this version reads format 1") && later.contains("9.1"),
+            "{later}"
+        );
+        assert!(
+            refusal(|json| json["date"] = "May".into()).starts_with("date is \"May\": allowed is a time")
+        );
+        assert!(refusal(|json| json["expires"] = "never".into()).starts_with("expires is \"never\""));
+        assert!(refusal(|json| json["range_mm"] = 0.into()).starts_with("range_mm is 0: allowed is"));
+        let negative = refusal(|json| json["std_urad"] = serde_json::json!([0.1, -0.1, 0.1]));
+        assert!(negative.starts_with("std_urad is [0.1, -0.1, 0.1]: allowed is"), "{negative}");
+        let absent = refusal(|json| drop(json.as_object_mut().unwrap().remove("fits")));
+        assert!(absent.starts_with("not a calibration record: missing field `fits`"), "{absent}");
+    }
+}
