@@ -9,6 +9,7 @@
 
 mod acquisition;
 mod assembly;
+mod calibration;
 mod calibration_context;
 mod centering;
 mod channels;
@@ -48,6 +49,7 @@ mod uncertainty;
 
 pub use acquisition::{AcquisitionConfig, SerialConfig, SourceKind};
 pub use assembly::AssemblyError;
+pub use calibration::CalibrationConfig;
 pub use calibration_context::{CalibrationContext, TableError, Tables};
 pub use centering::{CenteringConfig, Gains};
 pub use channels::{ChannelsConfig, PsdChannelsConfig};
@@ -87,6 +89,8 @@ pub struct Config {
     pub acquisition: AcquisitionConfig,
     /// Conversion of codes to spots and powers.
     pub channels: ChannelsConfig,
+    /// The record of the head's calibration.
+    pub calibration: CalibrationConfig,
     /// The centering loop.
     pub centering: CenteringConfig,
     /// The laser's steering stage.
@@ -125,6 +129,7 @@ impl Config {
         self.head.check(at.section("head"));
         self.acquisition.check(at.section("acquisition"));
         self.channels.check(at.section("channels"));
+        self.calibration.check(at.section("calibration"));
         self.centering.check(at.section("centering"));
         self.steering.check(at.section("steering"));
         self.laser.check(at.section("laser"));

@@ -22,6 +22,7 @@ macro_rules! live {
 
 live! {
     channels,
+    calibration,
     centering.mode,
     centering.target,
     centering.setpoint_um,
@@ -201,7 +202,7 @@ mod tests {
     fn every_reloadable_key_is_applied() {
         let old = config("");
         let file = config(
-            "[channels]\nsum_threshold_v = 0.06\n\
+            "[channels]\nsum_threshold_v = 0.06\n[calibration]\nexpires_days = 30\n\
              [centering]\nmode = 'off'\ntarget = 'balance'\nsetpoint_um = [1, 2]\nloop_delay_ms = 3\nlag_ms = 1\n\
              kp = 1\nki_per_s = 1\nfeed_forward = false\ntracking_hz = 5\nsearch = false\nsearch_attempts = 9\nlock_limit_um = 4\nlock_time_ms = 1\nlost_time_ms = 1\nself_check_s = 9\n\
              [steering]\nmatrix = [[1, 0], [0, -1]]\norigin_um = [1, 0]\norigin_verified = false\nreadback_um = 0.2\npointing_um = 2\nlimit_um = 300\nslew_mm_per_s = 1\npark_um = [1, 1]\non_exit = 'park'\nlease_ms = 100\n\
