@@ -25,12 +25,14 @@ pub enum Subject {
     AmbientLight,
     /// The configured delay of the loop, which is shorter than the measured one.
     LoopDelay,
+    /// Poses that depend on where the beam meets the mirror, by the last self-check.
+    SelfCheck,
 }
 
 impl Subject {
     /// All subjects.
-    pub const ALL: [Subject; 4] =
-        [Subject::Residual, Subject::Power, Subject::AmbientLight, Subject::LoopDelay];
+    pub const ALL: [Subject; 5] =
+        [Subject::Residual, Subject::Power, Subject::AmbientLight, Subject::LoopDelay, Subject::SelfCheck];
 
     /// Name of the subject, as on all outputs.
     pub fn name(self) -> &'static str {
@@ -39,6 +41,7 @@ impl Subject {
             Subject::Power => "power",
             Subject::AmbientLight => "ambient_light",
             Subject::LoopDelay => "loop_delay",
+            Subject::SelfCheck => "self_check",
         }
     }
 
@@ -49,6 +52,7 @@ impl Subject {
             Subject::Power => "the total power is no longer doubted",
             Subject::AmbientLight => "the readings without light are no longer doubted",
             Subject::LoopDelay => "commands are applied within the configured loop delay again",
+            Subject::SelfCheck => "the pose does not depend on the beam position any more",
         }
     }
 }

@@ -44,7 +44,7 @@ enum Command {
     /// Compute signals from poses: CSV in, CSV out
     Trace(commands::TableArgs),
     /// Compute poses from signals: CSV in, CSV out
-    Solve(commands::TableArgs),
+    Solve(commands::SolveArgs),
     /// Write samples of the digital twin with the true poses, as CSV
     Simulate(commands::SimulateArgs),
     /// Repeat the experiment of the paper, on the twin or with a running daemon, and write a report

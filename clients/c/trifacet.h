@@ -49,10 +49,14 @@
 #define TRIFACET_POWER_STEP        (UINT32_C(1) << 25)
 #define TRIFACET_CHANNEL_FROZEN    (UINT32_C(1) << 26)
 #define TRIFACET_POWER_NOISY       (UINT32_C(1) << 27)
+#define TRIFACET_OUT_OF_CALIBRATION (UINT32_C(1) << 28)
 
-/* Bits with which a pose is not usable for control: it contradicts another signal, its time is unknown, it is an
- * earlier one, or its light was not measured now. */
-#define TRIFACET_UNUSABLE (TRIFACET_INCONSISTENT | TRIFACET_CLOCK_UNSYNCED | TRIFACET_POSE_HELD | TRIFACET_NOT_REAL)
+/* Bits with which a pose is not usable for control: it contradicts another signal, its stated uncertainty does not
+ * hold because a spot is outside the calibrated area, its time is unknown, it is an earlier one, or its light was not
+ * measured now. */
+#define TRIFACET_UNUSABLE \
+    (TRIFACET_INCONSISTENT | TRIFACET_OUT_OF_CALIBRATION | TRIFACET_CLOCK_UNSYNCED | TRIFACET_POSE_HELD | \
+     TRIFACET_NOT_REAL)
 
 /* The light is computed or recorded, not measured: never control a machine with such a pose. To test a program
  * with the daemon's digital twin, define this as 0 before the header is included. */

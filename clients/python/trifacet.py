@@ -27,6 +27,7 @@ STATUS_BITS = (
     "PSD_A_EDGE", "PSD_B_EDGE", "PSD_C_EDGE", "UNBALANCED", "NOT_LOCKED", "STEERING_RAILED", "NOT_CONVERGED",
     "OUT_OF_RANGE", "SAMPLE_GAP", "SOURCE_DOWN", "CLOCK_UNSYNCED", "UNCALIBRATED", "INCONSISTENT", "SIMULATED",
     "REPLAYED", "POSE_HELD", "STEERING_MEASURED", "RECORDING_FAULT", "POWER_STEP", "CHANNEL_FROZEN", "POWER_NOISY",
+    "OUT_OF_CALIBRATION",
 )  # from bit 0
 LOCK_STATES = ("off", "manual", "searching", "acquiring", "locked", "railed", "lost", "held")  # from 0
 
@@ -35,7 +36,7 @@ SIMULATED = 1 << STATUS_BITS.index("SIMULATED")
 REPLAYED = 1 << STATUS_BITS.index("REPLAYED")
 # Bits with which a pose is not usable for control.
 UNUSABLE = sum(1 << STATUS_BITS.index(name) for name in (
-    "INCONSISTENT", "CLOCK_UNSYNCED", "POSE_HELD", "REPLAYED", "SIMULATED"))
+    "INCONSISTENT", "OUT_OF_CALIBRATION", "CLOCK_UNSYNCED", "POSE_HELD", "REPLAYED", "SIMULATED"))
 
 _HEADER = struct.Struct("<4sBBH")  # magic, major, minor, size: the beginning of every message
 _BODY = struct.Struct("<IIQQqIIIHBB 3d3d 3f3f 2ff HH 2f2f2f 3f2f")

@@ -7,16 +7,28 @@
 //! - [`effort`]: how many samples a point needs. [`pose_list`]: the file of the planned poses.
 //! - [`bench`](mod@bench): the source, the loop and the stage during the measurement. [`measure`](mod@measure): a point, by
 //!   [`rest`] (whether the mirror is at rest) and [`reading`] (the means of its signals). [`points_writer`]: the files of the points.
+//! - [`report`]: what a fit found.
 
 pub mod bench;
+mod edits;
 pub mod effort;
 mod fingerprint;
 pub mod measure;
+mod points;
 pub mod points_writer;
 pub mod pose_list;
 pub mod reading;
 mod record;
+mod record_file;
+pub mod report;
 pub mod rest;
+mod tables;
+mod verdict;
 
+pub use edits::{edits, nominal};
 pub use fingerprint::fingerprint;
+pub use points::{Defaults, InputFile, Line, Measured};
 pub use record::{FORMAT, RecordError, RecordHeader};
+pub use record_file::{ParameterReport, Record, parameter_reports};
+pub use tables::table;
+pub use verdict::{Verdict, Wanted, before, verdict};

@@ -27,6 +27,7 @@ mod replay;
 mod run;
 mod silence;
 mod simulate;
+mod solve;
 mod status;
 mod table;
 mod trace;
@@ -49,8 +50,9 @@ pub(crate) use recover::{RecoverArgs, recover};
 pub(crate) use replay::{ReplayArgs, replay};
 pub(crate) use run::{RunArgs, run};
 pub(crate) use simulate::{SimulateArgs, simulate};
+pub(crate) use solve::{SolveArgs, solve};
 pub(crate) use status::{StatusArgs, status};
-pub(crate) use trace::{TableArgs, solve, trace};
+pub(crate) use trace::{TableArgs, trace};
 pub(crate) use tune::{TuneArgs, tune};
 pub(crate) use watch::{WatchArgs, watch};
 

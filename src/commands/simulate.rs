@@ -12,7 +12,7 @@ use trifacet::exit::{self, Failure};
 use trifacet::recording::codec::{Encoded, Encoder};
 use trifacet::recording::writer::Writer;
 use trifacet::twin::{Twin, TwinScan};
-use trifacet_core::channels::ChannelMap;
+use trifacet_core::channels::{ChannelMap, Channels};
 use trifacet_core::signals::Sample;
 use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_optics::Pose;
@@ -35,6 +35,9 @@ pub(crate) struct SimulateArgs {
     /// twin's stage, and computation takes no time
     #[arg(long)]
     closed_loop: bool,
+    /// Print spots and powers as read, before correction tables and power gains, for a calibration
+    #[arg(long, conflicts_with = "record")]
+    readings: bool,
     /// Write a recording instead, as the daemon would; the time of the twin begins in 1970
     #[arg(long, value_name = "FILE", requires = "closed_loop")]
     record: Option<PathBuf>,
@@ -46,14 +49,24 @@ pub(crate) fn simulate(args: &SimulateArgs) -> anyhow::Result<()> {
     if let Some(file) = &args.record {
         return record(&config, args.samples, file);
     }
-    if args.closed_loop {
-        let sim = ClosedLoopSim::new(&config)?;
-        return written(closed_loop(sim, args.samples, io::stdout().lock()));
-    }
     let wrong = |message: String| Failure::new(exit::CONFIG, message);
     let mut twin = Twin::new(&config).map_err(|e| wrong(e.to_string()))?;
-    let mut map = config.read_channels()?.map(twin.identity()).map_err(Failure::from)?;
+    let channels = config.read_channels()?;
+    let channels = if args.readings { as_read(channels) } else { channels };
+    let mut map = channels.map(twin.identity()).map_err(Failure::from)?;
+    if args.closed_loop {
+        let sim = ClosedLoopSim::new(&config)?;
+        return written(closed_loop(sim, &mut map, args.samples, io::stdout().lock()));
+    }
     written(table(&mut twin, &mut map, args.samples, io::stdout().lock()))
+}
+
+/// The channel map of readings, which a calibration corrects.
+fn as_read(mut channels: Channels) -> Channels {
+    for psd in &mut channels.psds {
+        (psd.correction, psd.gain[2]) = (None, 1.0);
+    }
+    channels
 }
 
 /// Records the results of the twin's scans.
@@ -92,8 +105,7 @@ fn table(twin: &mut Twin, map: &mut ChannelMap, samples: u64, out: impl Write) -
     let mut lost = 0;
     for _ in 0..samples {
         let scan = twin.next_scan();
-        let time = Mono((scan.t_s * NS_PER_S as f64).round() as i64);
-        if let Some(arrived) = scan.arrived(time, lost) {
+        if let Some(arrived) = scan.arrived(at(&scan), lost) {
             row(&scan, &map.sample(&arrived), &mut out)?;
             writeln!(out)?;
             lost = 0;
@@ -102,6 +114,11 @@ fn table(twin: &mut Twin, map: &mut ChannelMap, samples: u64, out: impl Write) -
         }
     }
     out.flush()
+}
+
+/// The time of a scan.
+fn at(scan: &TwinScan) -> Mono {
+    Mono((scan.t_s * NS_PER_S as f64).round() as i64)
 }
 
 fn row(scan: &TwinScan, sample: &Sample, out: &mut impl Write) -> io::Result<()> {
@@ -117,13 +134,19 @@ fn row(scan: &TwinScan, sample: &Sample, out: &mut impl Write) -> io::Result<()>
 /// Columns that loop and estimation add. Unknown values are NaN.
 const LOOP: [&str; 2] = ["stage_x_m", "stage_y_m"];
 
-fn closed_loop(mut sim: ClosedLoopSim, samples: u64, out: impl Write) -> io::Result<()> {
+fn closed_loop(
+    mut sim: ClosedLoopSim,
+    map: &mut ChannelMap,
+    samples: u64,
+    out: impl Write,
+) -> io::Result<()> {
     let mut out = io::BufWriter::new(out);
     let columns = [&TRUTH[..], &SPOTS, &POWERS, &LOOP, &POSE].concat();
     writeln!(out, "sample,time_s,{},lock,status", columns.join(","))?;
     for _ in 0..samples {
-        let SimStep { scan, sample: Some(sample), command, report, state, .. } = sim.step() else { continue };
-        row(&scan, &sample, &mut out)?;
+        let SimStep { scan, command, report, state, .. } = sim.step();
+        let Some(arrived) = scan.arrived(at(&scan), 0) else { continue };
+        row(&scan, &map.sample(&arrived), &mut out)?;
         let stage = command.map_or([f64::NAN; 2], |command| command.position.0);
         let pose = report.and_then(|report| report.pose).map_or([f64::NAN; 6], Pose::to_array);
         for value in stage.iter().chain(&pose) {

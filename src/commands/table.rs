@@ -39,34 +39,94 @@ pub(crate) fn digits(number: f64) -> String {
     format!("{number:.16e}")
 }
 
+/// What is done with the rows.
+pub(crate) trait Conversion {
+    /// The row, counted from 1, without which no row can be converted.
+    fn needs(&self) -> Option<u64> {
+        None
+    }
+
+    /// Takes the needed row, before all others. The error states why it cannot be used.
+    fn prepare(&mut self, _numbers: &Numbers) -> Result<(), String> {
+        Ok(())
+    }
+
+    /// Converts a row, counted from 1.
+    fn row(&mut self, number: u64, numbers: Numbers) -> Row;
+}
+
+/// A conversion of each row by itself.
+struct EachRow<F>(F);
+
+impl<F: Fn(Numbers) -> Row> Conversion for EachRow<F> {
+    fn row(&mut self, _number: u64, numbers: Numbers) -> Row {
+        self.0(numbers)
+    }
+}
+
 /// Reads rows of `columns` from a file (`None` or `-`: standard input), processes each with `work`, and
 /// writes the results to standard output. `work` gets the numbers of a row, or its error.
 ///
 /// # Errors
-/// Fails if input or output fails. Bad rows are reported on standard error with their line, and cause an
-/// [`exit::DATA`] failure at the end.
+/// As [`convert_with`].
 pub(crate) fn convert(
     input: Option<&Path>,
     columns: &[Column],
     header: &[&str],
     work: impl Fn(Numbers) -> Row,
 ) -> anyhow::Result<()> {
+    convert_with(input, columns, header, EachRow(work))
+}
+
+/// A row that was read, with its place in the file.
+struct Taken {
+    number: u64,
+    line: u64,
+    numbers: Numbers,
+}
+
+/// As [`convert`], with a conversion that may need one row before all others. The rows before this one wait for it.
+///
+/// # Errors
+/// Fails if input or output fails. Bad rows are reported on standard error with their line, and cause an
+/// [`exit::DATA`] failure at the end. So does a needed row that does not exist or cannot be used, at once.
+pub(crate) fn convert_with(
+    input: Option<&Path>,
+    columns: &[Column],
+    header: &[&str],
+    mut conversion: impl Conversion,
+) -> anyhow::Result<()> {
     let output = Output::default();
     let mut table = open(input, columns, output.clone())?;
     let name = table.name().to_owned();
     output.write(header)?;
     let (mut rows, mut bad) = (0_u64, 0_u64);
+    let mut waiting = Vec::new();
     while let Some(read) = table.next_row().or_else(|error| output.failed().map_or(Err(error.into()), Err))? {
-        let row = work(numbers(&read, columns));
-        output.write(&row.cells)?;
         rows += 1;
-        if let Some(problem) = row.problem {
-            bad += 1;
-            // Standard error may be closed. The exit code still reports the error.
-            let _ = writeln!(io::stderr(), "trifacet: {}", read.wrong(problem));
+        let taken = Taken { number: rows, line: read.line(), numbers: numbers(&read, columns) };
+        if conversion.needs() == Some(rows) {
+            conversion.prepare(&taken.numbers).map_err(|why| read.wrong(why))?;
+        }
+        waiting.push(taken);
+        if conversion.needs().is_some_and(|needed| rows < needed) {
+            continue;
+        }
+        for Taken { number, line, numbers } in waiting.drain(..) {
+            let row = conversion.row(number, numbers);
+            output.write(&row.cells)?;
+            if let Some(problem) = row.problem {
+                bad += 1;
+                // Standard error may be closed. The exit code still reports the error.
+                let _ = writeln!(io::stderr(), "trifacet: {name}:{line}: {problem}");
+            }
         }
     }
     output.flush()?;
+    if let Some(needed) = conversion.needs().filter(|needed| *needed > rows) {
+        let message = format!("{name}: row {needed} is needed, but the table has only {rows} data rows");
+        return Err(Failure::new(exit::DATA, message).into());
+    }
     if bad > 0 {
         let message = format!("{name}: {bad} of {rows} rows could not be processed");
         return Err(Failure::new(exit::DATA, message).into());

@@ -5,6 +5,9 @@ use trifacet_core::centering::{LoopMode, Target};
 
 use super::check::{Checker, above_zero};
 
+/// Shortest interval between the end of a self-check and the next one, seconds.
+const SHORTEST_INTERVAL_S: f64 = 1.0;
+
 /// Settings of `[centering]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -39,6 +42,8 @@ pub struct CenteringConfig {
     pub lock_time_ms: f64,
     /// Time without light after which the state `held` becomes `lost`, milliseconds.
     pub lost_time_ms: f64,
+    /// Time from the end of a self-check to the next one, seconds; 0: only by command.
+    pub self_check_s: f64,
 }
 
 /// Gains of the controller.
@@ -67,6 +72,7 @@ impl Default for CenteringConfig {
             lock_limit_um: 3.0,
             lock_time_ms: 50.0,
             lost_time_ms: 50.0,
+            self_check_s: 0.0,
         }
     }
 }
@@ -108,6 +114,10 @@ impl CenteringConfig {
         at.number("lock_limit_um", self.lock_limit_um, above_zero(1000.0));
         at.number("lock_time_ms", self.lock_time_ms, 0.0..=60_000.0);
         at.number("lost_time_ms", self.lost_time_ms, 0.0..=60_000.0);
+        at.number("self_check_s", self.self_check_s, 0.0..=1e7);
+        if self.self_check_s > 0.0 {
+            at.number("self_check_s", self.self_check_s, SHORTEST_INTERVAL_S..=1e7);
+        }
     }
 }
 

@@ -49,13 +49,10 @@ fn twin_signals(config: &Config, at: &mut Checker<'_>) {
     let twin = &config.twin;
     let most = twin.converter_range_v * config.channels.clip_limit;
     let brightest = config
-        .channels
-        .psds()
+        .twin_gains()
         .iter()
         .zip([2, 5, 8])
-        .map(|(psd, sum)| {
-            twin.laser_mw / 3.0 / config.channels.power_mw_per_v / psd.gain[2] + twin.dark_v[sum]
-        })
+        .map(|(gain, sum)| twin.laser_mw / 3.0 / config.channels.power_mw_per_v * gain[2] + twin.dark_v[sum])
         .fold(0.0, f64::max);
     at.agree(
         brightest < most,
@@ -66,6 +63,18 @@ fn twin_signals(config: &Config, at: &mut Checker<'_>) {
             "a power whose third reads below {most} V on the sum channel; it reads {brightest:.3} V"
         ),
     );
+    if let Some(head) = &twin.head {
+        at.agree(
+            head.psd_size_mm == config.head.psd_size_mm,
+            "twin.head.psd_size_mm",
+            &["head.psd_size_mm"],
+            head.psd_size_mm,
+            format_args!(
+                "head.psd_size_mm, {}: the unit of positions, which no calibration changes",
+                config.head.psd_size_mm
+            ),
+        );
+    }
     at.agree(
         twin.steering.readback_noise_um.is_none() || config.steering.kind == SteeringKind::Outputs,
         "twin.steering.readback_noise_um",

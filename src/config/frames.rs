@@ -48,7 +48,7 @@ impl TransformConfig {
         Rigid::from(&Pose { t: Vec3::from(self.translation_mm) / 1e3, roll, pitch, yaw })
     }
 
-    fn check(&self, mut at: Checker<'_>) {
+    pub(super) fn check(&self, mut at: Checker<'_>) {
         at.numbers("translation_mm", &self.translation_mm, -100_000.0..=100_000.0);
         at.numbers("rotation_deg", &self.rotation_deg, -360.0..=360.0);
     }

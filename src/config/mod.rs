@@ -43,6 +43,7 @@ mod steering;
 mod text;
 mod tune;
 mod twin;
+mod twin_head;
 
 pub use acquisition::{AcquisitionConfig, SerialConfig, SourceKind};
 pub use assembly::AssemblyError;
@@ -72,6 +73,7 @@ use serde::{Deserialize, Serialize};
 pub use steering::{NO_TILT, POINTING_UM, SteeringConfig, SteeringKind, SteeringKindError};
 pub use tune::TuneConfig;
 pub use twin::{TwinConfig, TwinSteering};
+pub use twin_head::{TwinBeam, TwinPsd, TwinPsds, TwinStage, TwinTemperature, TwinTolerances};
 
 /// The whole configuration.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

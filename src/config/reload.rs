@@ -36,6 +36,7 @@ live! {
     centering.lock_limit_um,
     centering.lock_time_ms,
     centering.lost_time_ms,
+    centering.self_check_s,
     steering.matrix,
     steering.origin_um,
     steering.origin_verified,
@@ -201,7 +202,7 @@ mod tests {
         let file = config(
             "[channels]\nsum_threshold_v = 0.06\n\
              [centering]\nmode = 'off'\ntarget = 'balance'\nsetpoint_um = [1, 2]\nloop_delay_ms = 3\nlag_ms = 1\n\
-             kp = 1\nki_per_s = 1\nfeed_forward = false\ntracking_hz = 5\nsearch = false\nsearch_attempts = 9\nlock_limit_um = 4\nlock_time_ms = 1\nlost_time_ms = 1\n\
+             kp = 1\nki_per_s = 1\nfeed_forward = false\ntracking_hz = 5\nsearch = false\nsearch_attempts = 9\nlock_limit_um = 4\nlock_time_ms = 1\nlost_time_ms = 1\nself_check_s = 9\n\
              [steering]\nmatrix = [[1, 0], [0, -1]]\norigin_um = [1, 0]\norigin_verified = false\nreadback_um = 0.2\npointing_um = 2\nlimit_um = 300\nslew_mm_per_s = 1\npark_um = [1, 1]\non_exit = 'park'\nlease_ms = 100\n\
              on_lease = 'park'\n[laser]\npower_uw = 600\n[estimation]\nspot_noise_um = 2\npower_noise = 0.1\nsystematic_um = [1, 1, 1]\nsystematic_urad = [1, 1, 1]\nfuse_steering = true\nedge_margin_mm = 1\n\
              balance_limit = 0.1\n[frames.tare]\nrotation_deg = [1, 0, 0]\n[log]\nlevel = 'warn'\n",

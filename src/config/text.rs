@@ -41,7 +41,7 @@ mod tests {
                 files += 1;
             }
         }
-        assert_eq!(files, 3);
+        assert_eq!(files, 4);
     }
 
     #[test]

@@ -4,8 +4,10 @@ use serde::{Deserialize, Deserializer, Serialize, de};
 
 use super::check::{Checker, above_zero};
 use super::fault::Fault;
+use super::head::HeadConfig;
 use super::motion::{Axis, Motion, MotionKind};
 use super::text::or_off;
+use super::twin_head::{TwinBeam, TwinPsds, TwinStage, TwinTemperature, TwinTolerances};
 
 /// Settings of `[twin]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -38,6 +40,24 @@ pub struct TwinConfig {
     pub channel_skew_us: f64,
     /// Bow of the PSDs: error of the reading at the middle of an edge, micrometres.
     pub bow_um: f64,
+    /// The true geometry; `None`: that of `[head]`, unless another of these sections gives the twin a head of its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub head: Option<HeadConfig>,
+    /// The true PSDs. `None`: their gains are those of `[channels]`, unless the twin has a head of its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub psd: Option<TwinPsds>,
+    /// The true shape of the beam. `None`: round.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub beam: Option<TwinBeam>,
+    /// The stage that carries the mirror. `None`: its axes are those of the head, its origin is the apex.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stage: Option<TwinStage>,
+    /// Random errors of the head. `None`: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tolerances: Option<TwinTolerances>,
+    /// The temperature of the head. `None`: constant.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub temperature: Option<TwinTemperature>,
     /// The steering stage.
     pub steering: TwinSteering,
     /// Movements of the mirror. They are added.
@@ -80,6 +100,12 @@ impl Default for TwinConfig {
             dark_v: [0.0; 9],
             channel_skew_us: 0.0,
             bow_um: 0.0,
+            head: None,
+            psd: None,
+            beam: None,
+            stage: None,
+            tolerances: None,
+            temperature: None,
             steering: TwinSteering::default(),
             motion: demo_motion(),
             fault: Vec::new(),
@@ -126,9 +152,19 @@ fn demo_motion() -> Vec<Motion> {
 }
 
 impl TwinConfig {
-    /// Number of channels of a scan: nine signals, and two readbacks if the stage has them.
+    /// Number of channels of a scan: nine signals, two readbacks if the stage has them, and a temperature.
     pub fn channel_count(&self) -> usize {
-        if self.steering.readback_noise_um.is_some() { 11 } else { 9 }
+        let readbacks = if self.steering.readback_noise_um.is_some() { 2 } else { 0 };
+        9 + readbacks + usize::from(self.temperature.is_some())
+    }
+
+    /// Whether the head of the twin is not the one that the estimator believes.
+    pub fn has_own_head(&self) -> bool {
+        self.head.is_some()
+            || self.psd.is_some()
+            || self.beam.is_some()
+            || self.stage.is_some()
+            || self.tolerances.is_some()
     }
 
     pub(super) fn check(&self, mut at: Checker<'_>, rate_hz: f64) {
@@ -146,6 +182,12 @@ impl TwinConfig {
         at.numbers("dark_v", &self.dark_v, -100.0..=100.0);
         at.number("channel_skew_us", self.channel_skew_us, 0.0..=100_000.0);
         at.number("bow_um", self.bow_um, -1000.0..=1000.0);
+        self.head.clone().unwrap_or_default().check(at.section("head"));
+        self.psd.clone().unwrap_or_default().check(at.section("psd"));
+        self.beam.clone().unwrap_or_default().check(at.section("beam"));
+        self.stage.clone().unwrap_or_default().check(at.section("stage"));
+        self.tolerances.clone().unwrap_or_default().check(at.section("tolerances"));
+        self.temperature.clone().unwrap_or_default().check(at.section("temperature"));
         self.steering.check(at.section("steering"));
         for (i, motion) in self.motion.iter().enumerate() {
             motion.check(at.section(&format!("motion[{i}]")), rate_hz);

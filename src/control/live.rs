@@ -25,6 +25,7 @@ use crate::config::reload::changes;
 use crate::config::{
     CalibrationContext, Config, SourceKind, SteeringConfig, SteeringKind, Tables, TransformConfig,
 };
+use crate::doubts::Doubter;
 use crate::estimation::EstimationRequest;
 use crate::exit::{self, Failure};
 use crate::logging::Logging;
@@ -68,6 +69,8 @@ pub struct RunningConfig {
     pub condition: Condition,
     /// Result of the last self-check.
     pub last_self_check: Option<Value>,
+    /// For the doubt that a self-check raises.
+    pub doubter: Doubter,
     /// Time of the daemon's start.
     pub started: Mono,
 }
@@ -78,7 +81,7 @@ pub async fn obey(live: &Mutex<RunningConfig>, command: Command) -> Value {
     execute(live, command).await.unwrap_or_else(|failure| error(&failure))
 }
 
-async fn execute(live: &Mutex<RunningConfig>, command: Command) -> Result<Value, Failure> {
+pub(super) async fn execute(live: &Mutex<RunningConfig>, command: Command) -> Result<Value, Failure> {
     live.lock().await.permit(command)?;
     match command {
         Command::Reload => take_over_file(live, access(live, "configuration unchanged").await?).await,

@@ -3,6 +3,7 @@
 //! - [`command`]: the commands and their syntax; pure.
 //! - [`live`]: the configuration in force, and its changes, with `reload` and `tare`.
 //! - [`config_file`]: the configuration file, whose file system may stop responding.
+//! - [`self_check`]: whether the pose depends on where the beam meets the mirror.
 //! - [`page`]: the permission of the live page.
 //! - [`server`]: the socket. [`client`]: its client.
 //!
@@ -15,7 +16,7 @@ pub mod config_file;
 pub mod live;
 pub mod page;
 mod reload;
-mod self_check;
+pub mod self_check;
 pub mod server;
 mod tare;
 

@@ -3,16 +3,20 @@
 use std::time::Duration;
 
 use serde_json::{Value, json};
-use tokio::time::sleep;
+use tokio::sync::Mutex;
+use tokio::time::{Instant, sleep, sleep_until};
 use trifacet_core::centering::LoopMode;
 use trifacet_core::self_check::{NAMES, Point, SelfCheck};
 use trifacet_core::steering::{BeamOffset, StagePosition};
+use trifacet_core::time::Clock;
 use trifacet_wire::LockState;
 
-use super::RunningConfig;
-use super::live::{FAST_SIDE_TIMEOUT, ask};
+use super::live::{FAST_SIDE_TIMEOUT, ask, execute};
+use super::{Command, RunningConfig};
 use crate::centering::CenteringRequest;
+use crate::clock::SystemClock;
 use crate::clock::utc::read_clocks;
+use crate::doubts::Subject;
 use crate::estimation::{EstimationRequest, ReportMean};
 use crate::exit::{self, Failure};
 use crate::publishing::columns::rfc3339;
@@ -34,6 +38,38 @@ const MEANING: &str = "tx to yaw: the powers or spots are wrong (dark offsets, g
                        head.beam_diameter_mm; offset: steering.matrix, channels.readback_um_per_v or \
                        head.beam_diameter_mm";
 
+/// Runs the check every `centering.self_check_s`, until the daemon ends.
+///
+/// A finding is a doubt. If there is no result, the log has one line, and the next attempt comes at the usual time.
+pub async fn run_periodically(live: &Mutex<RunningConfig>) {
+    let mut config = live.lock().await.config_in_force.subscribe();
+    let (mut last, mut failing) = (Instant::now(), false);
+    loop {
+        let every = config.borrow_and_update().centering.self_check_s;
+        let due = async {
+            if every > 0.0 {
+                sleep_until(last + Duration::from_secs_f64(every)).await;
+            } else {
+                std::future::pending::<()>().await;
+            }
+        };
+        tokio::select! {
+            changed = config.changed() => if changed.is_err() { return },
+            () = due => {
+                let result = execute(live, Command::SelfCheck).await;
+                last = Instant::now();
+                let fails = result.err().filter(|failure| failure.code != exit::DATA);
+                match (&fails, failing) {
+                    (Some(failure), false) => tracing::warn!("periodic self-check: {}", failure.message),
+                    (None, true) => tracing::info!("periodic self-check: it has a result again"),
+                    _ => {}
+                }
+                failing = fails.is_some();
+            }
+        }
+    }
+}
+
 impl RunningConfig {
     /// Runs the check. The setpoint is that of before in every case.
     ///
@@ -54,8 +90,14 @@ impl RunningConfig {
         self.last_self_check = Some(verdict.clone());
         let text = verdict["text"].as_str().unwrap_or_default().to_owned();
         match verdict["verdict"].as_str() {
-            Some("ok") => Ok(json!({ "self_check": verdict })),
-            Some("found") => Err(Failure::new(exit::DATA, text)),
+            Some("ok") => {
+                self.doubter.end(Subject::SelfCheck);
+                Ok(json!({ "self_check": verdict }))
+            }
+            Some("found") => {
+                self.doubter.begin(Subject::SelfCheck, SystemClock.now(), text.clone());
+                Err(Failure::new(exit::DATA, text))
+            }
             _ => Err(restless(&text)),
         }
     }

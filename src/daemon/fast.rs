@@ -70,7 +70,7 @@ pub(super) fn start(parts: Parts) -> anyhow::Result<Fast> {
     let counters = Arc::clone(&parts.counters);
     match parts.config.acquisition.source {
         SourceKind::Twin => {
-            let twin = Twin::new(&parts.config)?;
+            let twin = Twin::new(&parts.config).map_err(|e| Failure::new(exit::CONFIG, e.to_string()))?;
             let silence = parts.config.acquisition.silence_times();
             let source = move |moves| {
                 Ok(TwinSource::new(twin, SystemClock, counters, silence)?.with_moves(Moves::new(moves)))

@@ -97,7 +97,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let stop = CancellationToken::new();
     let fast = start(Parts {
         commands: Arc::clone(&commands),
-        doubter,
+        doubter: doubter.clone(),
         pipeline,
         stage: (driver, outputs),
         publisher,
@@ -136,6 +136,7 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
         recording: recording.clone(),
         condition: condition.clone(),
         last_self_check: None,
+        doubter,
         started,
     }));
     let view = View::new(view::Sources {

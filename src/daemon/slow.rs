@@ -71,7 +71,7 @@ pub(super) struct Hangups {
     pub(super) terminal: Terminal,
 }
 
-/// Serves commands and reloads until the terminal of the daemon is closed.
+/// Serves commands and reloads, and runs the periodic self-check, until the terminal of the daemon is closed.
 pub(super) async fn control(
     live: Arc<Mutex<RunningConfig>>,
     socket: Option<Socket>,
@@ -87,6 +87,7 @@ pub(super) async fn control(
     tokio::select! {
         () = commands => {}
         () = reloads(&live, hangups, notify) => {}
+        () = control::self_check::run_periodically(&live) => {}
     }
 }
 

@@ -12,7 +12,7 @@ use super::protocol::Protocol;
 use super::reading::{Part, Reading};
 use super::{place, static_record};
 use crate::closed_loop_sim::ClosedLoopSim;
-use crate::config::{Axis, Config, FramesConfig};
+use crate::config::{Axis, Config, FramesConfig, TransformConfig};
 use crate::exit::{self, Failure};
 
 /// Time without a usable pose after which the measurement fails, seconds of the twin.
@@ -81,12 +81,15 @@ pub fn beyond(config: &Config) -> Config {
 }
 
 impl Bench {
-    /// The twin of a configuration, with the mirror at rest. Poses are in the sensor's world frame.
+    /// The twin of a configuration, with the mirror at rest. Poses are in the sensor's world frame; for a head of its
+    /// own, in the axes of its stage, as far as `[frames]` describes them.
     ///
     /// # Errors
     /// Fails if the configuration is not valid.
     pub fn new(config: &Config) -> Result<Self, Failure> {
-        let config = Config { frames: FramesConfig::default(), ..config.clone() };
+        let base_and_tool = FramesConfig { tare: TransformConfig::default(), ..config.frames };
+        let frames = if config.twin.has_own_head() { base_and_tool } else { FramesConfig::default() };
+        let config = Config { frames, ..config.clone() };
         let mut sim = ClosedLoopSim::new(&config)?;
         sim.place(Pose::default());
         let rate_hz = config.acquisition.rate_hz;

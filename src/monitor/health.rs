@@ -18,14 +18,22 @@ pub enum Subject {
     Optics,
     /// The pose agrees with the other signals.
     Consistency,
+    /// The spots are where their correction tables have measurements.
+    Calibration,
     /// The loop holds the beam on the apex.
     Lock,
 }
 
 impl Subject {
     /// All subjects, in the order of the signal flow.
-    pub const ALL: [Subject; 5] =
-        [Subject::Samples, Subject::Time, Subject::Optics, Subject::Consistency, Subject::Lock];
+    pub const ALL: [Subject; 6] = [
+        Subject::Samples,
+        Subject::Time,
+        Subject::Optics,
+        Subject::Consistency,
+        Subject::Calibration,
+        Subject::Lock,
+    ];
 
     /// Name of the subject.
     pub fn name(self) -> &'static str {
@@ -34,6 +42,7 @@ impl Subject {
             Subject::Time => "time",
             Subject::Optics => "optics",
             Subject::Consistency => "consistency",
+            Subject::Calibration => "calibration",
             Subject::Lock => "lock",
         }
     }
@@ -44,6 +53,7 @@ impl Subject {
             Subject::Time => !frame.status.has(Status::CLOCK_UNSYNCED),
             Subject::Optics => frame.status.has(Status::POSE_VALID),
             Subject::Consistency => !frame.status.has(Status::INCONSISTENT),
+            Subject::Calibration => !frame.status.has(Status::OUT_OF_CALIBRATION),
             Subject::Lock => frame.lock == LockState::Locked,
         }
     }
@@ -58,6 +68,7 @@ impl Subject {
             },
             Subject::Time => names(frame.status, Status::CLOCK_UNSYNCED),
             Subject::Consistency => names(frame.status, Status::INCONSISTENT),
+            Subject::Calibration => names(frame.status, Status::OUT_OF_CALIBRATION),
             Subject::Optics => {
                 let fatal = names(frame.status, Status::FATAL);
                 // The only other cause of an invalid frame is a gap within an averaged block.
@@ -209,7 +220,7 @@ mod tests {
         checks.frame(&good);
         let readiness = checks.readiness(Some(&good), None, &Causes::default());
         assert!(readiness.ready);
-        assert_eq!(checks_of(&readiness), [(true, "1970-01-01T00:00:01Z", ""); 5]);
+        assert_eq!(checks_of(&readiness), [(true, "1970-01-01T00:00:01Z", ""); 6]);
         checks.frame(&held);
         checks.frame(&lost);
         let readiness =
@@ -218,7 +229,10 @@ mod tests {
         let at = "1970-01-01T00:00:02Z";
         let dark = (false, at, "PSD_A_LOW, PSD_B_LOW");
         let good = (true, "1970-01-01T00:00:01Z", "");
-        assert_eq!(checks_of(&readiness), [good, good, dark, good, (false, at, "lost: no PSD sees light")]);
+        assert_eq!(
+            checks_of(&readiness),
+            [good, good, dark, good, good, (false, at, "lost: no PSD sees light")]
+        );
     }
 
     #[test]
@@ -231,7 +245,7 @@ mod tests {
         assert!(!readiness.ready);
         let at = "1970-01-01T00:00:01Z";
         let fine = (true, at, "");
-        assert_eq!(checks_of(&readiness), [(false, at, "REPLAYED"), fine, fine, fine, fine]);
+        assert_eq!(checks_of(&readiness), [(false, at, "REPLAYED"), fine, fine, fine, fine, fine]);
     }
 
     #[test]
@@ -255,18 +269,18 @@ mod tests {
         let mut checks = Checks::default();
         assert_eq!(
             checks_of(&checks.readiness(None, None, &Causes::default())),
-            [(false, "", "no frame has been made yet"); 5]
+            [(false, "", "no frame has been made yet"); 6]
         );
         let dead = Standstill { why: "dead".into(), since_ns: Some(4_000_000_000), silent: true };
         assert_eq!(
             checks_of(&checks.readiness(None, Some(&dead), &Causes::default())),
-            [(false, "", "dead"); 5]
+            [(false, "", "dead"); 6]
         );
         checks.frame(&good);
         let at = "1970-01-01T00:00:04Z";
         assert_eq!(
             checks_of(&checks.readiness(Some(&good), Some(&dead), &Causes::default())),
-            [(false, at, "dead"); 5]
+            [(false, at, "dead"); 6]
         );
         checks.frame(&held);
         let down = PoseFrame { status: Status::SOURCE_DOWN, time_ns: 5_000_000_000, ..held };

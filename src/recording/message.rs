@@ -201,6 +201,7 @@ impl Sample {
             steering: known(self.steering),
             output_railed: scan.output_railed,
             applied: None,
+            uncovered: false,
         };
         let steering =
             LoopState { lock: lock(self.lock)?, position: known(self.commanded).map(StagePosition) };

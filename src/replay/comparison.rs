@@ -23,7 +23,8 @@ pub struct Comparison {
     /// Frames that have `PSD_A_LOW` to `PSD_C_LOW` in the place of `POWER_NOISY`, and are identical otherwise:
     /// their version did not have this bit.
     pub renamed: u64,
-    /// Frames that lack `INCONSISTENT`, and are identical otherwise: their version did not test the mean residual.
+    /// Frames that lack `INCONSISTENT` or `OUT_OF_CALIBRATION`, and are identical otherwise: their version did not test
+    /// the mean residual, or whether measurements cover the spots.
     pub untested: u64,
     /// Frames that differ.
     pub other: u64,
@@ -35,8 +36,8 @@ pub struct Comparison {
     pub first: Option<Difference>,
     /// A report is waiting for its frame.
     waits: bool,
-    /// The recording is of a version that did not test the mean residual.
-    without_mean: bool,
+    /// The status bits that the version of the recording did not test.
+    untestable: Status,
 }
 
 /// A difference between a recorded frame and its report.
@@ -92,7 +93,7 @@ impl Comparison {
                     self.unrepeated += 1;
                     return None;
                 };
-                let pair = pair(frame, *time, report, self.without_mean);
+                let pair = pair(frame, *time, report, self.untestable);
                 self.count(&pair);
                 Some(pair)
             }
@@ -102,7 +103,9 @@ impl Comparison {
                 None
             }
             Entry::Keyframe(keyframe) => {
-                self.without_mean = !keyframe.memory.has_mean_residual();
+                self.untestable = Status::default();
+                self.untestable.set(Status::INCONSISTENT, !keyframe.memory.has_mean_residual());
+                self.untestable.set(Status::OUT_OF_CALIBRATION, !keyframe.memory.has_coverage());
                 None
             }
             Entry::Lock { .. } => None,
@@ -135,7 +138,7 @@ fn of(report: &PoseReport, frame: &PoseFrame, time: Mono) -> bool {
     report.index == frame.sample_index || report.time == time
 }
 
-fn pair<'a>(then: &'a PoseFrame, time: Mono, report: &PoseReport, without_mean: bool) -> Pair<'a> {
+fn pair<'a>(then: &'a PoseFrame, time: Mono, report: &PoseReport, untestable: Status) -> Pair<'a> {
     let stamp = Stamp {
         session: then.session,
         config: report.config,
@@ -148,18 +151,19 @@ fn pair<'a>(then: &'a PoseFrame, time: Mono, report: &PoseReport, without_mean: 
     let of_the_moment = |frame: &PoseFrame| frame.status.0 & OF_THE_MOMENT;
     now.status.0 = now.status.0 & !OF_THE_MOMENT | of_the_moment(then);
     (now.solve_delay_ns, now.send_delay_ns) = (then.solve_delay_ns, then.send_delay_ns);
-    let (status, earlier) = as_then(then.status, now.status, without_mean);
+    let (status, earlier) = as_then(then.status, now.status, untestable);
     let compared = PoseFrame { status, ..now };
     let same = report.time == time && equal(then, &compared);
     Pair { then, now, same, earlier }
 }
 
 /// The status `now` as the version of `then` would have stated it.
-fn as_then(then: Status, now: Status, without_mean: bool) -> (Status, Earlier) {
+fn as_then(then: Status, now: Status, untestable: Status) -> (Status, Earlier) {
+    let new = now.0 & !then.0 & untestable.0;
     if let Some(status) = with_earlier_names(then, now) {
         (status, Earlier::Renamed)
-    } else if without_mean && now.has(Status::INCONSISTENT) && !then.has(Status::INCONSISTENT) {
-        (Status(now.0 & !Status::INCONSISTENT.0), Earlier::Untested)
+    } else if new != 0 {
+        (Status(now.0 & !new), Earlier::Untested)
     } else {
         (now, Earlier::No)
     }

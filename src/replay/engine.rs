@@ -149,7 +149,7 @@ impl Engine {
         *last = Some(*scan);
         if then.lost != scan.lost && self.other.is_none() {
             // Estimation had no room for the previous scan: it is not recorded, but was used to interpolate.
-            sample = *then;
+            sample = Sample { uncovered: sample.uncovered, ..*then };
         }
         sample.lost = then.lost;
         *made = Some(sample);

@@ -121,6 +121,22 @@ fn frames_from_before_power_noisy_are_equal_except_for_the_name_of_the_bit() {
     assert_eq!((comparison.renamed, comparison.same), (0, 0));
 }
 
+#[test]
+fn a_state_from_before_covered_areas_is_read() {
+    let entries = recorded(&config("estimation.average = 7"), 3000);
+    let memories = entries.iter().filter_map(|entry| match entry {
+        Entry::Keyframe(keyframe) => Some(&keyframe.memory),
+        _ => None,
+    });
+    let memory = memories.last().unwrap();
+    let bytes = postcard::to_stdvec(memory).unwrap();
+    assert!(memory.has_coverage() && bytes.ends_with(&[1, 0]), "the coverage is at the end");
+    let earlier: EstimatorState = postcard::from_bytes(&bytes[..bytes.len() - 2]).unwrap();
+    assert!(!earlier.has_coverage());
+    let as_then = postcard::to_stdvec(&memory.as_far_as(&earlier)).unwrap();
+    assert_eq!(as_then, postcard::to_stdvec(&earlier).unwrap());
+}
+
 /// A laser that is displaced by less than the limit of one residual: only the mean shows it.
 const DISPLACED: &str = "twin.laser_offset_um = [6.5, 0]\ntwin.motion = []";
 

@@ -207,6 +207,11 @@ impl<'t> Row<'t> {
         Failure::new(exit::DATA, format!("{}:{}: {what}", self.name, self.line))
     }
 
+    /// The line of the file in which the row begins, from 1.
+    pub fn line(&self) -> u64 {
+        self.line
+    }
+
     /// Checks that the row has as many fields as the header.
     ///
     /// # Errors

@@ -4,9 +4,12 @@
 use rand::{Rng, RngExt};
 use rand_distr::StandardNormal;
 use trifacet_core::channels::Amplifier;
-use trifacet_wire::channel::{Converter, SIGNALS};
+use trifacet_wire::channel::Converter;
 
+use super::distortion::{Distortion, Ripple};
+use super::own_head::PsdErrors;
 use super::scene::Spot;
+use super::temperature::Temperature;
 use crate::config::{Config, PsdChannelsConfig};
 
 /// The random numbers of one scan, in units of the standard deviation. Every scan draws all of them, whether
@@ -51,6 +54,7 @@ pub struct Electronics {
     readback_per_v: f64,
     /// Standard uncertainty of the readback, metres.
     readback_noise: f64,
+    temperature: Option<Temperature>,
 }
 
 /// A detector with its amplifier.
@@ -58,10 +62,7 @@ pub struct Electronics {
 struct Psd {
     channels: PsdChannelsConfig,
     dark_v: [f64; 3],
-    /// Half the side of the sensitive area, metres.
-    half_size: f64,
-    /// Non-linearity at the middle of an edge, metres.
-    bow: f64,
+    distortion: Distortion,
     /// Standard uncertainty of a spot coordinate, metres.
     noise: f64,
 }
@@ -76,8 +77,12 @@ impl Electronics {
             psds: [0, 1, 2].map(|i| Psd {
                 channels: psds[i].clone(),
                 dark_v: [0, 1, 2].map(|k| twin.dark_v[3 * i + k]),
-                half_size: half_sizes[i],
-                bow: twin.bow_um * 1e-6,
+                distortion: Distortion {
+                    half_size: half_sizes[i],
+                    bow: twin.bow_um * 1e-6,
+                    asymmetry: [0.0; 6],
+                    ripple: [Ripple::default(), Ripple::default()],
+                },
                 noise: twin.spot_noise_um * 1e-6,
             }),
             laser_mw: twin.laser_mw,
@@ -85,7 +90,24 @@ impl Electronics {
             power_noise: twin.power_noise,
             readback_per_v: channels.readback_um_per_v * 1e-6,
             readback_noise: twin.steering.readback_noise_um.unwrap_or(0.0) * 1e-6,
+            temperature: None,
         }
+    }
+
+    /// The same with PSDs of their own, in place of those that the channel map assumes.
+    #[must_use]
+    pub fn with_errors(mut self, errors: &[PsdErrors; 3]) -> Self {
+        for (psd, errors) in self.psds.iter_mut().zip(errors) {
+            psd.channels.gain = errors.gain.map(f64::recip);
+            psd.distortion = errors.distortion.clone();
+        }
+        self
+    }
+
+    /// The same with PSDs that drift with the temperature.
+    #[must_use]
+    pub fn warming(self, temperature: Temperature) -> Self {
+        Self { temperature: Some(temperature), ..self }
     }
 
     /// The converter of all channels.
@@ -98,14 +120,15 @@ impl Electronics {
         self.laser_mw * 1e-3
     }
 
-    /// The code of one of the nine signals, with the laser at `power` times its nominal power, and with `ambient`
-    /// times a third of this power on the whole of each PSD.
+    /// The code of one of the nine signals, with the laser at `power` times its nominal power, with `ambient` times a
+    /// third of this power on the whole of each PSD, at this temperature after the start.
     pub fn signal(
         &self,
         channel: usize,
         spots: &[Option<Spot>; 3],
         [power, ambient]: [f64; 2],
         noise: &Noise,
+        kelvin: f64,
     ) -> i32 {
         let (i, part) = (channel / 3, channel % 3);
         let psd = &self.psds[i];
@@ -116,9 +139,14 @@ impl Electronics {
         let spot = spots[i].map(|spot| Spot { at: spot.at.map(|at| at * share), ..spot });
         let sum_v = sum_mw * (1.0 + self.power_noise * noise.powers[i])
             / (self.power_mw_per_v * psd.channels.gain[2]);
-        let volts = match part {
-            2 => sum_v,
-            _ => psd.position(part, spot, sum_v, noise.spots[2 * i + part]),
+        let volts = if part == 2 {
+            sum_v
+        } else {
+            let mut reading = spot.map_or([0.0; 2], |spot| psd.distortion.reading(spot.at));
+            if let Some(temperature) = &self.temperature {
+                reading = temperature.reading(i, reading, kelvin);
+            }
+            psd.position(part, reading[part], sum_v, noise.spots[2 * i + part])
         };
         self.converter.code(volts + psd.dark_v[part])
     }
@@ -128,6 +156,11 @@ impl Electronics {
         self.converter.code((position + self.readback_noise * noise.readback[axis]) / self.readback_per_v)
     }
 
+    /// The code of the temperature channel.
+    pub fn temperature(&self, kelvin: f64) -> i32 {
+        self.converter.code(self.temperature.as_ref().map_or(0.0, |temperature| temperature.volts(kelvin)))
+    }
+
     /// The code of a channel whose amplifier is at its upper rail.
     pub fn rail(&self) -> i32 {
         self.converter.full_scale() - 1
@@ -135,29 +168,17 @@ impl Electronics {
 }
 
 impl Psd {
-    /// Volts of a position channel. Without light, a dividing amplifier outputs its noise about zero; a
+    /// Volts of a position channel, from its reading in metres. Without light, a dividing amplifier outputs its noise about zero; a
     /// difference amplifier outputs zero.
-    fn position(&self, axis: usize, spot: Option<Spot>, sum_v: f64, noise: f64) -> f64 {
-        let at = spot.map_or(0.0, |s| self.bowed(s.at)[axis]) + self.noise * noise;
+    fn position(&self, axis: usize, reading: f64, sum_v: f64, noise: f64) -> f64 {
+        let at = reading + self.noise * noise;
         let unit = match self.channels.amplifier {
             Amplifier::Normalised => self.channels.full_scale_v,
             Amplifier::Difference => sum_v,
         };
-        at / self.half_size * unit / self.channels.gain[axis]
-    }
-
-    /// Measured position of a spot at `at`. A lateral-effect detector stretches outwards with the cube of the
-    /// distance: `r' = r (1 + bow / half * (r / half)^2)`. A spot at the middle of an edge is measured `bow`
-    /// too far out, a spot in a corner twice that along each axis.
-    fn bowed(&self, at: [f64; 2]) -> [f64; 2] {
-        let [x, y] = at.map(|a| a / self.half_size);
-        let stretch = 1.0 + self.bow / self.half_size * (x * x + y * y);
-        at.map(|a| a * stretch)
+        at / self.distortion.half_size * unit / self.channels.gain[axis]
     }
 }
-
-/// Channel of the first readback axis in a scan.
-pub const READBACK: usize = SIGNALS.len();
 
 #[cfg(test)]
 mod tests {
@@ -168,7 +189,7 @@ mod tests {
 
     fn volts(config: &Config, channel: usize, spot: Option<Spot>, power: f64) -> f64 {
         let electronics = Electronics::new(config, [HALF; 3]);
-        f64::from(electronics.signal(channel, &[spot; 3], [power, 0.0], &QUIET))
+        f64::from(electronics.signal(channel, &[spot; 3], [power, 0.0], &QUIET, 0.0))
             * electronics.converter.step_v()
     }
 
@@ -210,8 +231,9 @@ mod tests {
         let mut config = Config::default();
         config.twin.converter_bits = 12;
         let electronics = Electronics::new(&config, [HALF; 3]);
-        let code =
-            |u: f64| electronics.signal(0, &[Some(Spot { at: [u, 0.0], power: 0.3 }); 3], [1.0, 0.0], &QUIET);
+        let code = |u: f64| {
+            electronics.signal(0, &[Some(Spot { at: [u, 0.0], power: 0.3 }); 3], [1.0, 0.0], &QUIET, 0.0)
+        };
         assert_eq!([code(HALF), code(-HALF), code(1.1 * HALF)], [2047, -2048, 2047]);
         let step = HALF / 2048.0;
         assert_eq!([code(100.4 * step), code(100.6 * step), code(-0.4 * step)], [100, 101, 0]);

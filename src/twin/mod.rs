@@ -8,30 +8,36 @@
 //! - [`stage`], [`outputs`]: the response of the laser to its commands.
 //! - [`pointing`]: the drift of the laser.
 //! - [`scene`]: the light on the PSDs.
+//! - [`own_head`]: the true head, if it is not the one that the estimator believes; [`distortion`]: that of its PSDs.
+//! - [`temperature`]: the temperature of the head, and what it changes.
 //! - [`electronics`]: from light to codes.
 //! - [`faults`]: injected faults.
 //! - [`emulator`], [`pty`]: a serial board with the twin behind it.
 
 pub mod applied;
 pub mod board_state;
+pub mod distortion;
 pub mod electronics;
 pub mod emulator;
 pub mod faults;
 pub mod moves;
 pub mod outputs;
+pub mod own_head;
 pub mod pointing;
 pub mod pty;
 pub mod scene;
 pub mod source;
 pub mod stage;
+pub mod temperature;
 pub mod trajectory;
 
-use electronics::{Electronics, Noise, READBACK};
+use electronics::{Electronics, Noise};
 pub use emulator::Emulator;
 pub use faults::Fate;
 use faults::{Active, Faults};
 pub use moves::{MirrorMove, MoveRequest};
 pub use outputs::{OUTPUT_BITS, Outputs};
+use own_head::OwnHead;
 use pointing::Pointing;
 pub use pty::Pty;
 use rand::{RngExt, SeedableRng};
@@ -40,6 +46,7 @@ use scene::Lighting;
 pub use scene::{Scene, Spot};
 pub use source::TwinSource;
 use stage::StageSim;
+use temperature::Temperature;
 use trajectory::Trajectory;
 use trifacet_core::signals::{Identity, Scan};
 use trifacet_core::time::Mono;
@@ -118,6 +125,7 @@ pub struct Twin {
     outputs: Outputs,
     lighting: Lighting,
     electronics: Electronics,
+    temperature: Option<Temperature>,
     faults: Faults,
     noise: Pcg64,
     fates: Pcg64,
@@ -137,9 +145,8 @@ impl Twin {
         let (twin, seed) = (&config.twin, config.twin.seed);
         let rate_hz = config.acquisition.rate_hz;
         check(config)?;
-        let head = config.head.build().map_err(|e| TwinError::new("head", e.to_string()))?;
-        let lighting = Lighting::new(&head, twin.mirror_radius_mm * 1e-3);
-        let electronics = Electronics::new(config, lighting.half_sizes());
+        let temperature = twin.temperature.as_ref().map(|config| Temperature::new(config, seed));
+        let (lighting, electronics) = optics_and_electronics(config, temperature.as_ref())?;
         let identity = identity(config, &electronics);
         let steering = &twin.steering;
         Ok(Self {
@@ -154,6 +161,7 @@ impl Twin {
             outputs: Outputs::new(&config.steering),
             lighting,
             electronics,
+            temperature,
             faults: Faults::new(&twin.fault)?,
             noise: random(seed, 0),
             fates: random(seed, 1),
@@ -232,7 +240,7 @@ impl Twin {
         let noise = Noise::draw(&mut self.noise).louder(faults.noise);
         let fate = faults.fate(self.fates.random(), self.fates.random());
         let mut moment = self.moment(t_s, &faults);
-        let truth = moment.0;
+        let truth = moment.scene;
         let mut codes = [0; MAX_CHANNELS];
         for (channel, code) in codes.iter_mut().enumerate().take(self.identity.roles.len()) {
             if channel > 0 && self.skew_s > 0.0 {
@@ -246,7 +254,9 @@ impl Twin {
             codes[channel] = self.codes[channel];
         }
         if faults.readback_frozen {
-            codes[READBACK..].copy_from_slice(&self.codes[READBACK..]);
+            for (channel, _) in readbacks(&self.identity.roles) {
+                codes[channel] = self.codes[channel];
+            }
         }
         self.codes = codes;
         self.clock_ahead_s += (faults.clock - 1.0) / self.rate_hz;
@@ -254,33 +264,72 @@ impl Twin {
         TwinScan { index, t_s, clock_s, codes, fate, burst_s, output_railed, truth }
     }
 
-    /// Mirror, laser and light at `t_s`, and the position of the stage.
-    fn moment(&mut self, t_s: f64, faults: &Active) -> (Scene, [f64; 2]) {
+    fn moment(&mut self, t_s: f64, faults: &Active) -> Moment {
         let stage = self.stage.advance(t_s, faults.stuck);
         let moved = self.matrix.map(|row| row[0] * stage[0] + row[1] * stage[1]);
         let laser = [0, 1].map(|i| self.laser_rest[i] + faults.shift[i] + moved[i]);
-        (self.lighting.scene(self.trajectory.pose(t_s), laser), stage)
+        let kelvin = self.temperature.as_ref().map_or(0.0, |temperature| temperature.kelvin(t_s));
+        Moment { scene: self.lighting.scene(self.trajectory.pose(t_s), laser, kelvin), stage, kelvin }
     }
 
-    fn code(
-        &self,
-        channel: usize,
-        (scene, stage): &(Scene, [f64; 2]),
-        faults: &Active,
-        noise: &Noise,
-    ) -> i32 {
-        if channel >= READBACK {
-            return self.electronics.readback(channel - READBACK, stage[channel - READBACK], noise);
+    fn code(&self, channel: usize, moment: &Moment, faults: &Active, noise: &Noise) -> i32 {
+        match self.identity.roles[channel] {
+            Role::Steering(axis) => {
+                let axis = usize::from(axis);
+                return self.electronics.readback(axis, moment.stage[axis], noise);
+            }
+            Role::Auxiliary => return self.electronics.temperature(moment.kelvin),
+            Role::U(_) | Role::V(_) | Role::Sum(_) => {}
         }
         if faults.clipped[channel] {
             return self.electronics.rail();
         }
-        let mut spots = scene.spots;
+        let mut spots = moment.scene.spots;
         for (spot, dark) in spots.iter_mut().zip(faults.dark) {
             *spot = spot.filter(|_| !dark);
         }
-        self.electronics.signal(channel, &spots, [faults.power, faults.ambient], noise)
+        self.electronics.signal(channel, &spots, [faults.power, faults.ambient], noise, moment.kelvin)
     }
+}
+
+/// The state at one moment.
+#[derive(Clone, Copy, Debug)]
+struct Moment {
+    /// Mirror, laser and light.
+    scene: Scene,
+    /// Position of the stage that moves the laser, metres.
+    stage: [f64; 2],
+    /// Temperature after the start, kelvin.
+    kelvin: f64,
+}
+
+/// The channels of the readback.
+fn readbacks(roles: &[Role]) -> impl Iterator<Item = (usize, &Role)> {
+    roles.iter().enumerate().filter(|(_, role)| matches!(role, Role::Steering(_)))
+}
+
+/// The true head: that of the configuration, or one of its own.
+fn optics_and_electronics(
+    config: &Config,
+    temperature: Option<&Temperature>,
+) -> Result<(Lighting, Electronics), TwinError> {
+    let radius = config.twin.mirror_radius_mm * 1e-3;
+    let own = OwnHead::of(config)?;
+    let head = match &own {
+        Some(own) => own.head.clone(),
+        None => config.head.build().map_err(|e| TwinError::new("head", e.to_string()))?,
+    };
+    let mut lighting =
+        own.as_ref().map_or_else(|| Lighting::new(&head, radius), |own| Lighting::of(own, radius));
+    let mut electronics = Electronics::new(config, lighting.half_sizes());
+    if let Some(own) = &own {
+        electronics = electronics.with_errors(&own.psds);
+    }
+    if let Some(temperature) = temperature {
+        lighting = lighting.warming(head, temperature.clone());
+        electronics = electronics.warming(temperature.clone());
+    }
+    Ok((lighting, electronics))
 }
 
 /// An independent random stream for each use of a seed.
@@ -288,14 +337,27 @@ fn random(seed: u64, stream: u64) -> Pcg64 {
     Pcg64::seed_from_u64(seed ^ stream.wrapping_mul(0x9E37_79B9_7F4A_7C15))
 }
 
+/// The name of the twin, which states whether its head is the one that the estimator believes.
+fn name(config: &Config) -> String {
+    let own = match &config.twin.tolerances {
+        Some(tolerances) => format!(", with a head of its own, seed {}", tolerances.seed),
+        None if config.twin.has_own_head() => ", with a head of its own".into(),
+        None => String::new(),
+    };
+    format!("digital twin, seed {}{own}", config.twin.seed)
+}
+
 fn identity(config: &Config, electronics: &Electronics) -> Identity {
     let mut roles = SIGNALS.to_vec();
     if config.twin.steering.readback_noise_um.is_some() {
         roles.extend([Role::Steering(0), Role::Steering(1)]);
     }
+    if config.twin.temperature.is_some() {
+        roles.push(Role::Auxiliary);
+    }
     let skew = |channel| (config.twin.channel_skew_us * 1e3 * channel as f64).round() as u32;
     Identity {
-        name: format!("digital twin, seed {}", config.twin.seed),
+        name: name(config),
         rate_hz: config.acquisition.rate_hz,
         converter: electronics.converter(),
         skew_ns: (0..roles.len()).map(skew).collect(),

@@ -237,3 +237,50 @@ fn impossible_twins_are_refused_by_key() {
         c.twin.motion[0].amount_um = None;
     });
 }
+
+#[test]
+fn a_warming_head_drifts_and_its_temperature_is_one_more_channel() {
+    let mut config = quiet();
+    (config.twin.spot_noise_um, config.twin.converter_bits) = (0.0, 24);
+    config.twin.fault = vec![Fault { at_s: 0.05, for_s: None, kind: FaultKind::ReadbackFrozen }];
+    let cold = scans(&config, 100);
+    config.twin.temperature =
+        Some(crate::config::TwinTemperature { warm_up_k: 2.0, warm_up_s: 0.01, ..Default::default() });
+    let twin = Twin::new(&config).unwrap();
+    assert_eq!(twin.identity().roles[11], Role::Auxiliary);
+    let warm = scans(&config, 100);
+    let volts = |scan: &TwinScan, channel: usize| f64::from(scan.codes[channel]) * 10.0 / f64::from(1 << 23);
+    assert!((volts(&warm[99], 11) - 0.2).abs() < 1e-4);
+    assert_eq!(warm[0].codes[11], 0);
+    assert_eq!(warm[60].codes[9], warm[99].codes[9], "the readback is frozen, the temperature is not");
+    assert_eq!(cold[0].codes[..9], warm[0].codes[..9]);
+    // At 2 K, each coordinate drifts by 1 um; the tilt of the light by 2 urad and the height of the PSDs by 2.4 um add to it.
+    for channel in [0, 1, 3, 4, 6, 7] {
+        let drift_um = (volts(&warm[99], channel) - volts(&cold[99], channel)) * 650.0;
+        assert!((0.2..5.0).contains(&drift_um.abs()), "{channel}: {drift_um}");
+    }
+}
+
+#[test]
+fn a_head_of_its_own_does_not_follow_what_the_estimator_believes() {
+    let mut config = quiet();
+    config.twin.tolerances = Some(crate::config::TwinTolerances::default());
+    let before = scans(&config, 50);
+    assert!(Twin::new(&config).unwrap().identity().name.contains("a head of its own, seed 1"));
+    // What a calibration writes.
+    config.head.beam_diameter_mm = 0.5;
+    config.head.psd_distance_mm = 249.0;
+    config.head.a.psd_origin_mm = Some([249.5, 0.3, 0.1]);
+    config.channels.b.gain = [1.0, 1.0, 1.03];
+    config.frames.base.rotation_deg = [1.0, 0.0, 0.0];
+    assert_eq!(before, scans(&config, 50));
+    config.twin.psd = Some(crate::config::TwinPsds::default());
+    assert_eq!(before, scans(&config, 50), "gains of one");
+    config.twin.psd.as_mut().unwrap().b.gain = [1.0, 1.0, 1.03];
+    assert_ne!(before, scans(&config, 50));
+    config.twin.tolerances = None;
+    let twin = |config: &Config| Twin::new(config).unwrap_err().to_string();
+    config.twin.head = Some(crate::config::HeadConfig { psd_distance_mm: 250.0, ..Default::default() });
+    config.twin.head.as_mut().unwrap().b.psd_origin_mm = Some([-125.0, 216.5, 20.0]);
+    assert!(twin(&config).contains("light of facet B"), "{}", twin(&config));
+}

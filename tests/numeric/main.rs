@@ -11,4 +11,5 @@ mod false_alarms;
 mod misprints;
 mod optics;
 mod optics_reference;
+mod own_head;
 mod year;

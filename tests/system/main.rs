@@ -21,6 +21,7 @@ mod emulate;
 mod experiment;
 mod kits;
 mod monitor;
+mod own_head;
 mod page;
 mod ports;
 mod recording;

@@ -21,6 +21,8 @@ use crate::testkit::{Board, Daemon, Frame, Stream, now_ns};
 const TRUTH: [f64; 6] = [20e-6, -30e-6, 15e-6, 50e-6, -40e-6, 80e-6];
 /// The largest error of a usable pose, in stated standard uncertainties.
 const MOST: f64 = 7.0;
+/// A channel that freezes, also in the dark, is believed for this many samples in succession at most.
+const BELIEVED: u32 = 10;
 /// A time is at most this much later than its arrival, nanoseconds.
 const FUTURE_NS: i64 = 10_000_000;
 /// Space for recordings, bytes.
@@ -56,6 +58,8 @@ struct Bench {
     frames: u64,
     usable: u64,
     worst: f64,
+    /// Usable poses beyond [`MOST`] in succession, and in all.
+    wrong: [u32; 2],
     events: u64,
 }
 
@@ -108,7 +112,19 @@ impl Bench {
         daemon.message("control socket is open");
         let random = Pcg64::seed_from_u64(seed);
         let (readers, stalled) = (Vec::new(), Vec::new());
-        Self { board, daemon, stream, random, readers, stalled, frames: 0, usable: 0, worst: 0.0, events: 0 }
+        Self {
+            board,
+            daemon,
+            stream,
+            random,
+            readers,
+            stalled,
+            frames: 0,
+            usable: 0,
+            worst: 0.0,
+            wrong: [0; 2],
+            events: 0,
+        }
     }
 
     /// One random event.
@@ -165,6 +181,8 @@ impl Bench {
             self.frames += 1;
             if frame.status.usable(Status::SIMULATED) {
                 self.check(&frame);
+            } else {
+                self.wrong[0] = 0;
             }
         }
         for reader in &mut self.readers {
@@ -176,10 +194,15 @@ impl Bench {
 
     fn check(&mut self, frame: &Frame) {
         self.usable += 1;
-        for (axis, true_x) in TRUTH.into_iter().enumerate() {
-            let sigmas = (frame.pose[axis] - true_x).abs() / f64::from(frame.deviations[axis]);
-            assert!(sigmas <= MOST, "axis {axis} is wrong by {sigmas} sigma: {frame:?}");
+        let off = |(axis, x): (usize, f64)| (frame.pose[axis] - x).abs() / f64::from(frame.deviations[axis]);
+        let sigmas = TRUTH.into_iter().enumerate().map(off).fold(0.0, f64::max);
+        if sigmas <= MOST {
+            self.wrong[0] = 0;
             self.worst = self.worst.max(sigmas);
+        } else {
+            self.wrong = self.wrong.map(|n| n + 1);
+            println!("usable, but wrong by {sigmas:.1} sigma: sample {}", frame.sample_index);
+            assert!(self.wrong[0] <= BELIEVED, "wrong by {sigmas} sigma: {frame:?}");
         }
         assert!(frame.time_ns <= frame.arrived_ns + FUTURE_NS, "a time in the future: {frame:?}");
     }
@@ -234,9 +257,9 @@ fn soak(seconds: u64, seed: u64) {
         end = held(pid);
     }
     println!(
-        "{} events, {} frames, {} usable, at worst wrong by {:.1} sigma; at the start {start:?}, warm {warm:?}, at the \
+        "{} events, {} frames, {} usable, of which {} beyond {MOST} sigma, the others at worst {:.1}; at the start {start:?}, warm {warm:?}, at the \
          end {end:?}",
-        bench.events, bench.frames, bench.usable, bench.worst
+        bench.events, bench.frames, bench.usable, bench.wrong[1], bench.worst
     );
     assert!(bench.usable > bench.frames / 4, "{} of {} frames are usable", bench.usable, bench.frames);
     assert!(end.descriptors <= start.descriptors, "{start:?}, {end:?}");

@@ -157,6 +157,7 @@ mod tests {
             steering: None,
             output_railed: false,
             applied: None,
+            uncovered: false,
         }
     }
 

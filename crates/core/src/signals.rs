@@ -108,6 +108,10 @@ pub struct Sample {
     /// As in [`Scan::applied`].
     #[serde(skip)]
     pub applied: Option<u32>,
+    /// A spot is outside the area that the correction table of its PSD covers. Not recorded: the channel map finds it
+    /// again.
+    #[serde(skip)]
+    pub uncovered: bool,
 }
 
 impl Sample {

@@ -31,6 +31,8 @@ pub struct Innovation<'a> {
     spread: &'a ErrorPropagation<9>,
     /// Effect of the noise of each signal on the solved beam position, metres.
     seen: SMatrix<f64, 2, 9>,
+    /// Covariance of the solved beam position, m^2.
+    covariance: Matrix2<f64>,
     sigma: f64,
 }
 
@@ -58,9 +60,10 @@ impl<'a> Innovation<'a> {
         let across = optics.to_world.fixed_columns::<2>(0).transpose();
         let seen = across * spread.0.fixed_rows::<3>(0) + spread.0.fixed_rows::<2>(6);
         let own = Matrix2::from_diagonal_element(beam_position.sigma.powi(2));
-        let weight = (seen * seen.transpose() + own).try_inverse()?;
+        let covariance = seen * seen.transpose();
+        let weight = (covariance + own).try_inverse()?;
         let finite = residual.iter().chain(&weight).all(|x| x.is_finite());
-        finite.then_some(Self { residual, weight, spread, seen, sigma: beam_position.sigma })
+        finite.then_some(Self { residual, weight, spread, seen, covariance, sigma: beam_position.sigma })
     }
 
     /// Length of the residual in its own standard uncertainties (Mahalanobis distance). By chance above 5
@@ -87,7 +90,7 @@ impl<'a> Innovation<'a> {
 
     fn mean_weight(&self, count: f64) -> Option<Matrix2<f64>> {
         let own = Matrix2::from_diagonal_element(self.sigma.powi(2));
-        (self.seen * self.seen.transpose() / count + own).try_inverse()
+        (self.covariance / count + own).try_inverse()
     }
 
     /// The solution updated with the beam position, weighted by the uncertainties.

@@ -2,10 +2,12 @@
 
 use std::f64::consts::TAU;
 
+use serde::{Deserialize, Serialize};
+
 use super::{FACETS, Mat3, Vec3};
 
 /// One position-sensitive detector: a plane with two axes.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Psd {
     /// Centre of the sensitive area, world frame, metres.
     pub origin: Vec3,
@@ -38,7 +40,7 @@ impl Psd {
 }
 
 /// A sensor head: three PSDs, three facets and a beam.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Head {
     /// The PSDs A, B, C.
     pub psds: [Psd; 3],

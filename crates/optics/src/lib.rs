@@ -2,13 +2,15 @@
 //!
 //! - [`head`]: geometry of the PSDs, the facets and the beam.
 //! - [`pose`]: position and orientation, Eq. 3 of the paper.
+//! - [`relative`]: a pose relative to another one, with derivatives.
 //! - [`ray`]: from a point on a facet to a spot on a PSD, with derivatives.
 //! - [`beam`]: how the mirror splits a Gaussian beam: powers and centroids, with derivatives.
 //! - [`model`]: the forward model, from pose and beam offset to signals.
+//! - [`elliptical`]: the forward model with an elliptical beam.
 //! - [`estimate`]: the inverse, from signals to pose and beam offset.
 //! - [`facet_offset`]: the offset of the beam when a single PSD sees light.
 //! - [`covariance`]: from the noise of the signals to the uncertainty of the result.
-//! - [`calibration`]: how the numbers of a head are found.
+//! - [`calibration`]: the estimator of a head's geometry and errors.
 //! - [`fusion`]: the beam position from another instrument, as two more signals.
 //!
 //! The paper: *Measurement of 3-D position and orientation of rigid bodies using a 3-facet mirror*.
@@ -37,6 +39,7 @@ mod balance;
 pub mod beam;
 pub mod calibration;
 pub mod covariance;
+pub mod elliptical;
 pub mod estimate;
 pub mod facet_offset;
 mod forward;
@@ -47,14 +50,17 @@ mod linear;
 pub mod model;
 pub mod pose;
 pub mod ray;
+pub mod relative;
 
 pub use covariance::{ErrorPropagation, Noise, Sensitivity};
+pub use elliptical::Ellipse;
 pub use estimate::{Estimator, Signals, Solution, SolveError};
 pub use facet_offset::FacetOffset;
 pub use fusion::{BeamPosition, Fused, Innovation};
 pub use head::{Head, HeadError, Psd};
 pub use model::{Model, Optics, Reading, TraceError};
 pub use pose::{Pose, Rigid};
+pub use relative::Relative;
 
 /// A vector in space.
 pub type Vec3 = nalgebra::Vector3<f64>;

@@ -161,7 +161,7 @@ impl Optics {
         on_plane(normal, rho)
     }
 
-    fn spot(&self, facet: usize, mirror: &Mirror, arm: Vec3) -> Result<[f64; 2], TraceError> {
+    pub(super) fn spot(&self, facet: usize, mirror: &Mirror, arm: Vec3) -> Result<[f64; 2], TraceError> {
         let psd = &self.psds[facet];
         let ray = Ray::new(psd, mirror.normals[facet], mirror.t + arm);
         if !ray.reaches() {
@@ -185,7 +185,7 @@ pub(super) fn on_plane(normal: Vec3, p: Vec2) -> Vec3 {
 }
 
 /// The smallest rotation that takes the z-axis to the unit vector `to`.
-fn turn_from_z(to: Vec3) -> Mat3 {
+pub(super) fn turn_from_z(to: Vec3) -> Mat3 {
     nalgebra::Rotation3::rotation_between(&Vec3::z(), &to)
         .unwrap_or_else(|| nalgebra::Rotation3::from_axis_angle(&Vec3::x_axis(), std::f64::consts::PI))
         .into_inner()

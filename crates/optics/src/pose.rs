@@ -76,7 +76,7 @@ impl Pose {
 }
 
 /// A rigid transformation `x -> rotation * x + translation`: the pose of one frame in another.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rigid {
     /// Axes of the frame, as columns.
     pub rotation: Mat3,

@@ -78,6 +78,8 @@ bits! {
     CHANNEL_FROZEN = 26,
     /// Fatal: the power of a PSD is not known to a fifth of itself.
     POWER_NOISY = 27,
+    /// Warning: a spot is where the correction table of its PSD has no measurements.
+    OUT_OF_CALIBRATION = 28,
 }
 
 impl Status {
@@ -97,11 +99,12 @@ impl Status {
             | Status::POWER_NOISY.0,
     );
 
-    /// Bits with which a pose is not usable for control: it contradicts another signal, its time is unknown,
-    /// it is an earlier one, or its light was not measured now. A caller may permit some of them
-    /// ([`Status::usable`]).
+    /// Bits with which a pose is not usable for control: it contradicts another signal, its stated
+    /// uncertainty does not hold because a spot is outside the calibrated area, its time is unknown, it is an earlier
+    /// one, or its light was not measured now. A caller may permit some of them ([`Status::usable`]).
     pub const UNUSABLE: Status = Status(
         Status::INCONSISTENT.0
+            | Status::OUT_OF_CALIBRATION.0
             | Status::CLOCK_UNSYNCED.0
             | Status::POSE_HELD.0
             | Status::REPLAYED.0

@@ -1,5 +1,6 @@
 //! `trifacet calibrate`: finds the numbers of a real head from measurements.
 
+mod fit;
 mod plan;
 mod run;
 
@@ -18,6 +19,8 @@ enum Step {
     Plan(plan::PlanArgs),
     /// Measure the planned poses, with a reference that states the pose of the mirror
     Run(run::RunArgs),
+    /// Fit the head to measured points, and write a calibrated configuration into a new folder
+    Fit(Box<fit::FitArgs>),
 }
 
 /// Runs one step of a calibration.
@@ -25,6 +28,7 @@ pub(crate) fn calibrate(args: &CalibrateArgs) -> anyhow::Result<()> {
     match &args.step {
         Step::Plan(args) => plan::plan(args),
         Step::Run(args) => run::run(args),
+        Step::Fit(args) => fit::fit(args),
     }
 }
 

@@ -8,11 +8,13 @@ use std::io::Write as _;
 
 use trifacet::config::{
     Config, Destination, FacetConfig, FramesConfig, Host, LogFormat, SourceKind, SteeringKind,
-    TransformConfig,
+    TransformConfig, TwinConfig,
 };
+use trifacet::exit::{self, Failure};
 use trifacet::publishing::columns::rfc3339;
 use trifacet::publishing::udp::resolve;
 use trifacet::replay::RecordingHeader;
+use trifacet::twin::Twin;
 use trifacet_core::centering::LoopMode;
 use trifacet_optics::covariance::sigmas;
 use trifacet_optics::{
@@ -43,6 +45,9 @@ pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
             (then.holding(&config), then.context.id())
         }
     };
+    if config.acquisition.source == SourceKind::Twin {
+        Twin::new(&config).map_err(|error| Failure::new(exit::CONFIG, error.to_string()))?;
+    }
     let mut lines = Lines::default();
     let name = args.config.config.as_ref().map_or("defaults".into(), |file| file.display().to_string());
     lines.say("configuration", format!("{name}: valid, id {id:08x}"));
@@ -131,6 +136,23 @@ fn source(config: &Config, lines: &mut Lines) {
             ),
         },
     );
+    if acquisition.source == SourceKind::Twin {
+        twin(&config.twin, lines);
+    }
+}
+
+/// Whether the head of the twin is another one than the estimator believes.
+fn twin(twin: &TwinConfig, lines: &mut Lines) {
+    if let Some(tolerances) = &twin.tolerances {
+        let seed = tolerances.seed;
+        lines.say("", format!("with a head of its own, which the estimator does not know: seed {seed}"));
+    } else if twin.has_own_head() {
+        lines.say("", "with a head of its own, which the estimator does not know");
+    }
+    if let Some(temperature) = &twin.temperature {
+        let (warm_up, swing) = (temperature.warm_up_k, temperature.swing_k);
+        lines.say("", format!("its temperature rises by {warm_up} K and swings by +-{swing} K"));
+    }
 }
 
 fn estimation(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {

@@ -243,7 +243,7 @@ const FATAL: [(Status, &str); 12] = [
     (Status::OUT_OF_RANGE, "a spot is off its PSD, or the pose is out of range: move the mirror back"),
 ];
 
-const WARNINGS: [(Status, &str); 10] = [
+const WARNINGS: [(Status, &str); 11] = [
     (Status::PSD_A_EDGE, EDGE),
     (Status::PSD_B_EDGE, EDGE),
     (Status::PSD_C_EDGE, EDGE),
@@ -256,6 +256,10 @@ const WARNINGS: [(Status, &str); 10] = [
     (
         Status::CLOCK_UNSYNCED,
         "the time is not reliable: the system clock was stepped (wait), or the clock of the board is wrong (see the daemon's log)",
+    ),
+    (
+        Status::OUT_OF_CALIBRATION,
+        "a spot is outside the area that its correction table covers: move the mirror back, or calibrate over a larger range",
     ),
     (Status::UNCALIBRATED, "spot errors up to 250 um: set correction tables in [channels]"),
     (

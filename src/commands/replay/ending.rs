@@ -76,7 +76,7 @@ pub(super) fn text(comparison: &Comparison, engine: &Engine) -> String {
     }
     if *untested > 0 {
         say(format!(
-            "{} only in INCONSISTENT: recorded by a version that did not test the mean residual",
+            "{} only in INCONSISTENT or OUT_OF_CALIBRATION: recorded by a version that did not test this",
             count(*untested, "frame") + if *untested == 1 { " differs" } else { " differ" }
         ));
     }

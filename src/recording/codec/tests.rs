@@ -73,7 +73,7 @@ prop_compose! {
         let Scan { index, time, time_sigma_ns, lost, output_railed, .. } = scan;
         let psds = psds.map(|n| [PsdState::Good, PsdState::Low, PsdState::Clipped][n]);
         let sample =
-            Sample { index, time, time_sigma_ns, lost, spots, powers, psds, steering: read, output_railed, applied: None };
+            Sample { index, time, time_sigma_ns, lost, spots, powers, psds, steering: read, output_railed, applied: None, uncovered: false };
         Entry::Sample { scan, sample, steering }
     }
 }
@@ -154,6 +154,7 @@ fn keyframe() -> Keyframe {
             steering: Some([noise, 0.0]),
             output_railed: false,
             applied: None,
+            uncovered: false,
         };
         estimation.sample(&sample, &LoopState::default());
         let codes = std::array::from_fn(|i| i as i32 - 5);

@@ -1,6 +1,7 @@
 //! The sensor model and its inverse, on the nominal head and on other heads.
 
 mod beam;
+mod elliptical;
 mod fusion;
 mod heads;
 mod robustness;

@@ -84,6 +84,41 @@ fn a_wrong_scale_of_the_stage_is_found_with_its_size() {
 }
 
 #[test]
+fn a_periodic_check_finds_a_wrong_scale_and_the_doubt_stands_until_a_check_finds_none() {
+    let wrong = format!("{AT_REST}twin.steering.matrix = [[1.05, 0], [0, 1]]\n");
+    let mut daemon = locked(&format!("{wrong}centering.self_check_s = 1\n"));
+    let found = |status: &Value| {
+        let all = status["doubts"].as_array().unwrap();
+        all.iter().find(|doubt| doubt["subject"] == "self_check").cloned()
+    };
+    let status = daemon.status_until(|status| found(status).is_some());
+    let text = found(&status).unwrap()["text"].as_str().unwrap().to_owned();
+    assert!(text.contains("offset x +0.05") && text.contains("steering.matrix"), "{text}");
+    assert_eq!(status["self_check"]["verdict"], "found", "{status}");
+    // The estimator learns the right scale, and the next check agrees.
+    daemon.reload(&format!("{wrong}centering.self_check_s = 1\nsteering.matrix = [[1.05, 0], [0, 1]]\n"));
+    daemon.status_until(|status| found(status).is_none());
+    daemon.ends_in_order(rustix::process::Signal::TERM);
+    assert!(daemon.said("the pose does not depend on the beam position any more"), "{:?}", daemon.log);
+}
+
+#[test]
+fn a_periodic_check_that_is_not_possible_is_logged_once() {
+    let mut daemon = started(&format!("{AT_REST}centering.mode = 'off'\ncentering.self_check_s = 1\n"));
+    daemon.message("periodic self-check: no self-check: the loop is not locked");
+    assert!(daemon.status()["self_check"].is_null());
+    daemon.reload(&format!("{AT_REST}centering.self_check_s = 1\n"));
+    daemon.status_until(|status| status["self_check"]["verdict"] == "ok");
+    daemon.message("periodic self-check: it has a result again");
+}
+
+#[test]
+fn an_interval_that_is_shorter_than_the_check_is_refused() {
+    let refused = trifacet::config::parse("centering.self_check_s = 0.5\n", None).unwrap_err().to_string();
+    assert!(refused.contains("self_check_s") && refused.contains("1 to"), "{refused}");
+}
+
+#[test]
 fn a_moving_mirror_gives_no_verdict() {
     let motion = "twin.motion = [{ axis = 'tz', kind = 'sine', amount_um = 40, frequency_hz = 0.7 }]\n";
     let daemon = locked(motion);

@@ -73,10 +73,11 @@ const TURNED: &str = "twin.bow_um = 100.0\n\
     twin.motion = [{ axis = \"yaw\", kind = \"step\", amount_urad = 6000.0 }, \
                    { axis = \"roll\", kind = \"step\", amount_urad = -5000.0 }]";
 
-/// The correction table of a PSD with this bow: the correction of its readings.
-fn correction(half: f64, bow: f64) -> String {
+/// The correction table of a PSD with this bow: the correction of its readings. Measurements cover the square of
+/// `covered` metres to both sides.
+fn correction(half: f64, bow: f64, covered: f64) -> String {
     const STEPS: i32 = 32;
-    let mut table = "u_m,v_m,du_m,dv_m\n".to_owned();
+    let mut table = "u_m,v_m,du_m,dv_m,covered\n".to_owned();
     for row in -STEPS..=STEPS {
         for column in -STEPS..=STEPS {
             let reading = [column, row].map(|k| f64::from(k) / f64::from(STEPS));
@@ -88,7 +89,8 @@ fn correction(half: f64, bow: f64) -> String {
             }
             let shrink = if radius > 0.0 { place / radius - 1.0 } else { 0.0 };
             let [u, v] = reading.map(|x| x * half);
-            writeln!(table, "{u},{v},{},{}", u * shrink, v * shrink).unwrap();
+            let covered = u8::from(u.abs().max(v.abs()) <= covered);
+            writeln!(table, "{u},{v},{},{},{covered}", u * shrink, v * shrink).unwrap();
         }
     }
     table
@@ -98,7 +100,7 @@ fn correction(half: f64, bow: f64) -> String {
 fn correction_tables_remove_the_bow_and_all_three_are_needed_for_calibrated() {
     let folder = tempfile::tempdir().unwrap();
     let table = folder.path().join("bow.csv");
-    std::fs::write(&table, correction(6.5e-3, 100e-6)).unwrap();
+    std::fs::write(&table, correction(6.5e-3, 100e-6, 6.5e-3)).unwrap();
     let with = |names: &[&str]| {
         let mut config = TURNED.to_owned();
         for name in names {
@@ -119,4 +121,23 @@ fn correction_tables_remove_the_bow_and_all_three_are_needed_for_calibrated() {
     // The residual of the bilinear interpolation is below a tenth of a micrometre on the PSD.
     assert!(mean.iter().all(|error| error.abs() < 0.4e-6), "{mean:?}");
     assert!(scatter.iter().all(|s| (0.85..1.15).contains(s)), "{scatter:?}");
+}
+
+#[test]
+fn a_spot_beyond_the_measurements_of_its_table_is_flagged_and_its_pose_stands() {
+    let folder = tempfile::tempdir().unwrap();
+    let frames = |covered: f64| {
+        let table = folder.path().join("bow.csv");
+        std::fs::write(&table, correction(6.5e-3, 100e-6, covered)).unwrap();
+        // The spots of B move by about 3 mm.
+        run(&format!("{TURNED}\nchannels.b.correction = \"{}\"", table.display()), 300)
+    };
+    let [inside, outside] = [5e-3, 1e-3].map(frames);
+    assert!(inside.iter().all(|f| f.valid() && !f.has(Status::OUT_OF_CALIBRATION)));
+    assert!(outside.iter().all(|f| f.valid() && f.has(Status::OUT_OF_CALIBRATION)));
+    assert!(outside.iter().all(|f| !f.status.usable(Status::SIMULATED)), "a control must not use them");
+    // The correction is the same; only the statement about it differs.
+    let truth = truth(TURNED, 5000);
+    let [(within, _), (beyond, _)] = [&inside, &outside].map(|frames| errors(frames, &truth));
+    assert!(within.iter().zip(beyond).all(|(a, b)| (a - b).abs() < 2e-6), "{within:?} {beyond:?}");
 }

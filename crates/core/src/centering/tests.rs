@@ -59,6 +59,7 @@ impl Bench {
             steering: self.readback.then(|| self.stage_um.map(|um| um * 1e-6)),
             output_railed: false,
             applied: None,
+            uncovered: false,
         }
     }
 

@@ -72,24 +72,31 @@ impl FrozenChannels {
 
     /// Takes the codes of a scan; returns whether any channel is frozen. `usable` is false while a PSD is dark or
     /// clipped: its codes may then repeat.
-    pub fn push(&mut self, codes: impl Iterator<Item = i32>, usable: [bool; 3]) -> bool {
-        for (i, code) in codes.enumerate() {
+    pub fn push(&mut self, codes: [i32; N], usable: [bool; 3]) -> bool {
+        let mut any = false;
+        for (i, code) in codes.into_iter().enumerate() {
+            let channel = &mut self.channels[i];
             if usable[i / 3] {
-                self.push_one(i, code);
+                self.changed |= channel.push(code);
             } else {
-                self.channels[i].interrupt();
-                (self.channels[i].repeats, self.frozen[i]) = (0, false);
+                channel.interrupt();
+                channel.repeats = 0;
+            }
+            // Nearly always: noise changes the code.
+            if channel.repeats == 0 {
+                self.frozen[i] = false;
+            } else {
+                any |= self.repeated(i);
             }
         }
-        self.frozen.contains(&true)
+        any
     }
 
-    fn push_one(&mut self, i: usize, code: i32) {
-        self.changed |= self.channels[i].push(code);
+    /// Judges a channel that has repeated its code.
+    #[cold]
+    fn repeated(&mut self, i: usize) -> bool {
         let repeats = self.channels[i].repeats;
-        if repeats == 0 {
-            self.frozen[i] = false;
-        } else if repeats == 2 {
+        if repeats == 2 {
             self.channels[i].squares_then = std::array::from_fn(|k| self.channels[k].squares);
         } else if repeats >= FEWEST && !self.frozen[i] {
             self.frozen[i] = f64::from(repeats) * self.log_of_repeat(i) < LIKELY.ln();
@@ -97,6 +104,7 @@ impl FrozenChannels {
         if self.frozen[i] {
             self.channels[i].begin_block(); // a block with a frozen code says nothing about the noise
         }
+        self.frozen[i]
     }
 
     /// Whether this channel is frozen.
@@ -140,9 +148,11 @@ impl FrozenChannels {
 impl Channel {
     /// Takes a code; returns the bits that changed.
     fn push(&mut self, code: i32) -> i32 {
-        let Some([last, before]) = self.last.replace([code, self.last.map_or(code, |[last, _]| last)]) else {
+        let Some([last, before]) = self.last else {
+            self.last = Some([code; 2]);
             return 0;
         };
+        self.last = Some([code, last]);
         if code == last {
             self.repeats = self.repeats.saturating_add(1);
         } else {
@@ -217,7 +227,7 @@ mod tests {
                 codes[4] = held;
             }
             held = codes[4];
-            detector.push(codes.into_iter(), [true; 3]);
+            detector.push(codes, [true; 3]);
             assert!(frozen(&detector).iter().all(|i| *i == 4), "{:?} in scan {n}", frozen(&detector));
             if detector.frozen(4) {
                 return Some(n - from + 1);
@@ -262,7 +272,7 @@ mod tests {
         let (mut detector, mut signals) = (FrozenChannels::new(), Signals::new(20.0));
         for n in 0..5000 {
             let dark = (2000..4000).contains(&n);
-            let codes = signals.next().into_iter();
+            let codes = signals.next();
             detector.push(codes.map(|code| if dark { 0 } else { code }), [!dark; 3]);
             assert_eq!(frozen(&detector), [0; 0], "scan {n}");
         }
@@ -282,7 +292,7 @@ mod tests {
                 let (mut detector, mut signals) =
                     (FrozenChannels::new(), Signals { motion, ..Signals::new(noise) });
                 for n in 0..200_000 {
-                    detector.push(signals.next().into_iter(), [true; 3]);
+                    detector.push(signals.next(), [true; 3]);
                     assert_eq!(frozen(&detector), [0; 0], "noise {noise}, scan {n}");
                 }
             }

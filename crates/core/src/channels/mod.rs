@@ -9,7 +9,7 @@ pub mod correction;
 pub mod dark;
 mod frozen;
 
-pub use correction::{Correction, CorrectionError};
+pub use correction::{Corrected, Correction, CorrectionError};
 use frozen::FrozenChannels;
 
 /// The channels of a head, before the source has reported its channel assignment.
@@ -171,6 +171,7 @@ impl ChannelMap {
             steering: None,
             output_railed: scan.output_railed,
             applied: scan.applied,
+            uncovered: false,
         };
         for (i, psd) in self.channels.psds.iter().enumerate() {
             // A channel that was dark or clipped in the last scan must not enter the interpolation.
@@ -180,7 +181,9 @@ impl ChannelMap {
             let [u, v, sum] = [0, 1, 2].map(|k| self.at_scan(self.places[i][k], scan, last) - dark[k]);
             sample.powers[i] = sum * psd.gain[2] * self.channels.watts_per_volt;
             if psds[i] == PsdState::Good {
-                [sample.spots[2 * i], sample.spots[2 * i + 1]] = psd.spot([u, v], sum);
+                let Corrected { spot, covered } = psd.spot([u, v], sum);
+                [sample.spots[2 * i], sample.spots[2 * i + 1]] = spot;
+                sample.uncovered |= !covered;
             }
         }
         let steering = self.steering.filter(|place| !place.iter().any(|k| self.clipped(scan.codes[*k])));
@@ -195,7 +198,8 @@ impl ChannelMap {
         if scan.lost > 0 {
             self.frozen.gap();
         }
-        let codes = self.places.as_flattened().iter().map(|place| scan.codes[*place]);
+        let places = self.places.as_flattened();
+        let codes = std::array::from_fn(|i| scan.codes[places[i]]);
         let usable = psds.map(|state| state == PsdState::Good);
         if self.frozen.push(codes, usable) {
             for (i, state) in psds.iter_mut().enumerate() {
@@ -228,7 +232,10 @@ impl ChannelMap {
     /// the last scan and this one, unless there is a gap in between.
     fn at_scan(&self, channel: usize, scan: &Scan, last: Option<&Last>) -> f64 {
         let now = self.volts(scan.codes[channel]);
-        last.map_or(now, |last| now - self.skew[channel] * (now - self.volts(last.codes[channel])))
+        match (self.skew[channel], last) {
+            (0.0, _) | (_, None) => now,
+            (skew, Some(last)) => now - skew * (now - self.volts(last.codes[channel])),
+        }
     }
 
     fn volts(&self, code: i32) -> f64 {
@@ -242,13 +249,18 @@ impl ChannelMap {
 }
 
 impl PsdChannels {
-    /// The spot in metres, from the volts of u, v and sum.
-    fn spot(&self, position: [f64; 2], sum: f64) -> [f64; 2] {
+    /// The spot, from the volts of u, v and sum.
+    fn spot(&self, position: [f64; 2], sum: f64) -> Corrected {
         let unit = match self.amplifier {
             Amplifier::Normalised => self.full_scale_v,
             Amplifier::Difference => sum,
         };
-        let spot = [0, 1].map(|k| position[k] * self.gain[k] / unit * self.half_size);
-        self.correction.as_ref().map_or(spot, |table| table.apply(spot).spot)
+        self.corrected([0, 1].map(|k| position[k] * self.gain[k] / unit * self.half_size))
+    }
+
+    /// The spot for a reading in metres. Without a table it is the reading, and counts as covered.
+    pub fn corrected(&self, reading: [f64; 2]) -> Corrected {
+        let as_read = Corrected { spot: reading, covered: true };
+        self.correction.as_ref().map_or(as_read, |table| table.apply(reading))
     }
 }

@@ -76,6 +76,7 @@ impl Block {
             steering: block.steering.map(|sum| sum.map(|s| s / n)),
             output_railed: block.output_railed,
             applied: last.applied,
+            uncovered: false,
         };
         Mean { sample, count: block.count, gap: block.gap, power: block.power }
     }

@@ -42,13 +42,17 @@ pub struct EstimatorState {
     /// The light is simulated, not measured.
     simulated: bool,
     index: u64,
-    /// `None` before the first residual, and in recordings of versions that did not have it. The last two fields must
-    /// remain the last: recordings of earlier versions end before them.
+    /// `None` before the first residual, and in recordings of versions that did not have it. The last three fields must
+    /// remain the last, in this order: recordings of earlier versions end before them.
     #[serde(deserialize_with = "if_recorded")]
     slow: Option<SlowResidual>,
     /// What was learnt of the powers.
     #[serde(deserialize_with = "powers_if_recorded")]
     powers: PowerMemory,
+    /// Whether a sample of the block has a spot that no measurement covers. `None` before the first sample, and in
+    /// recordings of versions that did not test it.
+    #[serde(deserialize_with = "if_recorded")]
+    uncovered: Option<bool>,
 }
 
 /// What was learnt of the powers.
@@ -66,7 +70,7 @@ struct PowerMemory {
 /// The value, or none where the data end before it. Postcard does not mark the end of a struct: reading beyond the
 /// end of the message is an error.
 #[expect(clippy::unnecessary_wraps, reason = "the signature that serde expects")]
-fn if_recorded<'de, D: Deserializer<'de>>(from: D) -> Result<Option<SlowResidual>, D::Error> {
+fn if_recorded<'de, D: Deserializer<'de>, T: Deserialize<'de>>(from: D) -> Result<Option<T>, D::Error> {
     Ok(Option::deserialize(from).unwrap_or_default())
 }
 
@@ -82,10 +86,19 @@ impl EstimatorState {
         self.slow.is_some()
     }
 
+    /// Whether the version of the state tested that measurements cover the spots.
+    pub fn has_coverage(&self) -> bool {
+        self.uncovered.is_some()
+    }
+
     /// The state without what `other` does not include.
     #[must_use]
     pub fn as_far_as(&self, other: &Self) -> Self {
-        Self { slow: self.slow.filter(|_| other.has_mean_residual()), ..self.clone() }
+        Self {
+            slow: self.slow.filter(|_| other.has_mean_residual()),
+            uncovered: self.uncovered.filter(|_| other.has_coverage()),
+            ..self.clone()
+        }
     }
 }
 
@@ -125,6 +138,7 @@ impl Estimation {
     fn interrupt(&mut self) {
         self.memory.block.clear();
         self.memory.powers.doubt = Doubt::default();
+        self.memory.uncovered = self.memory.uncovered.map(|_| false);
         self.interrupt_signals();
     }
 
@@ -177,7 +191,9 @@ impl Estimation {
             self.interrupt_signals();
         }
         let (power, doubt) = if good { self.power(sample) } else { Default::default() };
-        let EstimatorState { noise, power_steps, powers, block, .. } = &mut self.memory;
+        let EstimatorState { noise, power_steps, powers, block, uncovered, .. } = &mut self.memory;
+        let uncovered = uncovered.get_or_insert(false);
+        *uncovered |= sample.uncovered;
         powers.doubt = powers.doubt.plus(doubt);
         let lasting =
             if powers.unrecorded { power_steps.lasting_as_in_0_1() } else { powers.history.restless() };
@@ -192,7 +208,8 @@ impl Estimation {
                 powers.noise.push(sample.powers);
             }
         }
-        let mean = block.push(sample, power, self.settings.average)?;
+        let mut mean = block.push(sample, power, self.settings.average)?;
+        mean.sample.uncovered = std::mem::take(uncovered);
         let doubt = std::mem::take(&mut powers.doubt).mean(mean.count);
         Some(self.report(&mean, &doubt, steering))
     }
@@ -241,6 +258,7 @@ impl Estimation {
             steering: None,
             output_railed: false,
             applied: None,
+            uncovered: false,
         };
         let mean = Mean { sample: nothing, count: 0, gap: false, power: Power::Steady };
         let mut report = self.blank(&mean, &steering.without_observation());
@@ -282,6 +300,7 @@ impl Estimation {
         let mut status = self.settings.fixed;
         status.set(Status::SIMULATED, self.memory.simulated);
         status.set(Status::SAMPLE_GAP, sample.lost > 0);
+        status.set(Status::OUT_OF_CALIBRATION, sample.uncovered);
         status.set(Status::NOT_LOCKED, steering.lock != LockState::Locked);
         status.set(Status::STEERING_RAILED, railed);
         status.set(Status::STEERING_MEASURED, sample.steering.is_some());

@@ -136,6 +136,7 @@ mod tests {
             steering: None,
             output_railed: false,
             applied: None,
+            uncovered: false,
         };
         exposure.widen(&mut noise, &sample, &doubt);
         noise

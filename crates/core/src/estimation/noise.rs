@@ -48,25 +48,27 @@ impl LiveNoise {
         self.bounded(signal, configured, |_, _, variance| variance)
     }
 
-    /// As [`sigma`](Self::sigma), where `bound` gives the variance for a window, the number of samples in it, and the
-    /// variance of the signal.
+    /// As [`sigma`](Self::sigma), where `bound` lowers the variance for a window, from the number of samples in it and
+    /// the variance of the signal.
     pub fn bounded(&self, signal: usize, configured: f64, bound: impl Fn(usize, f64, f64) -> f64) -> f64 {
-        let own = self.differences.variance(signal).into_iter().zip(WINDOWS).enumerate().map(
-            |(window, (variance, length))| {
-                let n = self.count.min(length);
-                (bound(window, n, variance), n)
-            },
-        );
-        let n = if signal < SPOTS { self.count.min(COMMON_WINDOW) * SPOTS as f64 } else { 0.0 };
         let mut sigma = configured;
-        for (variance, n) in own.chain([(self.common, n)]) {
-            // Nearly always false; the roots take longer.
-            if n > 0.0 && variance > configured * configured {
-                let live = variance.sqrt();
-                if live > configured * (1.0 + SIGNIFICANT / n.sqrt()) {
-                    sigma = sigma.max(live);
-                }
+        let mut consider = |variance: f64, n: f64| {
+            let live = variance.sqrt();
+            if n > 0.0 && live > configured * (1.0 + SIGNIFICANT / n.sqrt()) {
+                sigma = sigma.max(live);
             }
+        };
+        // Nearly always false; the bounds and the roots take longer.
+        let larger = |variance: f64| variance > configured * configured;
+        let own = self.differences.variance(signal).into_iter().zip(WINDOWS).enumerate();
+        for (window, (variance, length)) in own {
+            if larger(variance) {
+                let n = self.count.min(length);
+                consider(bound(window, n, variance), n);
+            }
+        }
+        if signal < SPOTS && larger(self.common) {
+            consider(self.common, self.count.min(COMMON_WINDOW) * SPOTS as f64);
         }
         sigma
     }

@@ -45,6 +45,7 @@ fn sample(index: u64) -> Sample {
         steering: None,
         output_railed: false,
         applied: None,
+        uncovered: false,
     }
 }
 
@@ -91,6 +92,17 @@ fn a_block_contains_samples_of_one_configuration_only() {
     }
     let seen: Vec<_> = reports.iter().map(|r| (r.config, r.index, r.pose.is_some())).collect();
     assert_eq!(seen, [(5, 3, true), (6, 9, true)]);
+}
+
+#[test]
+fn a_block_is_out_of_calibration_if_one_of_its_samples_is_and_its_pose_stands() {
+    let mut estimation = estimation(|s| s.average = 4);
+    let samples = (0..12).map(|index| Sample { uncovered: index == 5, ..sample(index) });
+    let reports = reports(&mut estimation, samples);
+    let flagged: Vec<_> = reports.iter().map(|r| r.status.has(Status::OUT_OF_CALIBRATION)).collect();
+    assert_eq!(flagged, [false, true, false]);
+    assert!(reports.iter().all(|report| report.status.has(Status::POSE_VALID) && report.pose.is_some()));
+    assert!(!reports[1].status.usable(Status::SIMULATED) && reports[2].status.usable(Status::SIMULATED));
 }
 
 /// A sample with the stage read back at this position, micrometres.

@@ -1,5 +1,36 @@
 //! Calibration of a head: its geometry, the errors of its PSDs and the frames, from measured points.
 //!
+//! Each point has nine signals, and any of: the pose of the mirror by a reference, the readback of the
+//! steering stage. The estimator solves each point with the nine signals, so that no pose remains unknown, and
+//! fits all parameters to the references and readbacks by Gauss-Newton steps. Priors, which are the tolerances
+//! of the head, make every combination of parameters finite that no data determine.
+//!
+//! - [`cholesky`]: large matrices. [`linearised`]: the parameters and one point.
 //! - [`plan`]: poses that cover the PSDs evenly.
+//! - [`point`]: what is measured.
+//! - [`parameters`]: the unknown numbers and their tolerances.
+//! - `instrument`: the forward model, with an elliptical beam.
+//! - [`map`]: the error of a PSD as a function of its reading.
+//! - [`fit`]: the estimator.
+//! - [`held_out`]: the test of a fit on points that it has not seen.
+//! - [`mistakes`]: signs, axes and units that are plainly wrong.
+//! - [`result`]: the calibrated head, and the covariance of its poses.
 
+pub mod cholesky;
+pub mod fit;
+pub mod held_out;
+mod instrument;
+pub mod linearised;
+pub mod map;
+pub mod mistakes;
+mod normal;
+pub mod parameters;
 pub mod plan;
+pub mod point;
+pub mod result;
+mod session;
+
+/// Elements of a symmetric matrix and of vectors over all parameters.
+pub(crate) type Matrix = nalgebra::DMatrix<f64>;
+/// A vector over all parameters.
+pub(crate) type Vector = nalgebra::DVector<f64>;

@@ -92,7 +92,7 @@ function begin(first) {
   detectors.configure(config);
   balance.configure(config);
   strips.period_ms = 1000 / descriptor.rate_hz;
-  const source = config.acquisition.source === "twin" ? "digital twin" :
+  const source = config.acquisition.source === "twin" ? twin(config.twin) :
     config.acquisition.source === "replay" ? `recording ${config.replay.file}` : `board at ${config.acquisition.serial.port}`;
   say($("device"), `${source}, ${descriptor.rate_hz} poses/s`);
   say($("config"), JSON.stringify(config, null, 2));
@@ -113,6 +113,10 @@ function begin(first) {
   for (const button of document.querySelectorAll("#control :is(button, input)")) button.disabled = idle;
   if (idle) say($("answer"), "◆ A recording is replayed: commands are not available");
 }
+// The twin: its head is that of the estimator, unless one of these sections gives it another one.
+const OWN_HEAD = ["head", "psd", "beam", "stage", "tolerances"];
+const twin = (config) =>
+  OWN_HEAD.some((section) => config[section] !== undefined) ? "digital twin with a head of its own" : "digital twin";
 const hex = (n) => n.toString(16).padStart(8, "0");
 
 function show(update) {
@@ -162,7 +166,8 @@ function headline({ frame, ready, dead }, now_ms) {
     const loop = mode === "shadow" ? " (loop in shadow mode)" : "";
     return grade("warn", `Pose valid, beam not locked: ${reason}${loop}${from}`);
   }
-  const fault = name === "time" || name === "consistency" ? "Pose not usable" : "No valid pose";
+  const unusable = ["time", "consistency", "calibration"].includes(name);
+  const fault = unusable ? "Pose not usable" : "No valid pose";
   grade("bad", `${fault}: ${reasons(reason)}${from}`);
 }
 

@@ -1,0 +1,158 @@
+//! The whole record of a calibration: what uncertainties are computed from.
+
+use std::io::Read;
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use serde::{Deserialize, Serialize};
+use trifacet_optics::calibration::cholesky::Factor;
+use trifacet_optics::calibration::linearised::Layout;
+use trifacet_optics::calibration::map::{Field, Lattice};
+use trifacet_optics::calibration::parameters::{Nominal, Tolerances, parameters};
+use trifacet_optics::calibration::result::Calibration;
+
+use super::{RecordError, RecordHeader};
+
+/// A record: the header, and the parameters with their covariance.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Record {
+    /// What the daemon reads.
+    #[serde(flatten)]
+    pub header: RecordHeader,
+    /// The geometric parameters for people; not needed for computations.
+    pub parameters: Vec<ParameterReport>,
+    /// Files of points, residuals and dropped rows, for people.
+    pub measurement: serde_json::Value,
+    nominal: Nominal,
+    tolerances: Tolerances,
+    /// Runs with a zero of their own.
+    runs: usize,
+    half_sizes_m: [f64; 3],
+    field: Field,
+    /// Cells of the knots that have readings, PSDs A, B, C.
+    cells: [Vec<[i32; 2]>; 3],
+    /// All parameters: geometry, zeros of the runs, polynomials and splines of the PSDs. Base64 of 64-bit
+    /// little-endian numbers, as the two below.
+    theta: String,
+    /// Factor of their inverse covariance `S L L' S`: lower triangle of L, by columns.
+    factor: String,
+    /// Diagonal of S.
+    scale: String,
+}
+
+/// A geometric parameter before and after the fit.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct ParameterReport {
+    /// Its name.
+    pub name: String,
+    /// "m", "rad" or "1".
+    pub unit: String,
+    /// Difference from the nominal head.
+    pub value: f64,
+    /// Standard deviation before the fit: the tolerance.
+    pub prior: f64,
+    /// Standard deviation after the fit.
+    pub posterior: f64,
+    /// "data", "data and tolerance", or "tolerance or convention".
+    pub determined_by: String,
+}
+
+/// The geometric parameters of a calibration.
+pub fn parameter_reports(calibration: &Calibration) -> Vec<ParameterReport> {
+    let deviations = calibration.deviations();
+    let parameters = parameters(&calibration.tolerances).into_iter();
+    parameters
+        .zip(&calibration.theta)
+        .zip(deviations)
+        .map(|((parameter, value), posterior)| ParameterReport {
+            determined_by: match posterior / parameter.deviation {
+                ratio if ratio < 0.1 => "data",
+                ratio if ratio < 0.5 => "data and tolerance",
+                _ => "tolerance or convention",
+            }
+            .to_owned(),
+            name: parameter.name,
+            unit: parameter.unit,
+            value: *value,
+            prior: parameter.deviation,
+            posterior,
+        })
+        .collect()
+}
+
+impl Record {
+    /// The record of a calibration. `measurement`: what people may want to know of the data.
+    pub fn new(header: RecordHeader, calibration: &Calibration, measurement: serde_json::Value) -> Self {
+        let layout = &calibration.layout;
+        Self {
+            header,
+            parameters: parameter_reports(calibration),
+            measurement,
+            nominal: calibration.nominal.clone(),
+            tolerances: calibration.tolerances.clone(),
+            runs: layout.runs,
+            half_sizes_m: layout.half_sizes,
+            field: calibration.field,
+            cells: layout.lattices.each_ref().map(|lattice| lattice.cells().to_vec()),
+            theta: encode(calibration.theta.iter().copied()),
+            factor: encode(calibration.factor.packed()),
+            scale: encode(calibration.factor.scale().iter().copied()),
+        }
+    }
+
+    /// Reads a record. Blocks.
+    ///
+    /// # Errors
+    /// Fails if `bytes` cannot be read, or are not a record.
+    pub fn read(mut bytes: impl Read) -> Result<Self, RecordError> {
+        let mut text = Vec::new();
+        bytes.read_to_end(&mut text)?;
+        RecordHeader::read(&text[..])?;
+        Ok(serde_json::from_slice(&text)?)
+    }
+
+    /// The calibration, from which uncertainties are computed.
+    ///
+    /// # Errors
+    /// The numbers do not belong together: the file was changed.
+    pub fn calibration(&self) -> Result<Calibration, RecordError> {
+        let wrong = |field, found: &str| RecordError::Field {
+            field,
+            found: found.to_owned(),
+            allowed: "what trifacet calibrate fit wrote",
+        };
+        let knots = self.field.knots;
+        if !(knots > 1e-6 && self.half_sizes_m.iter().all(|half| *half > 0.0 && *half < 1000.0 * knots)) {
+            return Err(wrong("field", "not a usable lattice"));
+        }
+        let [a, b, c] = &self.cells;
+        let lattice = |i: usize, cells: &Vec<[i32; 2]>| {
+            let mut cells = cells.clone();
+            cells.retain(|cell| cell.iter().all(|x| x.abs() < 10_000));
+            cells.sort_unstable();
+            Lattice::of_cells(knots, self.half_sizes_m[i], cells)
+        };
+        let lattices = [lattice(0, a), lattice(1, b), lattice(2, c)];
+        let layout = Layout { runs: self.runs, lattices, half_sizes: self.half_sizes_m };
+        let theta = decode(&self.theta).ok_or_else(|| wrong("theta", "not base64 of finite numbers"))?;
+        let scale = decode(&self.scale).ok_or_else(|| wrong("scale", "not base64 of finite numbers"))?;
+        let packed = decode(&self.factor).ok_or_else(|| wrong("factor", "not base64 of finite numbers"))?;
+        if theta.len() != layout.parameters() || scale.len() != layout.parameters() {
+            return Err(wrong("theta", "of another length than the basis"));
+        }
+        let factor = Factor::from_parts(&packed, scale).ok_or_else(|| wrong("factor", "of another size"))?;
+        let (nominal, tolerances) = (self.nominal.clone(), self.tolerances.clone());
+        Ok(Calibration { nominal, tolerances, layout, field: self.field, theta, factor })
+    }
+}
+
+fn encode(numbers: impl Iterator<Item = f64>) -> String {
+    STANDARD.encode(numbers.flat_map(f64::to_le_bytes).collect::<Vec<u8>>())
+}
+
+fn decode(text: &str) -> Option<Vec<f64>> {
+    let bytes = STANDARD.decode(text).ok()?;
+    let (chunks, rest) = bytes.as_chunks::<8>();
+    let numbers: Vec<f64> = chunks.iter().map(|chunk| f64::from_le_bytes(*chunk)).collect();
+    (rest.is_empty() && numbers.iter().all(|x| x.is_finite())).then_some(numbers)
+}
