@@ -10,6 +10,7 @@
 mod testkit;
 
 mod board_protocol;
+mod calibrate_fit;
 mod command_line;
 mod compatibility;
 mod configuration;
