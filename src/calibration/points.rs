@@ -93,12 +93,11 @@ impl Measured {
             }
         }
         measured.scans = measured.points.len();
-        let mut zeros = zeros(&names, &mut measured.points);
-        for path in scans {
+        let first = zeros(&names, &mut measured.points);
+        for (zero, path) in (first..).zip(scans) {
             for (point, _) in measured.file(path, "scan", defaults)? {
-                measured.points.push(point.of_scan(zeros));
+                measured.points.push(point.of_scan(zero));
             }
-            zeros += 1;
         }
         Ok(measured)
     }
@@ -125,7 +124,8 @@ impl Measured {
         if rows.is_empty() {
             return Err(Failure::new(exit::DATA, format!("{name}: the table has no rows")));
         }
-        let sha256 = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+        let hex: Vec<String> = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+        let sha256 = hex.concat();
         self.files.push(InputFile { path: path.to_owned(), kind, rows: rows.len(), sha256 });
         Ok(rows)
     }

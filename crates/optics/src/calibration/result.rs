@@ -97,12 +97,24 @@ impl Calibration {
     /// the frames of the reference: tx, ty, tz in metres, roll, pitch, yaw in radians. `None` if one of the
     /// readings has no pose.
     pub fn relative_covariance(&self, reading: &Raw, tare: &Raw) -> Option<Matrix6<f64>> {
-        self.relative_covariances(std::slice::from_ref(reading), tare)?.pop().flatten()
+        self.relative_covariances(std::slice::from_ref(reading), tare, &Rigid::identity())?.pop().flatten()
     }
 
-    /// As [`Calibration::relative_covariance`], for many readings: faster than one by one. `None` if the tare
-    /// has no pose.
-    pub fn relative_covariances(&self, readings: &[Raw], tare: &Raw) -> Option<Vec<Option<Matrix6<f64>>>> {
+    /// The frame whose pose a user sees, in the frame of the reference's table. `tool`: that frame in the frame
+    /// of the mirror, as in the configuration.
+    pub fn tool_on_table(&self, tool: &Rigid) -> Rigid {
+        let [_, table] = self.nominal.frames(&self.theta);
+        table * *tool
+    }
+
+    /// As [`Calibration::relative_covariance`], for many readings: faster than one by one. The poses are those of
+    /// the frame `tool`, given in the frame of the reference's table. `None` if the tare has no pose.
+    pub fn relative_covariances(
+        &self,
+        readings: &[Raw],
+        tare: &Raw,
+        tool: &Rigid,
+    ) -> Option<Vec<Option<Matrix6<f64>>>> {
         let instruments = Neighbours::new(&self.nominal, &self.theta);
         let tare = self.seen(&instruments, tare)?;
         let n = self.theta.len();
@@ -113,7 +125,7 @@ impl Calibration {
             let mut residues = Vec::with_capacity(chunk.len());
             for (k, seen) in seen.iter().enumerate() {
                 residues.push(seen.as_ref().map(|seen| {
-                    let [by_pose, by_tare] = relative_slopes(&seen.pose, &tare.pose);
+                    let [by_pose, by_tare] = relative_slopes(&seen.pose, &tare.pose, tool);
                     for (part, by) in [(seen, &by_pose), (&tare, &by_tare)] {
                         let own = by * &part.jacobian;
                         for (column, values) in part.columns.iter().zip(own.column_iter()) {
@@ -189,7 +201,9 @@ impl Calibration {
             .collect();
         let mut variance = [0.0; 6];
         let mut found = 0;
-        for covariance in self.relative_covariances(&readings, &tare)?.into_iter().flatten() {
+        for covariance in
+            self.relative_covariances(&readings, &tare, &Rigid::identity())?.into_iter().flatten()
+        {
             found += 1;
             for (sum, own) in variance.iter_mut().zip(covariance.diagonal().iter()) {
                 *sum += own;
@@ -231,10 +245,10 @@ struct Seen {
 }
 
 /// Derivatives of the pose relative to the tare with respect to the pose, and to the tare.
-fn relative_slopes(pose: &Pose, tare: &Pose) -> [Matrix6<f64>; 2] {
+fn relative_slopes(pose: &Pose, tare: &Pose, tool: &Rigid) -> [Matrix6<f64>; 2] {
     let step = 1e-6;
     let relative = |pose: &Pose, tare: &Pose| {
-        let relative = Rigid::from(tare).inverse() * Rigid::from(pose);
+        let relative = (Rigid::from(tare) * *tool).inverse() * (Rigid::from(pose) * *tool);
         nalgebra::Vector6::from(Pose::from(&relative).to_array())
     };
     let changed = |pose: &Pose, i: usize, by: f64| {
