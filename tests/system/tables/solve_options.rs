@@ -387,8 +387,12 @@ fn the_share_of_the_calibration_is_stated_if_its_record_belongs_to_the_configura
         assert!(!columns(&output.stdout).contains_key("cal_std_tx_m"), "{name}");
         assert!(stderr(&output).contains(why), "{}", stderr(&output));
     };
-    let moved = text.replacen("[frames.tool]\ntranslation_mm = [", "[frames.tool]\ntranslation_mm = [0.9, 0, 0] # [", 1);
+    let moved = text.replacen(
+        "[frames.tool]\ntranslation_mm = [",
+        "[frames.tool]\ntranslation_mm = [0.9, 0, 0] # [",
+        1,
+    );
     without("frames.toml", &moved, "frames.base and frames.tool are not those of the calibration");
-    let other = text.replacen("[head.a]\nnormal = [0.7", "[head.a]\nnormal = [0.8", 1);
+    let other = text.replacen("beam_diameter_mm = 0.4", "beam_diameter_mm = 0.40", 1);
     without("head.toml", &other, "belongs to another configuration");
 }
