@@ -45,6 +45,7 @@ mod text;
 mod tune;
 mod twin;
 mod twin_head;
+mod uncertainty;
 
 pub use acquisition::{AcquisitionConfig, SerialConfig, SourceKind};
 pub use assembly::AssemblyError;
@@ -76,6 +77,7 @@ pub use steering::{NO_TILT, POINTING_UM, SteeringConfig, SteeringKind, SteeringK
 pub use tune::TuneConfig;
 pub use twin::{TwinConfig, TwinSteering};
 pub use twin_head::{TwinBeam, TwinPsd, TwinPsds, TwinStage, TwinTemperature, TwinTolerances};
+pub use uncertainty::UncertaintyConfig;
 
 /// The whole configuration.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -101,6 +103,8 @@ pub struct Config {
     pub estimation: EstimationConfig,
     /// Coordinate frames of the poses.
     pub frames: FramesConfig,
+    /// What the readings do not tell about the uncertainty of a pose.
+    pub uncertainty: UncertaintyConfig,
     /// Outlets of the poses.
     pub publishing: PublishingConfig,
     /// The control socket.
@@ -132,6 +136,7 @@ impl Config {
         self.tune.check(at.section("tune"));
         self.estimation.check(at.section("estimation"));
         self.frames.check(at.section("frames"));
+        self.uncertainty.check(at.section("uncertainty"));
         self.publishing.check(at.section("publishing"));
         self.control.check(at.section("control"));
         self.monitor.check(at.section("monitor"));
