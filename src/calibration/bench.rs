@@ -100,7 +100,7 @@ impl<S: Source, C: Clock> Bench<S, C> {
             psd.correction = None;
             psd.gain[2] = 1.0;
         }
-        let mut pipeline = config.pipeline(&context.tables, context.id())?;
+        let mut pipeline = config.pipeline(&context)?;
         let params = LoopParams { on_exit: OnExit::Park, ..config.loop_params() };
         let _ = pipeline.centering().retune(params); // no sample yet, so no command
         Ok(Self {

@@ -25,6 +25,7 @@ mod record_file;
 pub mod report;
 pub mod rest;
 pub mod scan_pattern;
+mod standing;
 mod tables;
 mod verdict;
 
@@ -33,5 +34,6 @@ pub use fingerprint::fingerprint;
 pub use points::{Defaults, InputFile, Line, Measured};
 pub use record::{FORMAT, RecordError, RecordHeader};
 pub use record_file::{ParameterReport, Record, parameter_reports};
+pub use standing::{CalibrationState, Standing};
 pub use tables::table;
 pub use verdict::{Verdict, Wanted, before, verdict};

@@ -10,6 +10,7 @@
 mod testkit;
 
 mod board_protocol;
+mod budget;
 mod calibrate_run;
 mod command_line;
 mod compatibility;

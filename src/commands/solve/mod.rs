@@ -7,6 +7,7 @@ use std::io::{self, Write};
 
 use nalgebra::Matrix6;
 use reading::{Reading, Readings};
+use trifacet::config::Config;
 use trifacet_core::estimation::Frames;
 use trifacet_optics::covariance::sigmas;
 use trifacet_optics::{Estimator, Model, Pose, Relative, Rigid, Vec2};
@@ -55,7 +56,7 @@ pub(crate) fn solve(args: &SolveArgs) -> anyhow::Result<()> {
     }
     if args.sigma {
         header.extend(STD.iter().chain(&SYS_STD));
-        no_calibration_share();
+        no_calibration_share(&config);
     }
     header.extend(["iterations", "status"]);
     let solving = Solving {
@@ -71,8 +72,11 @@ pub(crate) fn solve(args: &SolveArgs) -> anyhow::Result<()> {
 
 /// Says that the uncertainties do not include what a calibration leaves unknown. The columns for it are absent, not
 /// zero.
-fn no_calibration_share() {
-    let why = "without a calibration record the share of the calibration is not known";
+fn no_calibration_share(config: &Config) {
+    let why = match config.calibration.record {
+        None => "without a calibration record the share of the calibration is not known",
+        Some(_) => "only the header of the calibration record is read",
+    };
     // Standard error may be closed.
     let _ = writeln!(io::stderr(), "trifacet: no columns cal_std_tx_m to cal_std_yaw_rad: {why}");
 }
