@@ -66,7 +66,7 @@ impl ClosedLoopSim {
         let wrong = |message: String| Failure::new(exit::CONFIG, message);
         let context = Arc::new(CalibrationContext::read(config.clone()).map_err(|e| wrong(e.to_string()))?);
         let twin = Twin::new(config).map_err(|e| wrong(e.to_string()))?;
-        let mut pipeline = config.pipeline(&context.tables, context.id())?;
+        let mut pipeline = config.pipeline(&context)?;
         let identity = Arc::new(twin.identity().clone());
         pipeline.source(identity, Mono(0))?;
         Ok(Self {

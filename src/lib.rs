@@ -20,6 +20,7 @@
 //! - [`listening`]: opening of listeners, and their errors.
 //! - [`recording`], [`replay`]: records of inputs and results, and their recomputation.
 //! - [`text`]: text files and tables from people and spreadsheet programs.
+//! - [`budget`]: the uncertainty budget of a pose.
 //! - [`identification`]: measurement of the loop. [`experiment`]: the experiment of the paper.
 //!
 //! Internally, lengths are metres, angles radians, and times nanoseconds of the monotonic clock. Other units
@@ -27,6 +28,7 @@
 
 pub mod acquisition;
 pub mod board_test;
+pub mod budget;
 pub mod calibration;
 pub mod centering;
 pub mod charts;

@@ -49,6 +49,8 @@ enum Command {
     Simulate(commands::SimulateArgs),
     /// Repeat the experiment of the paper, on the twin or with a running daemon, and write a report
     Experiment(commands::ExperimentArgs),
+    /// State the uncertainty of a pose: the budget with all contributions
+    Budget(commands::BudgetArgs),
     /// Find out why no frames or no valid frames arrive, and propose a remedy
     Doctor(commands::DoctorArgs),
     /// Print the frames of a running daemon
@@ -94,6 +96,7 @@ fn main() -> ExitCode {
         Command::Solve(args) => commands::solve(&args),
         Command::Simulate(args) => commands::simulate(&args),
         Command::Experiment(args) => commands::experiment(&args),
+        Command::Budget(args) => commands::budget(&args),
         Command::Doctor(args) => commands::doctor(&args),
         Command::Watch(args) => commands::watch(&args),
         Command::Status(args) => commands::status(&args),

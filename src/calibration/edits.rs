@@ -11,6 +11,9 @@ use crate::config::{Config, TransformConfig};
 /// Names of the written tables.
 pub const TABLES: [&str; 3] = ["psd-a.csv", "psd-b.csv", "psd-c.csv"];
 
+/// Name of the written record.
+pub const RECORD: &str = "calibration.json";
+
 /// The head before the fit, from a configuration.
 ///
 /// # Errors
@@ -51,6 +54,7 @@ pub fn edits(calibration: &Calibration, config: &Config) -> Vec<Edit> {
         set(section, "gain", [u, v, 1.0 / gain].into_iter().collect());
         set(section, "correction", name.into());
     }
+    set(&["calibration"], "record", RECORD.into());
     let (matrix, origin) = calibration.steering();
     let rows = [0, 1].map(|i| [matrix[(i, 0)], matrix[(i, 1)]].into_iter().collect::<Value>());
     set(&["steering"], "matrix", rows.into_iter().collect());

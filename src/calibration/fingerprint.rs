@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use sha2::{Digest, Sha256};
-use trifacet_core::channels::Channels;
+use trifacet_core::channels::{Channels, Correction};
 
 use crate::config::Config;
 
@@ -30,7 +30,7 @@ pub fn fingerprint(config: &Config, channels: &Channels) -> String {
         let _ = writeln!(text, "{:?} {:?} V {:?}", psd.amplifier, psd.full_scale_v, psd.gain);
         hash.update(text.as_bytes());
         text.clear();
-        for number in psd.correction.iter().flat_map(|table| table.numbers()) {
+        for number in psd.correction.iter().flat_map(Correction::numbers) {
             hash.update((number + 0.0).to_le_bytes());
         }
     }

@@ -22,6 +22,7 @@ mod record;
 mod record_file;
 pub mod report;
 pub mod rest;
+mod standing;
 mod tables;
 mod verdict;
 
@@ -30,5 +31,6 @@ pub use fingerprint::fingerprint;
 pub use points::{Defaults, InputFile, Line, Measured};
 pub use record::{FORMAT, RecordError, RecordHeader};
 pub use record_file::{ParameterReport, Record, parameter_reports};
+pub use standing::{CalibrationState, Standing};
 pub use tables::table;
 pub use verdict::{Verdict, Wanted, before, verdict};

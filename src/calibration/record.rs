@@ -84,11 +84,15 @@ impl RecordHeader {
     pub fn read(bytes: impl Read) -> Result<Self, RecordError> {
         let mut text = Vec::new();
         bytes.take(LARGEST).read_to_end(&mut text)?;
-        let Format { format, version } = serde_json::from_slice(&text)?;
-        if format != FORMAT {
-            return Err(RecordError::Format { found: format, version });
+        let header = serde_json::from_slice::<Self>(&text);
+        let format = match &header {
+            Ok(header) => Format { format: header.format, version: header.version.clone() },
+            Err(_) => serde_json::from_slice(&text)?, // a later format may lack fields
+        };
+        if format.format != FORMAT {
+            return Err(RecordError::Format { found: format.format, version: format.version });
         }
-        let header: Self = serde_json::from_slice(&text)?;
+        let header = header?;
         header.check()?;
         Ok(header)
     }

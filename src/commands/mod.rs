@@ -10,6 +10,7 @@ use anyhow::Context;
 use trifacet::config::{self, Config};
 
 mod board_test;
+mod budget;
 mod calibrate;
 mod check;
 mod ctl;
@@ -35,6 +36,7 @@ mod tune;
 mod watch;
 
 pub(crate) use board_test::{BoardTestArgs, board_test};
+pub(crate) use budget::{BudgetArgs, budget};
 pub(crate) use calibrate::{CalibrateArgs, calibrate};
 pub(crate) use check::{CheckArgs, check};
 pub(crate) use ctl::{CtlArgs, ctl};

@@ -16,7 +16,8 @@ use trifacet_optics::{Estimator, FACETS, HeadError, Optics};
 use trifacet_wire::Status;
 
 use super::correction::{CorrectionFileError, parse_correction};
-use super::{CenteringConfig, Config, FramesConfig, SteeringConfig, TableError, Tables};
+use super::{CalibrationContext, CenteringConfig, Config, FramesConfig, SteeringConfig, TableError, Tables};
+use crate::calibration::RecordError;
 use crate::exit::{self, Failure};
 
 /// Why the parameters cannot be built from a configuration.
@@ -36,6 +37,9 @@ pub enum AssemblyError {
         /// The error, with the name of the file.
         source: CorrectionFileError,
     },
+    /// The calibration record cannot be read or used.
+    #[error("calibration.record: {0}")]
+    Record(RecordError),
 }
 
 impl From<AssemblyError> for Failure {
@@ -141,9 +145,9 @@ impl Config {
     ///
     /// # Errors
     /// Fails if the geometry does not describe a sensor head, or if a correction table is not valid.
-    pub fn measurement(&self, tables: &Tables, id: u32) -> Result<Measurement, AssemblyError> {
-        let channels = self.channels(tables)?;
-        let settings = self.estimation_settings(channels.calibrated(), id)?;
+    pub fn measurement(&self, context: &CalibrationContext) -> Result<Measurement, AssemblyError> {
+        let channels = self.channels(&context.tables)?;
+        let settings = self.estimation_settings(context.calibrated(), context.id())?;
         Ok(Measurement { mapping: Mapping::new(channels), estimation: Estimation::new(settings) })
     }
 
@@ -151,13 +155,13 @@ impl Config {
     ///
     /// # Errors
     /// Fails if the geometry does not describe a sensor head, or if a correction table is not valid.
-    pub fn pipeline(&self, tables: &Tables, id: u32) -> Result<Pipeline, AssemblyError> {
+    pub fn pipeline(&self, context: &CalibrationContext) -> Result<Pipeline, AssemblyError> {
         let silence = self.acquisition.silence();
-        Ok(Pipeline::new(self.measurement(tables, id)?, self.centering_loop()?, silence))
+        Ok(Pipeline::new(self.measurement(context)?, self.centering_loop()?, silence))
     }
 
-    /// The parameters of estimation, in SI units. `calibrated`: every PSD has a correction table. `id`: the
-    /// fingerprint of the configuration, see [`Config::id`].
+    /// The parameters of estimation, in SI units. `calibrated`: a valid calibration record belongs to the
+    /// configuration. `id`: the fingerprint of the configuration, see [`Config::id`].
     ///
     /// # Errors
     /// Fails if the geometry does not describe a sensor head.

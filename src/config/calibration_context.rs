@@ -1,11 +1,14 @@
-//! The configuration together with the contents of its correction tables.
+//! The configuration together with the contents of its correction tables, and its calibration.
 
 use std::path::PathBuf;
 
+use jiff::Timestamp;
 use trifacet_optics::FACETS;
 
 use super::Config;
+use super::assembly::AssemblyError;
 use super::file::read_regular;
+use crate::calibration::CalibrationState;
 
 /// Contents of the correction tables of PSDs A, B and C.
 ///
@@ -58,20 +61,26 @@ pub struct CalibrationContext {
     pub config: Config,
     /// Its correction tables.
     pub tables: Tables,
+    /// Its calibration.
+    pub calibration: CalibrationState,
 }
 
 impl CalibrationContext {
-    /// Reads the tables of a configuration. Blocks.
+    /// Reads the tables and the calibration record of a configuration. Blocks.
     ///
     /// # Errors
-    /// Fails if a correction table cannot be read.
-    pub fn read(config: Config) -> Result<Self, TableError> {
-        Ok(Self { tables: Tables::read(&config)?, config })
+    /// Fails if a correction table or the record cannot be read, or is not valid.
+    pub fn read(config: Config) -> Result<Self, AssemblyError> {
+        let tables = Tables::read(&config)?;
+        let channels = config.channels(&tables)?;
+        let record = config.calibration.read().map_err(AssemblyError::Record)?;
+        let calibration = CalibrationState::of(&config, &channels, record, Timestamp::now());
+        Ok(Self { config, tables, calibration })
     }
 
-    /// Whether every PSD has a correction table.
+    /// Whether a valid calibration record belongs to the configuration. Otherwise frames carry `UNCALIBRATED`.
     pub fn calibrated(&self) -> bool {
-        self.tables.0.iter().all(Option::is_some)
+        self.calibration.is_valid()
     }
 
     /// The fingerprint that every frame carries, see [`Config::id`].

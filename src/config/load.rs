@@ -66,7 +66,7 @@ fn wrong(file: &Path, problem: Problem) -> ConfigError {
 }
 
 /// Parses and checks the text of a configuration. `file`: its name in messages; paths are relative to it.
-/// Without a file, the correction tables are not read.
+/// Without a file, correction tables and calibration record are not read.
 ///
 /// # Errors
 /// Fails with all problems if the text is not a valid configuration.
@@ -92,6 +92,7 @@ fn read(text: &str, file: Option<&Path>) -> Result<Config, Vec<Problem>> {
     config.check(&mut Checker::root(&mut report));
     if file.is_some() && placed {
         config.channels.check_tables(Checker::root(&mut report).section("channels"));
+        config.calibration.check_record(Checker::root(&mut report).section("calibration"));
     }
     if incomplete {
         report.findings.retain(|finding| is_independent(&located, finding));
@@ -132,7 +133,7 @@ fn is_independent(located: &DeValue<'_>, finding: &Finding) -> bool {
 }
 
 impl Config {
-    /// Checks a configuration that was not parsed from a file. Reads no correction tables.
+    /// Checks a configuration that was not parsed from a file. Reads no correction tables and no calibration record.
     ///
     /// # Errors
     /// Fails with all problems: keys, values, and what is allowed.
@@ -172,6 +173,7 @@ fn demand_absolute_paths(config: &Config, at: &mut Checker<'_>) {
     let channels = ["channels.a", "channels.b", "channels.c"].into_iter().zip(config.channels.psds());
     let tables = channels.map(|(section, psd)| (section, "correction", psd.correction.as_deref()));
     let others = [
+        ("calibration", "record", config.calibration.record.as_deref()),
         ("recording", "folder", Some(&*config.recording.folder)),
         ("replay", "file", Some(&*config.replay.file)),
     ];
@@ -188,6 +190,7 @@ fn resolve_paths(config: &mut Config, file: Option<&Path>) {
     for psd in config.channels.psds_mut() {
         psd.correction = psd.correction.take().map(|table| folder.join(table));
     }
+    config.calibration.record = config.calibration.record.take().map(|record| folder.join(record));
     let recordings = &mut config.recording.folder;
     if !recordings.as_os_str().is_empty() {
         *recordings = folder.join(&*recordings);

@@ -9,6 +9,7 @@
 
 mod acquisition;
 mod assembly;
+mod calibration;
 mod calibration_context;
 mod centering;
 mod channels;
@@ -44,9 +45,11 @@ mod text;
 mod tune;
 mod twin;
 mod twin_head;
+mod uncertainty;
 
 pub use acquisition::{AcquisitionConfig, SerialConfig, SourceKind};
 pub use assembly::AssemblyError;
+pub use calibration::CalibrationConfig;
 pub use calibration_context::{CalibrationContext, TableError, Tables};
 pub use centering::{CenteringConfig, Gains};
 pub use channels::{ChannelsConfig, PsdChannelsConfig};
@@ -74,6 +77,7 @@ pub use steering::{NO_TILT, POINTING_UM, SteeringConfig, SteeringKind, SteeringK
 pub use tune::TuneConfig;
 pub use twin::{TwinConfig, TwinSteering};
 pub use twin_head::{TwinBeam, TwinPsd, TwinPsds, TwinStage, TwinTemperature, TwinTolerances};
+pub use uncertainty::UncertaintyConfig;
 
 /// The whole configuration.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -85,6 +89,8 @@ pub struct Config {
     pub acquisition: AcquisitionConfig,
     /// Conversion of codes to spots and powers.
     pub channels: ChannelsConfig,
+    /// The record of the head's calibration.
+    pub calibration: CalibrationConfig,
     /// The centering loop.
     pub centering: CenteringConfig,
     /// The laser's steering stage.
@@ -97,6 +103,8 @@ pub struct Config {
     pub estimation: EstimationConfig,
     /// Coordinate frames of the poses.
     pub frames: FramesConfig,
+    /// What the readings do not tell about the uncertainty of a pose.
+    pub uncertainty: UncertaintyConfig,
     /// Outlets of the poses.
     pub publishing: PublishingConfig,
     /// The control socket.
@@ -121,12 +129,14 @@ impl Config {
         self.head.check(at.section("head"));
         self.acquisition.check(at.section("acquisition"));
         self.channels.check(at.section("channels"));
+        self.calibration.check(at.section("calibration"));
         self.centering.check(at.section("centering"));
         self.steering.check(at.section("steering"));
         self.laser.check(at.section("laser"));
         self.tune.check(at.section("tune"));
         self.estimation.check(at.section("estimation"));
         self.frames.check(at.section("frames"));
+        self.uncertainty.check(at.section("uncertainty"));
         self.publishing.check(at.section("publishing"));
         self.control.check(at.section("control"));
         self.monitor.check(at.section("monitor"));

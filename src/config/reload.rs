@@ -22,6 +22,7 @@ macro_rules! live {
 
 live! {
     channels,
+    calibration,
     centering.mode,
     centering.target,
     centering.setpoint_um,
@@ -58,6 +59,7 @@ live! {
     estimation.edge_margin_mm,
     estimation.balance_limit,
     frames,
+    uncertainty,
     log.level,
 }
 
@@ -197,15 +199,25 @@ mod tests {
     }
 
     #[test]
+    fn a_section_of_the_twin_that_is_added_or_removed_requires_a_restart() {
+        let (without, with) = (config(""), config("[twin.tolerances]\nseed = 2\n"));
+        for (old, new) in [(&without, &with), (&with, &without)] {
+            let reload = reload(old, old, new).unwrap();
+            assert_eq!(reload.refused, ["twin.tolerances"]);
+            assert_eq!(&reload.running, old);
+        }
+    }
+
+    #[test]
     fn every_reloadable_key_is_applied() {
         let old = config("");
         let file = config(
-            "[channels]\nsum_threshold_v = 0.06\n\
+            "[channels]\nsum_threshold_v = 0.06\n[calibration]\nexpires_days = 30\n\
              [centering]\nmode = 'off'\ntarget = 'balance'\nsetpoint_um = [1, 2]\nloop_delay_ms = 3\nlag_ms = 1\n\
              kp = 1\nki_per_s = 1\nfeed_forward = false\ntracking_hz = 5\nsearch = false\nsearch_attempts = 9\nlock_limit_um = 4\nlock_time_ms = 1\nlost_time_ms = 1\nself_check_s = 9\n\
              [steering]\nmatrix = [[1, 0], [0, -1]]\norigin_um = [1, 0]\norigin_verified = false\nreadback_um = 0.2\npointing_um = 2\nlimit_um = 300\nslew_mm_per_s = 1\npark_um = [1, 1]\non_exit = 'park'\nlease_ms = 100\n\
              on_lease = 'park'\n[laser]\npower_uw = 600\n[estimation]\nspot_noise_um = 2\npower_noise = 0.1\nsystematic_um = [1, 1, 1]\nsystematic_urad = [1, 1, 1]\nfuse_steering = true\nedge_margin_mm = 1\n\
-             balance_limit = 0.1\n[frames.tare]\nrotation_deg = [1, 0, 0]\n[log]\nlevel = 'warn'\n",
+             balance_limit = 0.1\n[frames.tare]\nrotation_deg = [1, 0, 0]\n[uncertainty]\npointing_urad = 1\n[log]\nlevel = 'warn'\n",
         );
         let all = reload(&old, &old, &file).unwrap();
         assert_eq!(all.running, file);

@@ -14,10 +14,12 @@ use trifacet_core::time::{Clock, Mono};
 use trifacet_optics::Pose;
 use trifacet_wire::stream::{Descriptor, Replayed};
 
+use super::calibration::log_calibration;
 use super::config_file::{Access, ConfigFile};
 use super::reload::take_over_file;
 use super::{Command, FastRequests};
 use crate::acquisition::task::SettingsChange;
+use crate::calibration::CalibrationState;
 use crate::centering::CenteringRequest;
 use crate::clock::SystemClock;
 use crate::condition::Condition;
@@ -155,7 +157,7 @@ impl RunningConfig {
         let mut next = self.running.clone();
         change(&mut next);
         next.verify().map_err(|wrong| Failure::new(exit::USAGE, wrong.to_string()))?;
-        self.go_on_with(next, None).await?;
+        self.go_on_with(next, None, None).await?;
         Ok(json!({ "loop": self.loop_now().await? }))
     }
 
@@ -217,11 +219,12 @@ impl RunningConfig {
     }
 
     /// Puts another configuration in force. It may differ only in what can change at run time. `channels` is
-    /// the new channel map with its tables, if either has changed.
+    /// the new channel map with its tables, if either has changed; `calibration` the new calibration, if it has.
     pub(super) async fn go_on_with(
         &mut self,
         next: Config,
         channels: Option<ChannelMap>,
+        calibration: Option<CalibrationState>,
     ) -> Result<(), Failure> {
         let changes =
             changes(&self.running, &next).map_err(|e| Failure::new(exit::SOFTWARE, e.to_string()))?;
@@ -230,9 +233,11 @@ impl RunningConfig {
             || next.estimation != self.running.estimation
             || next.steering != self.running.steering
             || next.laser != self.running.laser
+            || next.calibration != self.running.calibration
             || channels.is_some()
+            || calibration.is_some()
         {
-            self.change_meaning(&next, channels).await?;
+            self.change_meaning(&next, channels, calibration).await?;
         }
         if next.centering != self.running.centering || next.steering != self.running.steering {
             // The limits first: the loop must not act before the stage has them.
@@ -253,17 +258,22 @@ impl RunningConfig {
     }
 
     /// Changes, from one sample to the next, what poses depend on.
-    async fn change_meaning(&mut self, next: &Config, channels: Option<ChannelMap>) -> Result<(), Failure> {
-        let mut facts = self.facts;
+    async fn change_meaning(
+        &mut self,
+        next: &Config,
+        channels: Option<ChannelMap>,
+        calibration: Option<CalibrationState>,
+    ) -> Result<(), Failure> {
+        let mut facts = self.facts.clone();
         let (channels, tables) =
             channels.map_or_else(|| (None, self.tables.clone()), |(map, tables)| (Some(map), tables));
-        let context = Arc::new(CalibrationContext { config: next.clone(), tables });
-        if let Some(channels) = &channels {
-            facts.calibrated = channels.calibrated();
-        }
+        facts.calibration = calibration.unwrap_or(facts.calibration);
+        facts.expires_days = next.calibration.expires_days;
+        let calibration = facts.calibration.clone();
+        let context = Arc::new(CalibrationContext { config: next.clone(), tables, calibration });
         facts.id.config = context.id();
         let settings = next
-            .estimation_settings(facts.calibrated, facts.id.config)
+            .estimation_settings(facts.calibration.is_valid(), facts.id.config)
             .map_err(|e| Failure::new(exit::SOFTWARE, format!("the head cannot be built: {e}")))?;
         let tables = context.tables.clone();
         ask(&self.fast.changes, FAST_SIDE_TIMEOUT, |done| SettingsChange {
@@ -279,9 +289,13 @@ impl RunningConfig {
                 "poses have another meaning from now on"
             );
         }
+        if facts.calibration != self.facts.calibration {
+            log_calibration(&facts.calibration, facts.expires_days);
+        }
         (self.facts, self.tables) = (facts, tables);
         // The session may have changed since the start.
-        self.descriptor.send_modify(|now| *now = Descriptor { session: now.session, ..facts.descriptor() });
+        self.descriptor
+            .send_modify(|now| *now = Descriptor { session: now.session, ..self.facts.descriptor() });
         Ok(())
     }
 

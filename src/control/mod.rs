@@ -2,6 +2,7 @@
 //!
 //! - [`command`]: the commands and their syntax; pure.
 //! - [`live`]: the configuration in force, and its changes, with `reload` and `tare`.
+//! - `calibration`: the end of a calibration while the daemon runs.
 //! - [`config_file`]: the configuration file, whose file system may stop responding.
 //! - [`self_check`]: whether the pose depends on where the beam meets the mirror.
 //! - [`page`]: the permission of the live page.
@@ -10,6 +11,7 @@
 //! All of this runs on the main thread. Requests reach the fast side through bounded channels. Each request
 //! carries a channel for its answer. Neither side blocks the other.
 
+mod calibration;
 pub mod client;
 pub mod command;
 pub mod config_file;
@@ -20,6 +22,7 @@ pub mod self_check;
 pub mod server;
 mod tare;
 
+pub use calibration::{log_calibration, watch_expiry};
 pub use command::Command;
 pub use config_file::ConfigFile;
 pub use live::RunningConfig;

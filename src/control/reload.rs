@@ -3,12 +3,14 @@
 use std::fmt::Display;
 use std::path::Path;
 
+use jiff::Timestamp;
 use serde_json::{Value, json};
 use tokio::sync::Mutex;
 
 use super::RunningConfig;
 use super::config_file::Access;
 use super::live::ChannelMap;
+use crate::calibration::CalibrationState;
 use crate::config::reload::{Reload, reload};
 use crate::config::{self, CalibrationContext, SteeringConfig};
 use crate::exit::{self, Failure};
@@ -45,9 +47,9 @@ fn unchanged(code: u8, why: &dyn Display) -> Failure {
 
 impl RunningConfig {
     async fn take_over(&mut self, file: &CalibrationContext) -> Result<Value, Failure> {
-        let (plan, channels) = self.plan(file).map_err(|e| unchanged(exit::CONFIG, &e))?;
+        let (plan, channels, calibration) = self.plan(file).map_err(|e| unchanged(exit::CONFIG, &e))?;
         let Reload { running, taken, changed, refused } = *plan;
-        self.go_on_with(running, channels).await?;
+        self.go_on_with(running, channels, calibration).await?;
         self.taken = taken;
         warn_of_unverified_origin(&self.running.steering);
         let mut answer = json!({ "changed": changed, "refused": refused, "config": self.id() });
@@ -58,19 +60,29 @@ impl RunningConfig {
         Ok(answer)
     }
 
-    /// What changes with this file, with the new channel map if it changes.
-    fn plan(&self, file: &CalibrationContext) -> anyhow::Result<(Box<Reload>, Option<ChannelMap>)> {
-        let CalibrationContext { config, tables } = file;
+    /// What changes with this file, with the new channel map and the new calibration if they change.
+    fn plan(
+        &self,
+        file: &CalibrationContext,
+    ) -> anyhow::Result<(Box<Reload>, Option<ChannelMap>, Option<CalibrationState>)> {
+        let CalibrationContext { config, tables, calibration } = file;
         let mut plan = Box::new(reload(&self.running, &self.taken, config)?);
         let map = plan.running.channels != self.running.channels;
         // The contents of a correction table may have changed.
-        if !map && *tables == self.tables {
-            return Ok((plan, None));
-        }
-        if !map {
+        let contents = *tables != self.tables;
+        if contents && !map {
             plan.changed.push("channels (the contents of a correction table)".into());
         }
+        let before = &self.facts.calibration;
+        let record = calibration.record != before.record;
+        if record && plan.running.calibration == self.running.calibration {
+            plan.changed.push("calibration (the contents of the record)".into());
+        }
         let channels = plan.running.channels(tables)?;
-        Ok((plan, Some((channels, tables.clone()))))
+        // The record may belong to the file, but not to what of it can take effect.
+        let record = calibration.record.clone();
+        let calibration = CalibrationState::of(&plan.running, &channels, record, Timestamp::now());
+        let calibration = (calibration != *before).then_some(calibration);
+        Ok((plan, (map || contents).then(|| (channels, tables.clone())), calibration))
     }
 }

@@ -77,7 +77,7 @@ impl RunningConfig {
             })?;
             self.taken.frames.tare = tare;
         }
-        self.go_on_with(next, None).await?;
+        self.go_on_with(next, None, None).await?;
         Ok(json!({ "tare": self.running.frames.tare, "saved": saved, "config": self.id() }))
     }
 }

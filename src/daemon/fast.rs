@@ -24,6 +24,7 @@ use crate::doubts::Doubter;
 use crate::estimation::warnings::Warnings;
 use crate::exit::{self, Failure};
 use crate::publishing::Publisher;
+use crate::publishing::descriptor::calibration_entry;
 use crate::recording::{Entry, EstimationRecorder, RecordSender};
 use crate::replay::{self, RecordingHeader};
 use crate::steering::{OutputLink, StageDriver};
@@ -241,8 +242,12 @@ async fn replayed(parts: Parts) -> anyhow::Result<()> {
         glance.at(&republished.report);
     };
     let means = move |context: &CalibrationContext| {
-        let corrected = context.calibrated();
-        descriptor.send_modify(|now| (now.config, now.calibrated) = (context.id(), corrected));
+        descriptor.send_modify(|now| {
+            (now.config, now.calibrated) = (context.id(), context.calibrated());
+            now.uncalibrated = context.calibration.objection();
+            let expires_days = context.config.calibration.expires_days;
+            now.calibration = calibration_entry(&context.calibration, expires_days);
+        });
     };
     let links = replay::task::ReplayLinks { control, publish, means };
     let (_, _, estimation) = pipeline.into_parts();

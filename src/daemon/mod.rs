@@ -69,13 +69,13 @@ pub fn run(config: &Config, file: Option<&Path>, log: &Arc<Logging>) -> anyhow::
     let (heartbeats, glance) = <(Arc<Heartbeats>, Arc<LatestStatus>)>::default();
     let service = Service::new(&config.realtime, Arc::clone(&heartbeats), Arc::clone(&glance));
     let (config, context, header) = &holding(config, file)?;
-    let pipeline = config.pipeline(&context.tables, context.id())?;
-    let facts = StreamFacts::new(StreamId::new(context.id()), config, context.calibrated());
+    let pipeline = config.pipeline(context)?;
+    let facts = StreamFacts::new(StreamId::new(context.id()), config, context.calibration.clone());
     let main = Builder::new_current_thread().enable_all().build().context("cannot start a runtime")?;
     let hangups = hangups(&main, started)?; // first of all: without a handler SIGHUP would end the process
     let socket = main.block_on(async { Socket::open(&config.control) })?;
     let (to_fast, at_fast) = control::ways();
-    let (descriptor, descriptor_now) = watch::channel(described(facts, config, header.as_ref()));
+    let (descriptor, descriptor_now) = watch::channel(described(&facts, config, header.as_ref()));
     let (steering, steering_now) = watch::channel(config.steering.clone());
     let Stage { driver, task: stage, outputs } = steering::configured(config, steering_now)?;
     let [(to_tcp, frames), (to_monitor, monitored)] = [(); 2].map(|()| mpsc::channel(TO_MAIN));
@@ -214,11 +214,12 @@ fn holding(
     };
     log_start(file, &context);
     control::warn_of_unverified_origin(&config.steering);
+    control::log_calibration(&context.calibration, config.calibration.expires_days);
     Ok((in_force, context, header))
 }
 
 /// The descriptor, including the replay if that is the source.
-fn described(facts: StreamFacts, config: &Config, header: Option<&RecordingHeader>) -> Descriptor {
+fn described(facts: &StreamFacts, config: &Config, header: Option<&RecordingHeader>) -> Descriptor {
     let replay = header.map(|then| then.replayed(&config.replay));
     Descriptor { replay, ..facts.descriptor() }
 }

@@ -86,6 +86,7 @@ pub(super) async fn control(
     };
     tokio::select! {
         () = commands => {}
+        () = control::watch_expiry(&live) => {}
         () = reloads(&live, hangups, notify) => {}
         () = control::self_check::run_periodically(&live) => {}
     }

@@ -5,14 +5,15 @@ use std::collections::BTreeMap;
 use trifacet_core::telemetry::Counters;
 use trifacet_wire::layout::{COLUMNS, FIELDS};
 use trifacet_wire::message::{MAJOR, MINOR};
-use trifacet_wire::stream::{Descriptor, FieldEntry, Heartbeat, LockEvent};
+use trifacet_wire::stream::{CalibrationEntry, Descriptor, FieldEntry, Heartbeat, LockEvent};
 use trifacet_wire::{LockState, Status};
 
 use super::publisher::StreamId;
+use crate::calibration::CalibrationState;
 use crate::config::{Config, Model};
 
 /// The facts about the stream that the descriptor needs from outside this module.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct StreamFacts {
     /// Session and configuration.
     pub id: StreamId,
@@ -22,21 +23,24 @@ pub struct StreamFacts {
     pub average: u16,
     /// The sensor model of the estimator.
     pub model: Model,
-    /// Whether every PSD has a correction table.
-    pub calibrated: bool,
+    /// The calibration of the head.
+    pub calibration: CalibrationState,
+    /// As `calibration.expires_days`.
+    pub expires_days: Option<f64>,
     /// As in [`Descriptor::systematic`].
     pub systematic: [f64; 6],
 }
 
 impl StreamFacts {
-    /// The facts of this configuration. `calibrated`: every PSD has a correction table.
-    pub fn new(id: StreamId, config: &Config, calibrated: bool) -> Self {
+    /// The facts of this configuration.
+    pub fn new(id: StreamId, config: &Config, calibration: CalibrationState) -> Self {
         Self {
             id,
             sample_rate_hz: config.acquisition.rate_hz,
             average: config.estimation.average,
             model: config.estimation.model,
-            calibrated,
+            calibration,
+            expires_days: config.calibration.expires_days,
             systematic: config.estimation.systematic(),
         }
     }
@@ -48,7 +52,8 @@ impl StreamFacts {
             sample_rate_hz: 1000.0,
             average: 1,
             model: Model::Ray,
-            calibrated: false,
+            calibration: CalibrationState::default(),
+            expires_days: None,
             systematic: [0.0; 6],
         }
     }
@@ -68,7 +73,9 @@ impl StreamFacts {
                 Model::Ray => "ray".into(),
                 Model::Gaussian => "gaussian".into(),
             },
-            calibrated: facts.calibrated,
+            calibrated: facts.calibration.is_valid(),
+            uncalibrated: facts.calibration.objection(),
+            calibration: calibration_entry(&facts.calibration, facts.expires_days),
             systematic: facts.systematic,
             units: words(&[
                 ("length", "m"),
@@ -97,6 +104,22 @@ impl StreamFacts {
             stream: None,
         }
     }
+}
+
+/// What the record of a calibration states.
+pub fn calibration_entry(
+    calibration: &CalibrationState,
+    expires_days: Option<f64>,
+) -> Option<CalibrationEntry> {
+    let record = calibration.record.as_ref()?;
+    let ([x, y, z], [roll, pitch, yaw]) = (record.std_um, record.std_urad);
+    Some(CalibrationEntry {
+        date: record.date.clone(),
+        method: record.method.clone(),
+        range: [record.range_mm / 1e3, record.range_mrad / 1e3],
+        uncertainty: [x, y, z, roll, pitch, yaw].map(|micro| micro * 1e-6),
+        expires: calibration.expiry(expires_days).map(|end| end.to_string()),
+    })
 }
 
 fn words(pairs: &[(&str, &str)]) -> BTreeMap<String, String> {

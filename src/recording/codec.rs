@@ -14,6 +14,7 @@ use trifacet_wire::Status;
 
 use super::message::{self, Time, Unknown};
 use super::{Entry, Keyframe, Topic};
+use crate::calibration::{CalibrationState, Standing};
 use crate::config::{CalibrationContext, ConfigError, Tables, parse};
 
 /// Version of this program. The state of another version may have another format.
@@ -62,6 +63,9 @@ pub enum DecodeError {
     /// The configuration is not valid for this program.
     #[error("the configuration in the recording cannot be used: {0}")]
     Config(ConfigError),
+    /// What is recorded of the calibration is damaged.
+    #[error("the calibration in the recording cannot be read: {0}")]
+    Calibration(String),
     /// A keyframe without a configuration before it.
     #[error("a keyframe comes before its configuration")]
     OutOfOrder,
@@ -226,6 +230,7 @@ fn config(stamp: Time, context: &CalibrationContext) -> Result<message::Config, 
         id: context.id(),
         toml: context.config.to_text()?,
         tables: (a, b, c),
+        calibration: serde_json::to_string(&context.calibration).unwrap_or_default(),
     })
 }
 
@@ -309,7 +314,15 @@ fn context(message: message::Config) -> Result<CalibrationContext, DecodeError> 
     let config = parse(&message.toml, None).map_err(DecodeError::Config)?;
     let (a, b, c) = message.tables;
     let tables = Tables([a, b, c].map(|table| (!table.is_empty()).then_some(table)));
-    Ok(CalibrationContext { config, tables })
+    let calibration = match message.calibration.as_str() {
+        // Versions without records: a head with three tables counted as calibrated.
+        "" if tables.0.iter().all(Option::is_some) => {
+            CalibrationState { record: None, standing: Standing::Valid }
+        }
+        "" => CalibrationState::default(),
+        json => serde_json::from_str(json).map_err(|e| DecodeError::Calibration(e.to_string()))?,
+    };
+    Ok(CalibrationContext { config, tables, calibration })
 }
 
 /// Decodes a message.

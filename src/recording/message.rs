@@ -1,6 +1,6 @@
 //! Messages of a recording: the fields of `msg/*.msg`, in the same order.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 use trifacet_core::centering::LoopState;
 use trifacet_core::signals::{Identity, PsdState, Sample as Taken, Scan};
 use trifacet_core::steering::StagePosition;
@@ -277,6 +277,16 @@ pub struct Config {
     pub toml: String,
     /// Contents of the correction tables of PSD A, B and C; empty: no table.
     pub tables: (Vec<u8>, Vec<u8>, Vec<u8>),
+    /// The calibration in force, in JSON; empty in recordings of versions without calibration records. It must remain
+    /// the last field: their messages end before it.
+    #[serde(deserialize_with = "if_recorded")]
+    pub calibration: String,
+}
+
+/// The text; empty where the message ends before it.
+#[expect(clippy::unnecessary_wraps, reason = "the signature that serde expects")]
+fn if_recorded<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error> {
+    Ok(String::deserialize(from).unwrap_or_default())
 }
 
 /// `/trifacet/source`.

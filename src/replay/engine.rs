@@ -160,7 +160,7 @@ impl Engine {
 impl State {
     fn new(keyframe: &Keyframe, other: Option<&Arc<CalibrationContext>>) -> Result<Self, Failure> {
         let context = Arc::clone(other.unwrap_or(&keyframe.context));
-        let mut measurement = context.config.measurement(&context.tables, context.id())?;
+        let mut measurement = context.config.measurement(&context)?;
         if let Some(source) = &keyframe.source {
             measurement.source(Arc::clone(source))?;
         }

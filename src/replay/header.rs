@@ -72,8 +72,8 @@ impl RecordingHeader {
     /// The configuration during a replay: everything that poses depend on is from the recording, and there is
     /// no steering.
     pub fn holding(&self, config: &Config) -> Config {
-        let Config { head, channels, estimation, frames, .. } = self.context.config.clone();
-        let mut config = Config { head, channels, estimation, frames, ..config.clone() };
+        let Config { head, channels, calibration, estimation, frames, .. } = self.context.config.clone();
+        let mut config = Config { head, channels, calibration, estimation, frames, ..config.clone() };
         config.acquisition.rate_hz = self.rate_hz();
         config.centering.mode = LoopMode::Off;
         config

@@ -124,11 +124,11 @@ fn frames_from_before_power_noisy_are_equal_except_for_the_name_of_the_bit() {
 #[test]
 fn a_state_from_before_covered_areas_is_read() {
     let entries = recorded(&config("estimation.average = 7"), 3000);
-    let memories = entries.iter().filter_map(|entry| match entry {
+    let memory = entries.iter().rev().find_map(|entry| match entry {
         Entry::Keyframe(keyframe) => Some(&keyframe.memory),
         _ => None,
     });
-    let memory = memories.last().unwrap();
+    let memory = memory.unwrap();
     let bytes = postcard::to_stdvec(memory).unwrap();
     assert!(memory.has_coverage() && bytes.ends_with(&[1, 0]), "the coverage is at the end");
     let earlier: EstimatorState = postcard::from_bytes(&bytes[..bytes.len() - 2]).unwrap();

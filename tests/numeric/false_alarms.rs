@@ -67,7 +67,7 @@ impl Sensor {
     fn new(config: &Config) -> Self {
         let context = CalibrationContext::read(config.clone()).unwrap();
         let twin = Twin::new(config).unwrap();
-        let mut pipeline = config.pipeline(&context.tables, context.id()).unwrap();
+        let mut pipeline = config.pipeline(&context).unwrap();
         pipeline.source(twin.identity().clone().into(), Mono(0)).unwrap();
         Self {
             outputs: twin.outputs().clone(),

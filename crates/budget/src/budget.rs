@@ -196,7 +196,7 @@ fn check(
     sized("correlations", r, r.shape() == (count, count))?;
     let symmetric = (0..count).all(|i| r[(i, i)] == 1.0 && (0..i).all(|k| r[(i, k)] == r[(k, i)]));
     // Rounding may make the smallest eigenvalue of a singular matrix slightly negative.
-    let possible = || r.symmetric_eigenvalues().iter().all(|value| *value > -1e-9);
+    let possible = || count == 0 || r.symmetric_eigenvalues().iter().all(|value| *value > -1e-9);
     if symmetric && possible() { Ok(()) } else { Err(BudgetError::Correlation) }
 }
 
@@ -262,6 +262,7 @@ mod tests {
         let mut wrong = inputs();
         wrong[2].dof = 0.0;
         assert!(say(wrong, one(), None).starts_with("c: 0 is not a number of degrees"));
+        assert!(Budget::new(Vec::new(), DMatrix::zeros(1, 0), Some(DMatrix::zeros(0, 0))).is_ok());
         // a with b, b with c, but a against c: no three quantities are like that.
         let r = DMatrix::from_row_slice(3, 3, &[1.0, 0.9, -0.9, 0.9, 1.0, 0.9, -0.9, 0.9, 1.0]);
         assert!(say(inputs(), one(), Some(r)).contains("contradict"));

@@ -107,6 +107,9 @@ fn standard(distribution: Distribution, student: Option<&StudentT<f64>>, rng: &m
 /// A square root of the correlation matrix of some inputs. By eigenvalues, because the matrix may be singular.
 fn root(correlation: &DMatrix<f64>, of: &[usize]) -> DMatrix<f64> {
     let part = DMatrix::from_fn(of.len(), of.len(), |i, k| correlation[(of[i], of[k])]);
+    if part.is_empty() {
+        return part;
+    }
     let mut eigen = part.symmetric_eigen();
     for (mut column, value) in eigen.eigenvectors.column_iter_mut().zip(&eigen.eigenvalues) {
         column *= value.max(0.0).sqrt();
@@ -169,6 +172,17 @@ mod tests {
             sum += &x * x.transpose() / f64::from(count);
         }
         assert!((sum - r).amax() < 0.02);
+    }
+
+    #[test]
+    fn a_correlation_matrix_without_correlations_changes_nothing() {
+        let inputs: Vec<_> = ["a", "b"].map(|name| Input::normal(name, 5.0, 2.0)).into();
+        let draw = |correlation: Option<DMatrix<f64>>| {
+            let mut values = Vec::new();
+            Sampler::new(&inputs, correlation.as_ref(), 3).unwrap().draw(&mut values);
+            values
+        };
+        assert_eq!(draw(None), draw(Some(DMatrix::identity(2, 2))));
     }
 
     #[test]

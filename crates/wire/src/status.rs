@@ -58,7 +58,7 @@ bits! {
     SOURCE_DOWN = 16,
     /// Warning: the measurement time is not reliable.
     CLOCK_UNSYNCED = 17,
-    /// Warning: a PSD has no correction table.
+    /// Warning: no valid calibration record belongs to the configuration.
     UNCALIBRATED = 18,
     /// Warning: the steering readback contradicts the pose.
     INCONSISTENT = 19,

@@ -6,9 +6,11 @@ mod steering;
 use std::fmt::Write as _;
 use std::io::Write as _;
 
+use jiff::Timestamp;
+use trifacet::calibration::CalibrationState;
 use trifacet::config::{
-    Config, Destination, FacetConfig, FramesConfig, Host, LogFormat, SourceKind, SteeringKind,
-    TransformConfig, TwinConfig,
+    CalibrationContext, Config, Destination, FacetConfig, FramesConfig, Host, LogFormat, SourceKind,
+    SteeringKind, TransformConfig, TwinConfig,
 };
 use trifacet::exit::{self, Failure};
 use trifacet::publishing::columns::rfc3339;
@@ -34,15 +36,15 @@ pub(crate) struct CheckArgs {
 pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
     let header = RecordingHeader::of_source(&config)?;
-    let (config, id) = match &header {
+    let (config, id, calibration) = match &header {
         None => {
-            config.read_channels()?; // the correction tables are part of the configuration
-            let id = config.config_id()?;
-            (config, id)
+            let context = CalibrationContext::read(config)?; // the files that the configuration names are part of it
+            let id = context.id();
+            (context.config, id, context.calibration)
         }
         Some(then) => {
             then.context.config.channels(&then.context.tables)?;
-            (then.holding(&config), then.context.id())
+            (then.holding(&config), then.context.id(), then.context.calibration.clone())
         }
     };
     if config.acquisition.source == SourceKind::Twin {
@@ -52,6 +54,9 @@ pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
     let name = args.config.config.as_ref().map_or("defaults".into(), |file| file.display().to_string());
     lines.say("configuration", format!("{name}: valid, id {id:08x}"));
     head(&config, &mut lines)?;
+    if let Some(record) = calibration.describe(Timestamp::now(), config.calibration.expires_days) {
+        lines.say("calibration", record);
+    }
     source(&config, &mut lines);
     if let Some(then) = &header {
         lines.say(
@@ -67,7 +72,7 @@ pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
     publishing(&config, &mut lines);
     recording::recording(&config, &mut lines);
     machine(&config, &mut lines);
-    notes(&config, &mut lines);
+    notes(&config, &calibration, &mut lines);
     recording::note(&config, &mut lines);
     written(std::io::stdout().write_all(lines.0.as_bytes()))
 }
@@ -261,7 +266,10 @@ fn machine(config: &Config, lines: &mut Lines) {
 }
 
 /// Settings that are allowed but may have unexpected effects.
-fn notes(config: &Config, lines: &mut Lines) {
+fn notes(config: &Config, calibration: &CalibrationState, lines: &mut Lines) {
+    if let Some(why) = calibration.objection() {
+        lines.say("note", format!("{why}: the frames carry UNCALIBRATED"));
+    }
     let bare: Vec<_> = FACETS
         .iter()
         .zip(config.channels.psds())
@@ -270,7 +278,7 @@ fn notes(config: &Config, lines: &mut Lines) {
         .collect();
     if !bare.is_empty() {
         let psds = bare.join(", ");
-        lines.say("note", format!("no correction table for PSD {psds}: the frames carry UNCALIBRATED"));
+        lines.say("note", format!("no correction table for PSD {psds}: spots have errors of up to 250 um"));
     }
     if !config.steering.origin_verified {
         lines.say("note", "steering.origin_um is not verified: it may hide a displaced PSD");

@@ -1,7 +1,9 @@
 //! Checks the contents of the frames.
 
+use jiff::Timestamp;
 use trifacet::client::{Descriptor, Heartbeat, Losses, Message, PoseFrame};
 use trifacet::publishing::columns::rfc3339;
+use trifacet_wire::stream::CalibrationEntry;
 use trifacet_wire::{LockState, Status};
 
 use super::Report;
@@ -63,6 +65,7 @@ impl ReceivedFrames {
                 "daemon {}, stream version {}, {} frames per second",
                 descriptor.daemon_version, descriptor.stream_version, descriptor.rate_hz
             ));
+            calibration(descriptor, report);
         }
         report.good(&format!(
             "{} frames arrived (session {:08x}, config {:08x})",
@@ -208,6 +211,29 @@ fn fatal(bits: Status) -> impl Iterator<Item = (Status, &'static str)> {
     FATAL.into_iter().filter(move |(bit, _)| bits.has(*bit))
 }
 
+/// Reports the calibration as the descriptor states it.
+fn calibration(descriptor: &Descriptor, report: &mut Report) {
+    if let Some(CalibrationEntry { date, method, range: [m, rad], uncertainty, expires }) =
+        &descriptor.calibration
+    {
+        let days = date.parse::<Timestamp>().map_or_else(
+            |_| String::new(),
+            |date| format!(", {} days ago", Timestamp::now().duration_since(date).as_hours() / 24),
+        );
+        let end = expires.as_ref().map_or_else(String::new, |end| format!("; valid until {end}"));
+        let [x, y, z, roll, pitch, yaw] = uncertainty.map(|si| si * 1e6);
+        report.good(&format!(
+            "calibration of {date}{days}: {method}; over +-{} mm and +-{} mrad: tx {x:.3} ty {y:.3} tz {z:.3} um, \
+             roll {roll:.3} pitch {pitch:.3} yaw {yaw:.3} urad{end}",
+            m * 1e3,
+            rad * 1e3
+        ));
+    }
+    if let Some(why) = &descriptor.uncalibrated {
+        report.note(&format!("not calibrated: {why}"), "calibrate the head, and set calibration.record");
+    }
+}
+
 const LOW: &str = "too little light there: check the beam, the cable, and that the mirror is near the middle";
 const CLIPPED: &str = "the converter is at its limit there: too much light or too much gain";
 const EDGE: &str = "the spot is near the edge there: move the mirror towards the middle";
@@ -261,7 +287,10 @@ const WARNINGS: [(Status, &str); 11] = [
         Status::OUT_OF_CALIBRATION,
         "a spot is outside the area that its correction table covers: move the mirror back, or calibrate over a larger range",
     ),
-    (Status::UNCALIBRATED, "spot errors up to 250 um: set correction tables in [channels]"),
+    (
+        Status::UNCALIBRATED,
+        "no valid calibration: spot errors up to 250 um; set calibration.record and correction tables",
+    ),
     (
         Status::INCONSISTENT,
         "steering and pose are inconsistent: the log and the doubts in `trifacet ctl status` name the size; check for a displaced laser, stage, mirror or PSD, dirt, and ambient light",

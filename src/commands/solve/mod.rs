@@ -1,10 +1,12 @@
 //! `trifacet solve`: poses from a table of signals, in the frames and with the uncertainties that are asked for.
 
+mod calibration_share;
 mod reading;
 mod uncertainty;
 
 use std::io::{self, Write};
 
+use calibration_share::{CAL_STD, CalibrationShare};
 use nalgebra::Matrix6;
 use reading::{Reading, Readings};
 use trifacet_core::estimation::Frames;
@@ -32,7 +34,8 @@ pub(crate) struct SolveArgs {
     /// difference
     #[arg(long, value_name = "N", value_parser = super::whole(1..=u64::MAX))]
     tare_row: Option<u64>,
-    /// Add standard uncertainties: total (std_tx_m ... std_yaw_rad) and the part of it that is systematic (sys_std_...)
+    /// Add standard uncertainties: total (std_tx_m ... std_yaw_rad), the part of it that is systematic (sys_std_...),
+    /// and, with --readings, --tare-row and a calibration record, the calibration's share of that (cal_std_...)
     #[arg(long)]
     sigma: bool,
 }
@@ -53,9 +56,16 @@ pub(crate) fn solve(args: &SolveArgs) -> anyhow::Result<()> {
     if model == Model::Gaussian {
         header.extend(OFFSET);
     }
+    let mut share = None;
     if args.sigma {
         header.extend(STD.iter().chain(&SYS_STD));
-        no_calibration_share();
+        match CalibrationShare::new(&config, args) {
+            Ok(known) => {
+                header.extend(CAL_STD);
+                share = Some(known);
+            }
+            Err(why) => no_calibration_share(&why),
+        }
     }
     header.extend(["iterations", "status"]);
     let solving = Solving {
@@ -65,14 +75,14 @@ pub(crate) fn solve(args: &SolveArgs) -> anyhow::Result<()> {
         systematic: config.estimation.systematic(),
         sigma: args.sigma,
         tare: args.tare_row.map(|row| Tare { row, solved: None }),
+        share,
     };
     convert_with(args.table.input.as_deref(), &columns, &header, solving)
 }
 
 /// Says that the uncertainties do not include what a calibration leaves unknown. The columns for it are absent, not
 /// zero.
-fn no_calibration_share() {
-    let why = "without a calibration record the share of the calibration is not known";
+fn no_calibration_share(why: &str) {
     // Standard error may be closed.
     let _ = writeln!(io::stderr(), "trifacet: no columns cal_std_tx_m to cal_std_yaw_rad: {why}");
 }
@@ -86,6 +96,8 @@ struct Solving {
     systematic: [f64; 6],
     sigma: bool,
     tare: Option<Tare>,
+    /// What the calibration leaves unknown, if it is known.
+    share: Option<CalibrationShare>,
 }
 
 /// A pose in the frames that are asked for.
@@ -111,12 +123,22 @@ impl Conversion for Solving {
         if let Some(tare) = &mut self.tare {
             tare.solved = Some(solved.map_err(|(why, _)| format!("the tare row has no pose: {why}"))?);
         }
+        if let (Some(share), Ok(numbers)) = (&mut self.share, numbers) {
+            share.set_tare(numbers);
+        }
         Ok(())
     }
 
     fn row(&mut self, number: u64, numbers: Numbers) -> Row {
         let solved = self.solved(&numbers).and_then(|solved| match &self.tare {
-            Some(Tare { row, solved: Some(zero) }) => relative(solved, zero, *row == number),
+            Some(Tare { row, solved: Some(zero) }) => {
+                let mut difference = relative(solved, zero, *row == number)?;
+                if let (Some(share), Ok(numbers), true) = (&self.share, &numbers, *row != number) {
+                    let calibration = share.covariance(numbers);
+                    difference.covariances.add_calibration(calibration);
+                }
+                Ok(difference)
+            }
             _ => Ok(solved),
         });
         self.written(solved)
@@ -140,20 +162,22 @@ impl Solving {
             let systematic = Matrix6::from_diagonal(&self.systematic.map(|sigma| sigma * sigma).into());
             let [random, systematic] =
                 [random, systematic].map(|of| self.frames.covariance(&sensor, &pose, &of));
-            covariances = Covariances { random, systematic };
+            covariances = Covariances { random, systematic, calibration: Matrix6::zeros() };
         }
         Ok(Solved { pose, covariances, offset: solution.offset, iterations: solution.iterations, warning })
     }
 
     fn written(&self, solved: Result<Solved, Unsolved>) -> Row {
-        let deviations = if self.sigma { STD.len() + SYS_STD.len() } else { 0 };
+        let shares = if self.share.is_some() { CAL_STD.len() } else { 0 };
+        let deviations = if self.sigma { STD.len() + SYS_STD.len() + shares } else { 0 };
         let offset = if self.readings.model() == Model::Gaussian { OFFSET.len() } else { 0 };
         let (mut numbers, iterations, status, problem) = match solved {
             Ok(Solved { pose, covariances, offset: beam, iterations, warning }) => {
                 let mut numbers = pose.to_array().to_vec();
                 numbers.extend(beam.iter().take(offset));
-                let [total, systematic] = [covariances.total(), covariances.systematic].map(|of| sigmas(&of));
-                numbers.extend(total.iter().chain(&systematic).take(deviations));
+                let Covariances { systematic, calibration, .. } = covariances;
+                let parts = [covariances.total(), systematic, calibration].map(|of| sigmas(&of));
+                numbers.extend(parts.iter().flatten().take(deviations));
                 (numbers, iterations, warning.unwrap_or_else(|| "ok".into()), None)
             }
             Err((why, iterations)) => (Vec::new(), iterations, why.clone(), Some(why)),

@@ -19,8 +19,10 @@ pub(super) const SYS_STD: [&str; 6] = [
 pub(super) struct Covariances {
     /// By the noise of its own readings.
     pub(super) random: Matrix6<f64>,
-    /// By what averaging does not reduce.
+    /// By what averaging does not reduce, with the calibration's share.
     pub(super) systematic: Matrix6<f64>,
+    /// By what the calibration leaves unknown.
+    pub(super) calibration: Matrix6<f64>,
 }
 
 impl Covariances {
@@ -35,6 +37,13 @@ impl Covariances {
         Self {
             random: seen(by_pose, &self.random) + seen(by_zero, &zero.random),
             systematic: seen(by_pose, &self.systematic),
+            calibration: Matrix6::zeros(),
         }
+    }
+
+    /// Adds the share of the calibration, that of the pose relative to the tare.
+    pub(super) fn add_calibration(&mut self, calibration: Matrix6<f64>) {
+        self.calibration = calibration;
+        self.systematic += calibration;
     }
 }

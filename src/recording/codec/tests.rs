@@ -8,6 +8,7 @@ use trifacet_wire::channel::{Converter, Role, SIGNALS};
 use trifacet_wire::{LockState, PoseFrame};
 
 use super::*;
+use crate::calibration::RecordHeader;
 use crate::recording::writer::Writer;
 
 type Messages = Vec<(Topic, i64, Vec<u8>)>;
@@ -170,7 +171,7 @@ fn keyframe() -> Keyframe {
     }
     let memory = estimation.memory().clone();
     Keyframe {
-        context: Arc::new(CalibrationContext { config, tables }),
+        context: Arc::new(CalibrationContext { config, tables, ..CalibrationContext::default() }),
         source: Some(Arc::new(identity())),
         last,
         memory,
@@ -210,6 +211,39 @@ fn a_keyframe_survives_without_the_secret() {
     (public.monitor.token, public.monitor.control) = (None, false);
     assert_eq!(back.context.config, public);
     assert_eq!(back.context.id(), keyframe.context.id());
+}
+
+/// A configuration of version 0.1.0 ends before the calibration: three tables counted as one.
+#[test]
+fn the_calibration_is_recorded_and_that_of_earlier_versions_is_known() {
+    let record = RecordHeader {
+        format: 1,
+        version: "0.1.0".into(),
+        date: "2026-05-04T12:00:00Z".into(),
+        method: "stage".into(),
+        fits: "00".into(),
+        range_mm: 1.0,
+        range_mrad: 5.0,
+        std_um: [0.1; 3],
+        std_urad: [0.3; 3],
+        expires: None,
+    };
+    let calibration = CalibrationState { record: Some(record), standing: Standing::Expired };
+    let table = || Some(b"table".to_vec());
+    for (first, standing) in [(table(), Standing::Valid), (None, Standing::Absent)] {
+        let tables = Tables([first, table(), Some(b"the last one".to_vec())]);
+        let (config, calibration) = (parse("", None).unwrap(), calibration.clone());
+        let context = CalibrationContext { config, tables, calibration };
+        let keyframe = Keyframe { context: Arc::new(context.clone()), ..keyframe() };
+        let mut messages = encode(&mut encoder(), &Entry::Keyframe(Box::new(keyframe)));
+        let Entry::Keyframe(back) = decode(&mut Decoder::default(), &messages) else { panic!("no keyframe") };
+        assert_eq!(*back.context, context);
+        let data = &mut messages[0].2;
+        let end = data.windows(12).position(|bytes| bytes == b"the last one").unwrap() + 12;
+        data.truncate(end);
+        let Entry::Keyframe(back) = decode(&mut Decoder::default(), &messages) else { panic!("no keyframe") };
+        assert_eq!(back.context.calibration, CalibrationState { record: None, standing });
+    }
 }
 
 #[test]

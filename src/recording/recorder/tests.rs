@@ -12,7 +12,7 @@ use trifacet_core::time::{Clock, Mono};
 
 use super::Recorder;
 use crate::clock::SystemClock;
-use crate::config::{CalibrationContext, Config, RecordingConfig, RecordingMode, Tables};
+use crate::config::{CalibrationContext, Config, RecordingConfig, RecordingMode};
 use crate::exit;
 use crate::recording::disk::Disk;
 use crate::recording::handle::{Asked, RecorderCommand, State};
@@ -38,7 +38,7 @@ fn recorder(folder: &Path, mode: RecordingMode) -> (Recorder, Silent, mpsc::Send
     let (records, receiver) = RecordSender::new(Arc::clone(&counters));
     let config = Config::default();
     let memory = Estimation::new(config.estimation_settings(true, 3).unwrap()).memory().clone();
-    let context = Arc::new(CalibrationContext { config, tables: Tables::default() });
+    let context = Arc::new(CalibrationContext { config, ..CalibrationContext::default() });
     let config = RecordingConfig { folder: folder.to_owned(), mode, ..Default::default() };
     let state = Arc::new(State::new(config.mode));
     let (requests, asked) = mpsc::channel(1);

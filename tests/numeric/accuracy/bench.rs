@@ -21,7 +21,7 @@ impl Bench {
         std::fs::write(file.path(), config).unwrap();
         let config = trifacet::config::load(Some(file.path())).unwrap();
         let channels = config.read_channels().unwrap();
-        let mut estimation = Estimation::new(config.estimation_settings(channels.calibrated(), 0).unwrap());
+        let mut estimation = Estimation::new(config.estimation_settings(false, 0).unwrap());
         estimation.source(Twin::new(&config).unwrap().identity().clone().into());
         Self { estimation, channels, config, index: 0 }
     }

@@ -77,7 +77,7 @@ impl Machine {
         let context = CalibrationContext::read(config.clone()).unwrap();
         let counters = Arc::<Counters>::default();
         let twin = Twin::new(&config).unwrap();
-        let pipeline = config.pipeline(&context.tables, context.id()).unwrap();
+        let pipeline = config.pipeline(&context).unwrap();
         let (mapping, centering, estimation) = pipeline.into_parts();
         Self {
             session: Session::new(Settings::from(&config), Arc::clone(&counters)),

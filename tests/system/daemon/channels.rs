@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 
 use trifacet_wire::Status;
 
+use super::calibration::{fits, record_of};
 use crate::testkit::{Daemon, Frame, errors, truth};
 
 /// Runs a daemon until its loop is locked, and returns the next `samples` frames.
@@ -97,7 +98,7 @@ fn correction(half: f64, bow: f64, covered: f64) -> String {
 }
 
 #[test]
-fn correction_tables_remove_the_bow_and_all_three_are_needed_for_calibrated() {
+fn correction_tables_remove_the_bow_and_a_record_is_needed_for_calibrated() {
     let folder = tempfile::tempdir().unwrap();
     let table = folder.path().join("bow.csv");
     std::fs::write(&table, correction(6.5e-3, 100e-6, 6.5e-3)).unwrap();
@@ -113,8 +114,12 @@ fn correction_tables_remove_the_bow_and_all_three_are_needed_for_calibrated() {
     let bowed = run(&with(&[]), 500);
     let (off, _) = errors(&bowed, &truth);
     assert!(uncalibrated(&bowed) && off.iter().any(|error| error.abs() > 10e-6), "{off:?}");
-    assert!(uncalibrated(&run(&with(&["a", "b"]), 10)));
-    let corrected = run(&with(&["a", "b", "c"]), 1000);
+    assert!(uncalibrated(&run(&with(&["a", "b", "c"]), 10)), "tables alone are not a calibration");
+    let corrected = with(&["a", "b", "c"]);
+    let record = folder.path().join("calibration.json");
+    let fits = fits(&corrected);
+    std::fs::write(&record, record_of(&fits, "2026-05-04T12:00:00Z", None)).unwrap();
+    let corrected = run(&format!("{corrected}\ncalibration.record = \"{}\"", record.display()), 1000);
     assert!(!corrected.iter().any(|f| f.has(Status::UNCALIBRATED)));
     assert_ne!(corrected[0].config, bowed[0].config, "another calibration has another configuration id");
     let (mean, scatter) = errors(&corrected, &truth);

@@ -3,6 +3,7 @@
 //! Every frame that a test receives is also checked against the rules of `testkit::honest`.
 
 mod bursts;
+mod calibration;
 mod channels;
 mod clients;
 mod commands;

@@ -106,11 +106,6 @@ impl Default for Channels {
 }
 
 impl Channels {
-    /// Whether every PSD has a correction table.
-    pub fn calibrated(&self) -> bool {
-        self.psds.iter().all(|psd| psd.correction.is_some())
-    }
-
     /// The map for a source.
     ///
     /// # Errors

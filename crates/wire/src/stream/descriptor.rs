@@ -28,8 +28,14 @@ pub struct Descriptor {
     pub group_delay_s: f64,
     /// The sensor model: "ray" or "gaussian".
     pub model: String,
-    /// Whether every PSD has a correction table; if not, frames carry `UNCALIBRATED`.
+    /// Whether a valid calibration record belongs to the configuration; if not, frames carry `UNCALIBRATED`.
     pub calibrated: bool,
+    /// Why `calibrated` is false; absent if it is true.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub uncalibrated: Option<String>,
+    /// The calibration record of the configuration, valid or not; absent if there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<CalibrationEntry>,
     /// The part of the stated standard uncertainties that averaging does not reduce, in the sensor's world frame:
     /// x, y, z in metres; roll, pitch, yaw in radians.
     #[serde(default)]
@@ -54,6 +60,24 @@ pub struct Descriptor {
     /// The stream of this client; absent if the client has not requested one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stream: Option<StreamForm>,
+}
+
+/// What a calibration record states.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CalibrationEntry {
+    /// Time of the calibration, RFC 3339.
+    pub date: String,
+    /// What was measured.
+    pub method: String,
+    /// Range for which the uncertainty holds, to both sides of the tare pose: of translations in metres, of rotations
+    /// in radians.
+    pub range: [f64; 2],
+    /// Standard uncertainty of a pose relative to the tare pose by the calibration: x, y, z in metres; roll, pitch, yaw
+    /// in radians.
+    pub uncertainty: [f64; 6],
+    /// Time from which the calibration is no longer valid, RFC 3339; absent without a limit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expires: Option<String>,
 }
 
 /// The recording that a daemon replays.

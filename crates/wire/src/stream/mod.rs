@@ -10,7 +10,9 @@ pub mod message;
 pub mod request;
 pub mod subscription;
 
-pub use descriptor::{Answer, Descriptor, FieldEntry, Heartbeat, LockEvent, Refusal, Replayed, StreamForm};
+pub use descriptor::{
+    Answer, CalibrationEntry, Descriptor, FieldEntry, Heartbeat, LockEvent, Refusal, Replayed, StreamForm,
+};
 pub use message::{Decoder, Message, MessageError, json};
 pub use request::{ClientCommand, CommandError, Format, Pace, StreamRequest};
 pub use subscription::{Delivery, MAX_LEASE_S, SubscriptionError, SubscriptionRequest};

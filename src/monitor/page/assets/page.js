@@ -100,7 +100,8 @@ function begin(first) {
     ["version", descriptor.daemon_version],
     ["source", source],
     ["samples", `${config.acquisition.rate_hz} Hz, ${descriptor.average} averaged`],
-    ["model", `${descriptor.model}, ${descriptor.calibrated ? "calibrated" : "without correction tables"}`],
+    ["model", descriptor.model],
+    ["calibration", calibration(descriptor)],
     ["loop", descriptor.replay ? NO_LOOP : `${config.centering.mode}, to the ${config.centering.target}`],
     ["steering", descriptor.replay ? NO_LOOP : `${config.steering.kind}, ±${config.steering.limit_um} µm`],
     ["session", hex(descriptor.session)],
@@ -113,10 +114,22 @@ function begin(first) {
   for (const button of document.querySelectorAll("#control :is(button, input)")) button.disabled = idle;
   if (idle) say($("answer"), "◆ A recording is replayed: commands are not available");
 }
+/** The calibration in words: whether it is valid, its date and age, its method, range and uncertainty, and its end. */
+function calibration({ calibration: record, uncalibrated }) {
+  if (!record) return uncalibrated ?? "calibrated";
+  const days = Math.floor((Date.now() - Date.parse(record.date)) / 86_400_000);
+  const [m, rad] = record.range;
+  const largest = (from, to) => (Math.max(...record.uncertainty.slice(from, to)) * 1e6).toPrecision(2);
+  const end = record.expires ? `, until ${record.expires.slice(0, 10)}` : "";
+  const about = `${record.date.slice(0, 10)} (${days} d), ${record.method}, ±${m * 1e3} mm ±${rad * 1e3} mrad: ` +
+    `${largest(0, 3)} µm, ${largest(3, 6)} µrad${end}`;
+  return uncalibrated ? `${uncalibrated} (${about})` : about;
+}
+
 // The twin: its head is that of the estimator, unless one of these sections gives it another one.
 const OWN_HEAD = ["head", "psd", "beam", "stage", "tolerances"];
 const twin = (config) =>
-  OWN_HEAD.some((section) => config[section] !== undefined) ? "digital twin with a head of its own" : "digital twin";
+  OWN_HEAD.some((section) => config[section] !== null) ? "digital twin with a head of its own" : "digital twin";
 const hex = (n) => n.toString(16).padStart(8, "0");
 
 function show(update) {

@@ -1,0 +1,282 @@
+//! The budget at a pose, the Monte Carlo method beside it, and the worst pose of a range.
+
+use nalgebra::{DMatrix, Matrix6};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use trifacet_budget::validation::tolerance;
+use trifacet_budget::{Budget, BudgetError, Input, MonteCarlo, Sampler, SamplerError, Stop, Validation};
+use trifacet_optics::Pose;
+
+use super::components::{Components, Effect, Group, Moment, NotCovered, Unit};
+use super::instrument::{Instrument, InstrumentError, Measurement};
+
+/// Names and units of the measurands.
+pub const MEASURANDS: [(&str, Unit); 6] = [
+    ("tx", Unit::Metre),
+    ("ty", Unit::Metre),
+    ("tz", Unit::Metre),
+    ("roll", Unit::Radian),
+    ("pitch", Unit::Radian),
+    ("yaw", Unit::Radian),
+];
+
+/// Significant digits of a standard uncertainty.
+pub const DIGITS: i32 = 2;
+
+/// What a calibration record tells about poses.
+pub trait Calibration {
+    /// Covariance of the pose relative to the tare pose, in the frame of the mirror at the tare (metres, radians),
+    /// given both poses in the sensor's world frame.
+    fn covariance(&self, pose: &Pose, tare: &Pose) -> Matrix6<f64>;
+
+    /// Where the numbers come from: the record and its date.
+    fn source(&self) -> String;
+}
+
+/// Why there is no budget.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum AssessmentError {
+    /// The pose cannot be measured.
+    #[error(transparent)]
+    Instrument(#[from] InstrumentError),
+    /// The quantities do not make a budget.
+    #[error(transparent)]
+    Budget(#[from] BudgetError),
+    /// The quantities cannot be drawn.
+    #[error(transparent)]
+    Sampler(#[from] SamplerError),
+}
+
+/// All that a budget is made of.
+pub struct Basis<'a> {
+    /// The instrument.
+    pub instrument: Instrument,
+    /// The quantities that the configuration states.
+    pub components: Components,
+    /// The calibration record, if there is one.
+    pub calibration: Option<&'a dyn Calibration>,
+}
+
+/// The budget at a pose.
+#[derive(Clone, Debug)]
+pub struct Assessment {
+    /// The pose relative to the tare.
+    pub pose: Pose,
+    /// The rows of the table. Their inputs are those of the budget, in this order.
+    pub groups: Vec<Group>,
+    /// The budget of tx, ty, tz (m), roll, pitch, yaw (rad).
+    pub budget: Budget,
+    /// What it does not cover.
+    pub not_covered: Vec<NotCovered>,
+    /// Effects that do not matter, and why.
+    pub notes: Vec<String>,
+    /// Whether it covers the geometry of the head: by a calibration record, or as configured.
+    pub geometry: Geometry,
+}
+
+/// What stands for the errors of the head's geometry.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Geometry {
+    /// A calibration record.
+    Calibrated,
+    /// `estimation.systematic_um` and `systematic_urad`.
+    Configured,
+    /// Nothing.
+    NotCovered,
+}
+
+impl Basis<'_> {
+    /// The budget at a pose relative to the tare.
+    ///
+    /// # Errors
+    /// The pose is outside the range of the sensor.
+    pub fn assess(&self, pose: &Pose) -> Result<Assessment, AssessmentError> {
+        let measurement = self.instrument.measure(pose)?;
+        let mut groups = self.components.groups.clone();
+        for (input, effect) in groups.iter_mut().flat_map(|group| &mut group.inputs) {
+            if let Effect::Spot(moment, i) = *effect {
+                input.value = measurement.spots(moment)[i];
+            }
+        }
+        let correlation = self.add_calibration(&measurement, &mut groups);
+        let inputs: Vec<_> = groups.iter().flat_map(|group| group.inputs.clone()).collect();
+        let count = inputs.len();
+        let mut sensitivities = DMatrix::zeros(6, count);
+        for (i, (input, effect)) in inputs.iter().enumerate() {
+            sensitivities.set_column(i, &nalgebra::Vector6::from(slope(&measurement, *effect, input.std)?));
+        }
+        let inputs = inputs.into_iter().map(|(input, _)| input).collect();
+        let configured =
+            groups.iter().any(|group| group.inputs.iter().any(|(_, e)| matches!(e, Effect::Pose(_))));
+        Ok(Assessment {
+            pose: *pose,
+            budget: Budget::new(inputs, sensitivities, correlation)?,
+            groups,
+            not_covered: self.components.not_covered.clone(),
+            notes: self.components.notes.clone(),
+            geometry: match (self.calibration.is_some(), configured) {
+                (true, _) => Geometry::Calibrated,
+                (false, true) => Geometry::Configured,
+                (false, false) => Geometry::NotCovered,
+            },
+        })
+    }
+
+    /// Adds the row of the calibration; returns the correlation of all inputs.
+    fn add_calibration(
+        &self,
+        measurement: &Measurement<'_>,
+        groups: &mut Vec<Group>,
+    ) -> Option<DMatrix<f64>> {
+        let calibration = self.calibration?;
+        let [pose, tare] = [Moment::Pose, Moment::Tare].map(|moment| measurement.sensor_pose(moment));
+        let covariance = calibration.covariance(&pose, &tare);
+        let std = covariance.diagonal().map(|variance| variance.max(0.0).sqrt());
+        let first: usize = groups.iter().map(|group| group.inputs.len()).sum();
+        for (name, unit, from) in
+            [("calibration, position", Unit::Metre, 0), ("calibration, rotation", Unit::Radian, 3)]
+        {
+            let input = |i: usize| {
+                let name = format!("{name}: {}", MEASURANDS[from + i].0);
+                (Input::normal(name, 0.0, std[from + i]), Effect::Relative(from + i))
+            };
+            let inputs = (0..3).map(input).collect();
+            groups.push(Group { name: name.into(), source: calibration.source(), unit, inputs });
+        }
+        let mut correlation = DMatrix::identity(first + 6, first + 6);
+        for (i, k) in (0..6).flat_map(|i| (0..i).map(move |k| (i, k))) {
+            let scale = std[i] * std[k];
+            let r = if scale > 0.0 { (covariance[(i, k)] / scale).clamp(-1.0, 1.0) } else { 0.0 };
+            (correlation[(first + i, first + k)], correlation[(first + k, first + i)]) = (r, r);
+        }
+        Some(correlation)
+    }
+
+    /// Draws all quantities, and computes the pose with the full model.
+    ///
+    /// # Errors
+    /// The pose is outside the range of the sensor, or the quantities cannot be drawn.
+    pub fn monte_carlo(
+        &self,
+        assessment: &Assessment,
+        probability: f64,
+        trials: usize,
+        seed: u64,
+    ) -> Result<MonteCarlo, AssessmentError> {
+        let measurement = self.instrument.measure(&assessment.pose)?;
+        let inputs = assessment.budget.inputs();
+        let count = inputs.len();
+        let correlation = DMatrix::from_fn(count, count, |a, b| assessment.budget.input_correlation(a, b));
+        let mut sampler = Sampler::new(inputs, Some(&correlation), seed)?;
+        let effects: Vec<_> =
+            assessment.groups.iter().flat_map(|g| &g.inputs).map(|(i, e)| (*e, i.value)).collect();
+        Ok(MonteCarlo::run(&mut sampler, 6, probability, Stop::After(trials), |drawn, pose| {
+            let deviations = effects.iter().zip(drawn).map(|((effect, value), x)| (*effect, x - value));
+            match measurement.pose(deviations) {
+                Ok(result) => pose.copy_from_slice(&result),
+                Err(_) => return false,
+            }
+            true
+        }))
+    }
+
+    /// The worst pose of a range: that with the largest sum over the six measurands of their variances, each relative
+    /// to that at the tare. Searched among the 64 corners, the middle, the 12 ends of the axes, and 200 poses at random
+    /// with a fixed seed. Also the largest standard uncertainty of each measurand, and the pose where it occurs.
+    ///
+    /// # Errors
+    /// A pose of the range is outside the range of the sensor.
+    pub fn worst(&self, range: [f64; 2]) -> Result<(Assessment, [(f64, Pose); 6]), AssessmentError> {
+        let middle = self.assess(&Pose::default())?;
+        let at_tare: [f64; 6] = std::array::from_fn(|j| middle.budget.standard_uncertainty(j));
+        let mut largest = at_tare.map(|u| (u, Pose::default()));
+        let mut worst = (0.0, middle);
+        for pose in candidates(range) {
+            let assessment = self.assess(&pose)?;
+            let mut size = 0.0;
+            for (j, largest) in largest.iter_mut().enumerate() {
+                let u = assessment.budget.standard_uncertainty(j);
+                size += if at_tare[j] > 0.0 { (u / at_tare[j]).powi(2) } else { 0.0 };
+                if u > largest.0 {
+                    *largest = (u, pose);
+                }
+            }
+            if size > worst.0 {
+                worst = (size, assessment);
+            }
+        }
+        Ok((worst.1, largest))
+    }
+}
+
+/// The poses among which the worst one is searched.
+fn candidates([metres, radians]: [f64; 2]) -> Vec<Pose> {
+    let scaled =
+        |x: [f64; 6]| Pose::from_array(std::array::from_fn(|i| x[i] * if i < 3 { metres } else { radians }));
+    let mut poses = Vec::new();
+    for corner in 0..64 {
+        poses.push(scaled(std::array::from_fn(|i| if corner >> i & 1 == 1 { 1.0 } else { -1.0 })));
+    }
+    for (axis, sign) in (0..6).flat_map(|axis| [(axis, 1.0), (axis, -1.0)]) {
+        poses.push(scaled(std::array::from_fn(|i| if i == axis { sign } else { 0.0 })));
+    }
+    let mut rng = Pcg64::seed_from_u64(1);
+    for _ in 0..200 {
+        poses.push(scaled(std::array::from_fn(|_| 2.0 * rng.random::<f64>() - 1.0)));
+    }
+    poses
+}
+
+/// The derivative of the pose with respect to a quantity, over plus and minus its standard uncertainty (JCGM 100,
+/// 5.1.3, note 2).
+fn slope(measurement: &Measurement<'_>, effect: Effect, std: f64) -> Result<[f64; 6], InstrumentError> {
+    // A quantity without uncertainty has a derivative all the same.
+    let step = if std > 0.0 { std } else { 1e-8 };
+    let moved = |by: f64| measurement.pose(std::iter::once((effect, by)));
+    let (high, low) = (moved(step)?, moved(-step)?);
+    Ok(std::array::from_fn(|j| (high[j] - low[j]) / (2.0 * step)))
+}
+
+impl Assessment {
+    /// The place of the first input of each row, and their number.
+    pub fn rows(&self) -> impl Iterator<Item = (&Group, std::ops::Range<usize>)> {
+        let mut first = 0;
+        self.groups.iter().map(move |group| {
+            let range = first..first + group.inputs.len();
+            first = range.end;
+            (group, range)
+        })
+    }
+
+    /// The comparison of the interval of a measurand with that of the Monte Carlo method.
+    pub fn validation(&self, measurand: usize, trials: &MonteCarlo) -> Validation {
+        let u = self.budget.standard_uncertainty(measurand);
+        let expanded = self.budget.expanded(measurand, trials.probability());
+        let interval = trials.symmetric(measurand);
+        let estimate = self.pose.to_array()[measurand];
+        Validation::new(estimate, expanded, interval, trials.scatter(measurand), tolerance(u, DIGITS))
+    }
+
+    /// Whether the budget is that of the whole instrument, in a sentence.
+    pub fn verdict(&self) -> String {
+        let missing = self.not_covered.len();
+        let rest = match missing {
+            0 => "all effects that the configuration can state are covered".into(),
+            1 => "one effect that the configuration does not state is not covered".into(),
+            count => format!("{count} effects that the configuration does not state are not covered"),
+        };
+        match self.geometry {
+            Geometry::Calibrated => format!("The head is calibrated; {rest}."),
+            Geometry::Configured => format!(
+                "No calibration record: estimation.systematic_um and systematic_urad stand for the geometry of the head; {rest}."
+            ),
+            Geometry::NotCovered => format!(
+                "THE HEAD IS NOT CALIBRATED: no calibration record, and estimation.systematic_um and systematic_urad are 0. \
+                 The budget does not cover the geometry of the head; {rest}."
+            ),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
