@@ -11,9 +11,6 @@ use crate::config::{Config, TransformConfig};
 /// Names of the written tables.
 pub const TABLES: [&str; 3] = ["psd-a.csv", "psd-b.csv", "psd-c.csv"];
 
-/// Name of the written record.
-pub const RECORD: &str = "calibration.json";
-
 /// The head before the fit, from a configuration.
 ///
 /// # Errors
@@ -35,7 +32,7 @@ pub fn edits(calibration: &Calibration, config: &Config) -> Vec<Edit> {
     let mut set = |section: &'static [&'static str], key: &'static str, value: Value| {
         edits.push(Edit { section, key, value });
     };
-    let head = calibration.head();
+    let (head, gains) = calibration.rounded();
     set(&["head"], "beam_direction", list(head.beam_direction));
     set(&["head"], "beam_diameter_mm", (head.beam_diameter * 1e3).into());
     let sections: [&[&str]; 3] = [&["head", "a"], &["head", "b"], &["head", "c"]];
@@ -46,7 +43,6 @@ pub fn edits(calibration: &Calibration, config: &Config) -> Vec<Edit> {
         set(section, "psd_up", list(psd.z));
     }
     let sections: [&[&str]; 3] = [&["channels", "a"], &["channels", "b"], &["channels", "c"]];
-    let gains = calibration.power_gains();
     for (((section, channels), gain), name) in
         sections.into_iter().zip(config.channels.psds()).zip(gains).zip(TABLES)
     {
@@ -54,7 +50,7 @@ pub fn edits(calibration: &Calibration, config: &Config) -> Vec<Edit> {
         set(section, "gain", [u, v, 1.0 / gain].into_iter().collect());
         set(section, "correction", name.into());
     }
-    set(&["calibration"], "record", RECORD.into());
+    set(&["calibration"], "record", "calibration.json".into());
     let (matrix, origin) = calibration.steering();
     let rows = [0, 1].map(|i| [matrix[(i, 0)], matrix[(i, 1)]].into_iter().collect::<Value>());
     set(&["steering"], "matrix", rows.into_iter().collect());

@@ -10,7 +10,7 @@ use super::linearised::{Layout, Neighbours, Response};
 use super::map::{Field, polynomials};
 use super::parameters::{GEOMETRY, Nominal, Tolerances};
 use super::point::Point;
-use crate::{Head, Pose, Rigid};
+use crate::{Ellipse, Head, Model, Optics, Pose, Rigid, Vec2};
 
 /// Standard uncertainty of a spot by what the splines cannot follow and by the pitch of the tables, metres.
 const RESIDUE: f64 = 0.014e-6;
@@ -62,6 +62,33 @@ impl Calibration {
     /// Power gains of the PSDs relative to A: reading per true power.
     pub fn power_gains(&self) -> [f64; 3] {
         Nominal::power_gains(&self.theta)
+    }
+
+    /// The head and the power gains with which a round beam gives the signals of the elliptical one while the mirror
+    /// is at the zero of the reference and the beam on the apex. Without this, the ellipse would shift the pose and
+    /// the beam by micrometres, which would contradict the steering.
+    pub fn rounded(&self) -> (Head, [f64; 3]) {
+        let (mut head, mut gains) = (self.head(), self.power_gains());
+        let [stage, table] = self.nominal.frames(&self.theta);
+        let (rest, optics) = (Pose::from(&(stage * table)), Optics::new(&head));
+        let (round, round_powers) = optics.trace_each(Model::Gaussian, &rest, Vec2::zeros());
+        let (spots, powers) = optics.trace_elliptical(&self.ellipse(), &rest, Vec2::zeros());
+        for (psd, (round, spot)) in head.psds.iter_mut().zip(round.into_iter().zip(spots)) {
+            // Without a spot at rest there is nothing to agree with.
+            if let (Ok(round), Ok(spot)) = (round, spot) {
+                psd.origin += psd.y * (round[0] - spot[0]) + psd.z * (round[1] - spot[1]);
+            }
+        }
+        let shares = [0, 1, 2].map(|i| powers[i] / round_powers[i]);
+        if shares.iter().all(|share| share.is_finite() && *share > 0.0) {
+            gains = [0, 1, 2].map(|i| gains[i] * shares[i] / shares[0]);
+        }
+        (head, gains)
+    }
+
+    /// The shape of the beam.
+    pub fn ellipse(&self) -> Ellipse {
+        Nominal::ellipse(&self.theta)
     }
 
     /// Matrix and origin (metres) of the steering.
