@@ -49,10 +49,12 @@ fn a_fit_writes_a_configuration_that_gives_the_true_poses() {
     let text = fs::read_to_string(out.join("trifacet.toml")).unwrap();
     assert!(text.starts_with("# my rig\n[log]\nlevel = \"warn\" # quiet\n"), "{text}");
 
-    let mut solve = trifacet(&["solve", "--readings", "--frames", "--tare-row", "1", "--config"]);
+    let mut solve = trifacet(&["solve", "--readings", "--frames", "--tare-row", "1", "--sigma", "--config"]);
     let solved = solve.arg(out.join("trifacet.toml")).arg(reference("mild.test.csv")).output().unwrap();
     assert!(solved.status.success(), "{}", said(&solved));
-    let found = numbers(&String::from_utf8(solved.stdout).unwrap(), &POSE);
+    let table = String::from_utf8(solved.stdout).unwrap();
+    let found = numbers(&table, &POSE);
+    let stated = numbers(&table, &POSE.map(|name| format!("cal_std_{name}")).each_ref().map(String::as_str));
     let wanted = numbers(&fs::read_to_string(reference("mild.test.csv")).unwrap(), &POSE);
     let figures = |rows: std::ops::Range<usize>, axes: std::ops::Range<usize>| {
         let errors: Vec<f64> = rows
@@ -67,7 +69,15 @@ fn a_fit_writes_a_configuration_that_gives_the_true_poses() {
     let (far_m, far_rad) = (figures(101..n, 0..3), figures(101..n, 3..6));
     assert!(near_m.0 <= 0.04e-6 && near_rad.0 <= 0.10e-6, "{near_m:?} {near_rad:?}");
     assert!(far_m.0 <= 0.13e-6 && far_rad.0 <= 0.32e-6, "{far_m:?} {far_rad:?}");
+    let held = (101..n).flat_map(|k| (0..6).map(move |i| (k, i)));
+    let held = held.filter(|(k, i)| (found[*k][*i] - wanted[*k][*i]).abs() <= 1.96 * stated[*k][*i]).count();
+    let held = held as f64 / (6 * (n - 101)) as f64;
+    assert!((0.93..=0.995).contains(&held), "{held}");
+    assert_eq!(stated[0], [0.0; 6]);
     assert!(far_m.1 <= 0.7e-6 && far_rad.1 <= 1.7e-6, "{far_m:?} {far_rad:?}");
+
+    let mut check = trifacet(&["check", "--config"]);
+    assert!(check.arg(out.join("trifacet.toml")).output().unwrap().status.success());
 
     let report: serde_json::Value =
         serde_json::from_str(&fs::read_to_string(out.join("report.json")).unwrap()).unwrap();
