@@ -255,7 +255,7 @@ fn wrong_options_and_poses_are_refused_with_what_is_allowed() {
         (
             &["--pose", "9000,0,0,0,0,0"],
             65,
-            "the pose 9000 0 0 um, 0 0 0 urad is outside the range of the sensor: the light from facet A falls off its PSD",
+            "the pose 9000 0 0 um, 0 0 0 urad is outside the range of the sensor: the light from facet B falls off its PSD",
         ),
         (&["--range", "5,50"], 65, "is outside the range of the sensor"),
     ] {
