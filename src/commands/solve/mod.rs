@@ -185,7 +185,7 @@ impl Solving {
         if self.sigma {
             let sensitivity =
                 self.estimator.sensitivity(&solution).map_err(|e| (e.to_string(), solution.iterations))?;
-            let random = reading::before_tables(sensitivity, &slopes).spread(&noise).pose_covariance();
+            let random = reading::before_tables(&sensitivity, &slopes).spread(&noise).pose_covariance();
             let systematic = Matrix6::from_diagonal(&self.systematic.map(|sigma| sigma * sigma).into());
             let [random, systematic] =
                 [random, systematic].map(|of| self.frames.covariance(&sensor, &pose, &of));

@@ -155,7 +155,7 @@ fn slope(psd: &PsdChannels, [u, v]: [f64; 2]) -> Matrix2<f64> {
 }
 
 /// The sensitivity to the readings, from that to the true signals.
-pub(super) fn before_tables(true_signals: Sensitivity, slopes: &Slopes) -> Sensitivity {
+pub(super) fn before_tables(true_signals: &Sensitivity, slopes: &Slopes) -> Sensitivity {
     let mut matrix = true_signals.0;
     for i in 0..3 {
         let spot = matrix.fixed_columns::<2>(2 * i) * slopes.spots[i];
