@@ -131,7 +131,7 @@ impl Measured {
     }
 }
 
-/// Gives each run but the largest a zero of its own; returns their number.
+/// Gives each run but the one with most references a zero of its own; returns their number.
 fn zeros(names: &[Option<String>], points: &mut [Point]) -> usize {
     let mut runs: Vec<&Option<String>> = Vec::new();
     for name in names {
@@ -139,7 +139,10 @@ fn zeros(names: &[Option<String>], points: &mut [Point]) -> usize {
             runs.push(name);
         }
     }
-    let size = |run: &&Option<String>| names.iter().filter(|name| name == run).count();
+    let referenced: Vec<bool> = points.iter().map(|p| p.reference.iter().any(Option::is_some)).collect();
+    let size = |run: &&Option<String>| {
+        names.iter().zip(&referenced).filter(|(name, referenced)| name == run && **referenced).count()
+    };
     // Of several largest ones, the first: `max_by_key` returns the last.
     let Some(common) = runs.iter().copied().rev().max_by_key(size) else { return 0 };
     runs.retain(|run| *run != common);

@@ -127,13 +127,6 @@ impl Calibration {
         self.relative_covariances(std::slice::from_ref(reading), tare, &Rigid::identity())?.pop().flatten()
     }
 
-    /// The frame whose pose a user sees, in the frame of the reference's table. `tool`: that frame in the frame
-    /// of the mirror, as in the configuration.
-    pub fn tool_on_table(&self, tool: &Rigid) -> Rigid {
-        let [_, table] = self.nominal.frames(&self.theta);
-        table * *tool
-    }
-
     /// As [`Calibration::relative_covariance`], for many readings: faster than one by one. The poses are those of
     /// the frame `tool`, given in the frame of the reference's table. `None` if the tare has no pose.
     pub fn relative_covariances(
