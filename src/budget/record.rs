@@ -9,7 +9,8 @@ use trifacet_optics::calibration::result::Calibration;
 use trifacet_optics::{Pose, Rigid};
 
 use super::assessment::PoseCovariance;
-use crate::calibration::{Record, RecordError};
+use crate::calibration::Record;
+use crate::config::RecordError;
 
 /// A calibration record, read whole.
 pub struct Recorded {

@@ -11,7 +11,7 @@ use trifacet_optics::calibration::map::{Field, Lattice};
 use trifacet_optics::calibration::parameters::{Nominal, Tolerances, parameters};
 use trifacet_optics::calibration::result::Calibration;
 
-use super::{RecordError, RecordHeader};
+use crate::config::{RecordError, RecordHeader};
 
 /// A record: the header, and the parameters with their covariance.
 #[derive(Clone, Debug, Serialize, Deserialize)]

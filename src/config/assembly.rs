@@ -17,7 +17,7 @@ use trifacet_wire::Status;
 
 use super::correction::{CorrectionFileError, parse_correction};
 use super::{CalibrationContext, CenteringConfig, Config, FramesConfig, SteeringConfig, TableError, Tables};
-use crate::calibration::RecordError;
+use crate::config::RecordError;
 use crate::exit::{self, Failure};
 
 /// Why the parameters cannot be built from a configuration.

@@ -8,7 +8,7 @@ use trifacet_optics::FACETS;
 use super::Config;
 use super::assembly::AssemblyError;
 use super::file::read_regular;
-use crate::calibration::CalibrationState;
+use crate::config::CalibrationState;
 
 /// Contents of the correction tables of PSDs A, B and C.
 ///

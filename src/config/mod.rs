@@ -49,7 +49,9 @@ mod uncertainty;
 
 pub use acquisition::{AcquisitionConfig, SerialConfig, SourceKind};
 pub use assembly::AssemblyError;
-pub use calibration::CalibrationConfig;
+pub use calibration::{
+    CalibrationConfig, CalibrationState, FORMAT, RecordError, RecordHeader, Standing, fingerprint,
+};
 pub use calibration_context::{CalibrationContext, TableError, Tables};
 pub use centering::{CenteringConfig, Gains};
 pub use channels::{ChannelsConfig, PsdChannelsConfig};

@@ -7,7 +7,7 @@ use tokio::sync::Mutex;
 use tokio::time::{MissedTickBehavior, interval};
 
 use super::RunningConfig;
-use crate::calibration::CalibrationState;
+use crate::config::CalibrationState;
 use crate::config::SourceKind;
 
 /// Interval of the checks whether a calibration has expired.

@@ -19,10 +19,10 @@ use super::config_file::{Access, ConfigFile};
 use super::reload::take_over_file;
 use super::{Command, FastRequests};
 use crate::acquisition::task::SettingsChange;
-use crate::calibration::CalibrationState;
 use crate::centering::CenteringRequest;
 use crate::clock::SystemClock;
 use crate::condition::Condition;
+use crate::config::CalibrationState;
 use crate::config::reload::changes;
 use crate::config::{
     CalibrationContext, Config, SourceKind, SteeringConfig, SteeringKind, Tables, TransformConfig,

@@ -10,7 +10,7 @@ use tokio::sync::Mutex;
 use super::RunningConfig;
 use super::config_file::Access;
 use super::live::ChannelMap;
-use crate::calibration::CalibrationState;
+use crate::config::CalibrationState;
 use crate::config::reload::{Reload, reload};
 use crate::config::{self, CalibrationContext, SteeringConfig};
 use crate::exit::{self, Failure};

@@ -9,7 +9,7 @@ use trifacet_wire::stream::{CalibrationEntry, Descriptor, FieldEntry, Heartbeat,
 use trifacet_wire::{LockState, Status};
 
 use super::publisher::StreamId;
-use crate::calibration::CalibrationState;
+use crate::config::CalibrationState;
 use crate::config::{Config, Model};
 
 /// The facts about the stream that the descriptor needs from outside this module.

@@ -14,8 +14,8 @@ use trifacet_wire::Status;
 
 use super::message::{self, Time, Unknown};
 use super::{Entry, Keyframe, Topic};
-use crate::calibration::{CalibrationState, Standing};
 use crate::config::{CalibrationContext, ConfigError, Tables, parse};
+use crate::config::{CalibrationState, Standing};
 
 /// Version of this program. The state of another version may have another format.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");

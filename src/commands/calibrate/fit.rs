@@ -6,12 +6,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use trifacet::calibration::report::Report;
-use trifacet::calibration::{
-    self, Defaults, FORMAT, Measured, Record, RecordHeader, Wanted, fingerprint, nominal, table,
-};
+use trifacet::calibration::{self, Defaults, Measured, Record, Wanted, nominal, table};
 use trifacet::clock::SystemClock;
 use trifacet::clock::utc::Utc;
-use trifacet::config::{self, Config, Model, Tables, edit};
+use trifacet::config::{self, Config, FORMAT, Model, RecordHeader, Tables, edit, fingerprint};
 use trifacet::exit::{self, Failure};
 use trifacet_core::time::Clock as _;
 use trifacet_optics::calibration::fit::{Fitted, Job, Progress, Stage, fields, fit as fit_points};

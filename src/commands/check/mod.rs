@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 
 use jiff::Timestamp;
-use trifacet::calibration::CalibrationState;
+use trifacet::config::CalibrationState;
 use trifacet::config::{
     CalibrationContext, Config, Destination, FacetConfig, FramesConfig, Host, LogFormat, SourceKind,
     SteeringKind, TransformConfig, TwinConfig,

@@ -8,7 +8,7 @@ use trifacet_wire::channel::{Converter, Role, SIGNALS};
 use trifacet_wire::{LockState, PoseFrame};
 
 use super::*;
-use crate::calibration::RecordHeader;
+use crate::config::RecordHeader;
 use crate::recording::writer::Writer;
 
 type Messages = Vec<(Topic, i64, Vec<u8>)>;

@@ -2,8 +2,8 @@
 
 use jiff::{SignedDuration, Timestamp};
 use serde_json::json;
-use trifacet::calibration::fingerprint;
 use trifacet::client::{Client, Descriptor, Endpoint, Message};
+use trifacet::config::fingerprint;
 use trifacet::config::parse;
 use trifacet_wire::Status;
 

@@ -1,4 +1,7 @@
-//! `[calibration]`: the record of the head's calibration.
+//! `[calibration]`: the record of the head's calibration, and whether it is valid.
+//!
+//! A record is a file `calibration.json` beside the configuration (`calibration.record`). Its header is small and is
+//! read at every start; the rest, from which uncertainties are computed, is read only by the commands that need it.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -6,8 +9,15 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+mod fingerprint;
+mod record;
+mod standing;
+
+pub use fingerprint::fingerprint;
+pub use record::{FORMAT, RecordError, RecordHeader};
+pub use standing::{CalibrationState, Standing};
+
 use super::check::{Checker, above_zero};
-use crate::calibration::{RecordError, RecordHeader};
 
 /// Settings of `[calibration]`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
