@@ -83,7 +83,7 @@ fn verdict(folder: &Path, record: &Record) -> anyhow::Result<()> {
 const RECORD: &str = "calibration.json";
 const CONFIG: &str = "trifacet.toml";
 
-fn refused(why: String) -> Failure {
+fn refused(why: &str) -> Failure {
     Failure::new(exit::DATA, format!("no certificate, nothing was written: {why}"))
 }
 
@@ -110,7 +110,7 @@ fn certificate(args: &ReportArgs, folder: &Path, record: &Record, out: &Path) ->
     let (files, simulated) = issued_files(folder, record)?;
     if !args.draft {
         if simulated {
-            return Err(refused(format!(
+            return Err(refused(&format!(
                 "acquisition.source = \"twin\" in {}: a simulated head has no certificate; --draft shows what the \
                  certificate of a real one looks like",
                 folder.join(CONFIG).display()
@@ -119,7 +119,7 @@ fn certificate(args: &ReportArgs, folder: &Path, record: &Record, out: &Path) ->
         }
         let missing = laboratory.missing();
         if !missing.is_empty() {
-            return Err(refused(format!(
+            return Err(refused(&format!(
                 "not stated: {}. State them in the file of --laboratory (trifacet calibrate report \
                  --laboratory-template prints it), or use --draft, which marks them",
                 missing.join(", ")
@@ -128,7 +128,7 @@ fn certificate(args: &ReportArgs, folder: &Path, record: &Record, out: &Path) ->
         }
     }
     let certificate =
-        Certificate::new(record, laboratory, files, args.draft).map_err(|e| refused(e.to_string()))?;
+        Certificate::new(record, laboratory, files, args.draft).map_err(|e| refused(&e.to_string()))?;
     let text = match args.format {
         Format::Html => certificate.html(),
         Format::Dcc => certificate.dcc().context("the certificate is incomplete")?,
@@ -146,7 +146,7 @@ fn issued_files(folder: &Path, record: &Record) -> anyhow::Result<(Vec<IssuedFil
     let config = config::load(Some(&path))?;
     let tables = Tables::read(&config)?;
     if fingerprint(&config, &config.channels(&tables)?) != record.header.fits {
-        return Err(refused(format!(
+        return Err(refused(&format!(
             "{} or its correction tables were changed since the calibration: {RECORD} belongs to other ones",
             path.display()
         ))
@@ -158,7 +158,10 @@ fn issued_files(folder: &Path, record: &Record) -> anyhow::Result<(Vec<IssuedFil
     for path in names {
         let bytes = fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let sha256 = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+        let sha256 = Sha256::digest(&bytes).iter().fold(String::new(), |mut hex, byte| {
+            let _ = write!(hex, "{byte:02x}");
+            hex
+        });
         files.push(IssuedFile { name, sha256 });
     }
     Ok((files, config.acquisition.source == SourceKind::Twin))
