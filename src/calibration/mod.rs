@@ -5,9 +5,10 @@
 //!   [`expectation`](mod@expectation): the uncertainty to expect. [`scan_pattern`]: the positions of a scan.
 //! - [`bench`](mod@bench): the source, the loop and the stage during the measurement. [`measure`](mod@measure): a point, by
 //!   [`rest`] (whether the mirror is at rest) and [`reading`] (the means of its signals). [`points_writer`]: the files of the points.
-//! - [`report`]: what a fit found.
+//! - [`report`]: what a fit found. [`certificate`]: the same for others, with what the laboratory states.
 
 pub mod bench;
+pub mod certificate;
 mod edits;
 pub mod effort;
 pub mod expectation;

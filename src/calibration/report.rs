@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use trifacet_optics::FACETS;
 use trifacet_optics::calibration::fit::{Dropped, Fitted};
 use trifacet_optics::calibration::held_out::HeldOut;
@@ -24,7 +24,7 @@ pub struct DroppedRow {
 }
 
 /// Errors of poses: rms, micrometres and microradians.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Errors {
     /// tx, ty, tz.
     pub um: [f64; 3],
@@ -238,6 +238,7 @@ fn method(measured: &Measured) -> String {
     parts.map(|(count, what)| format!("{count} {what}")).collect::<Vec<_>>().join(", ")
 }
 
-fn escaped(text: &str) -> String {
+/// Text for HTML and XML.
+pub(super) fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

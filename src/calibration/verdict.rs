@@ -46,7 +46,7 @@ pub fn before(points: &[Point], wanted: &Wanted, steering_scale: Option<f64>) ->
                         --steering-scale-percent"
                 .to_owned());
         }
-        return Ok(());
+        return free_motion(steering_scale);
     }
     if wanted.urad.is_some() {
         let spread = |axis: usize| {
@@ -66,6 +66,23 @@ pub fn before(points: &[Point], wanted: &Wanted, steering_scale: Option<f64>) ->
         }
     }
     Ok(())
+}
+
+/// The tolerances of the PSDs alone tell the scale of the poses of a head to about 0.6 %. A readback that is known less
+/// well than this, in percent, adds nothing to them.
+const LOOSEST_SCALE: f64 = 1.0;
+
+/// Points without a reference need a readback whose scale is known.
+fn free_motion(steering_scale: Option<f64>) -> Result<(), String> {
+    match steering_scale {
+        Some(percent) if percent > LOOSEST_SCALE => Err(format!(
+            "free motion only, with the scale of the steering's readback known to {percent} %: the tolerances of the \
+             PSDs tell the scale to about 0.6 %, so that the poses would be no better than those of the nominal head. \
+             Measure points with a reference, or the scale of the readback: {LOOSEST_SCALE} % is allowed, 0.1 % is \
+             good"
+        )),
+        _ => Ok(()),
+    }
 }
 
 /// More dropped points than this part mean that something else is wrong.
@@ -92,7 +109,10 @@ pub fn verdict(
     cost(fitted, &mut verdict);
     held_out(fitted, &mut verdict);
     match range {
-        Some(range) => uncertainty(range, wanted, &mut verdict),
+        Some(range) => {
+            uncertainty(range, wanted, &mut verdict);
+            reach(range, points, wanted, &mut verdict);
+        }
         None => verdict.refusals.push("the zero of the reference is out of reach of the PSDs".to_owned()),
     }
     whiteness(fitted, &mut verdict);
@@ -182,6 +202,26 @@ fn uncertainty(range: &RangeUncertainty, wanted: &Wanted, verdict: &mut Verdict)
         }
     }
 }
+
+/// Without a reference, only motion of the mirror tells the errors of the PSDs apart from the pose.
+fn reach(range: &RangeUncertainty, points: &[Point], wanted: &Wanted, verdict: &mut Verdict) {
+    let referenced = points.iter().any(|p| p.reference.iter().any(Option::is_some));
+    let least = range.covered.into_iter().fold(1.0, f64::min);
+    if !referenced && least < LEAST_COVERED {
+        verdict.refusals.push(format!(
+            "the points reach only {:.0} % of the spots of the range of +-{} mm and +-{} mrad: a scan of the steering \
+             with the mirror at rest does not calibrate poses. Add free motion: some hundred points with the mirror \
+             at rest at poses over the whole range, the steering following; or state a smaller range with --range-mm \
+             and --range-mrad",
+            100.0 * least,
+            wanted.range_mm,
+            wanted.range_mrad
+        ));
+    }
+}
+
+/// Least part of the spots of the range that points without a reference must reach on each PSD.
+const LEAST_COVERED: f64 = 0.5;
 
 /// Consecutive residuals of the steering that resemble each other show that the laser's direction drifts.
 fn whiteness(fitted: &Fitted, verdict: &mut Verdict) {

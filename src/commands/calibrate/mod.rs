@@ -2,6 +2,7 @@
 
 mod fit;
 mod plan;
+mod report;
 mod run;
 
 use clap::Subcommand;
@@ -21,6 +22,8 @@ enum Step {
     Run(run::RunArgs),
     /// Fit the head to measured points, and write a calibrated configuration into a new folder
     Fit(Box<fit::FitArgs>),
+    /// Write the certificate of a calibration
+    Report(report::ReportArgs),
 }
 
 /// Runs one step of a calibration.
@@ -29,6 +32,7 @@ pub(crate) fn calibrate(args: &CalibrateArgs) -> anyhow::Result<()> {
         Step::Plan(args) => plan::plan(args),
         Step::Run(args) => run::run(args),
         Step::Fit(args) => fit::fit(args),
+        Step::Report(args) => report::report(args),
     }
 }
 

@@ -47,6 +47,8 @@ pub struct RangeUncertainty {
     /// Rms over the poses of the range of the standard uncertainty relative to the tare pose: tx, ty, tz
     /// (metres), roll, pitch, yaw (radians).
     pub deviation: [f64; 6],
+    /// The largest one of these poses, each axis by itself.
+    pub largest: [f64; 6],
     /// Part of the spots in cells that have readings of the calibration, for each PSD.
     pub covered: [f64; 3],
     /// Number of poses.
@@ -219,14 +221,15 @@ impl Calibration {
                 self.reading(&Pose::from_array([t[0], t[1], t[2], r[0], r[1], r[2]]))
             })
             .collect();
-        let mut variance = [0.0; 6];
+        let (mut variance, mut largest) = ([0.0; 6], [0.0_f64; 6]);
         let mut found = 0;
         for covariance in
             self.relative_covariances(&readings, &tare, &Rigid::identity())?.into_iter().flatten()
         {
             found += 1;
-            for (sum, own) in variance.iter_mut().zip(covariance.diagonal().iter()) {
-                *sum += own;
+            for (i, own) in covariance.diagonal().iter().enumerate() {
+                variance[i] += own;
+                largest[i] = largest[i].max(*own);
             }
         }
         let covered = [0, 1, 2].map(|psd| {
@@ -236,6 +239,7 @@ impl Calibration {
         });
         (found > 0).then(|| RangeUncertainty {
             deviation: variance.map(|sum| (sum / f64::from(found)).sqrt()),
+            largest: largest.map(f64::sqrt),
             covered,
             poses,
         })
