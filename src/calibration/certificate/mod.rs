@@ -12,8 +12,9 @@ pub use laboratory::{Laboratory, PLACES, TEMPLATE};
 use serde::Deserialize;
 use trifacet_optics::calibration::result::RangeUncertainty;
 
+use super::Record;
 use super::report::Errors;
-use super::{Record, RecordError, RecordHeader};
+use crate::config::{RecordError, RecordHeader};
 
 /// Coverage factor of the stated expanded uncertainties.
 const COVERAGE_FACTOR: f64 = 2.0;

@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use clap::ValueEnum;
 use sha2::{Digest as _, Sha256};
+use trifacet::calibration::Record;
 use trifacet::calibration::certificate::{Certificate, IssuedFile, Laboratory, TEMPLATE};
-use trifacet::calibration::{Record, fingerprint};
-use trifacet::config::{self, SourceKind, Tables};
+use trifacet::config::{self, SourceKind, Tables, fingerprint};
 use trifacet::exit::{self, Failure};
 
 use crate::commands::new_file::NewFile;
