@@ -10,7 +10,7 @@ fn head() -> String {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/real-head.toml");
     let mut text = std::fs::read_to_string(file).unwrap();
     for (from, to) in [
-        ("pointing_um = 0.5               # slow", "pointing_um = 0.0               # slow"),
+        ("pointing_um = 0.1               # slow", "pointing_um = 0.0               # slow"),
         ("warm_up_k = 0.1", "warm_up_k = 0.0"),
         ("swing_k = 0.03", "swing_k = 0.0"),
     ] {
