@@ -40,8 +40,7 @@ impl PoseCovariance for Recorded {
             self.calibration.reading(&Pose::from(&(self.base * Rigid::from(sensor) * self.tool)))
         };
         let readings: Vec<_> = poses.iter().map(reading).collect::<Option<_>>()?;
-        let covariances =
-            self.calibration.relative_covariances(&readings, &reading(tare)?, &Rigid::identity())?;
+        let covariances = self.calibration.relative_covariances(&readings, &reading(tare)?)?;
         covariances.into_iter().collect()
     }
 

@@ -6,7 +6,7 @@
 
 use nalgebra::Matrix2;
 
-use super::beam::{DARK, Split};
+use super::beam::{DARK, Split, Wedge};
 use super::model::MIN_FACING;
 use super::{FACETS, Model, Optics, Pose, TraceError, Vec2, Vec3};
 
@@ -31,6 +31,20 @@ impl Ellipse {
     pub fn covariance(&self) -> Matrix2<f64> {
         self.shape * self.shape
     }
+
+    /// The light on the facets, for a mirror with these normals and a beam at `offset` from the apex, in units of sigma.
+    pub(super) fn wedges(&self, normals: &[Vec3; 3], offset: Vec2) -> [Wedge; 3] {
+        let round = normals.map(|n| {
+            let across = self.shape * n.xy();
+            Vec3::new(across.x, across.y, n.z)
+        });
+        let split = Split::new(&round, self.unshape * offset);
+        [0, 1, 2].map(|i| {
+            let mut wedge = split.wedge(i);
+            wedge.moment = self.shape * wedge.moment;
+            wedge
+        })
+    }
 }
 
 /// `exp(1/2 [[c, s], [s, -c]])`.
@@ -54,16 +68,7 @@ impl Optics {
         if !finite || mirror.normals.iter().any(|n| n.z < MIN_FACING) {
             return self.trace_each(Model::Gaussian, pose, offset); // the errors are those of a round beam
         }
-        let round = mirror.normals.map(|n| {
-            let across = ellipse.shape * n.xy();
-            Vec3::new(across.x, across.y, n.z)
-        });
-        let split = Split::new(&round, ellipse.unshape * offset / self.sigma);
-        let wedges = [0, 1, 2].map(|i| {
-            let mut wedge = split.wedge(i);
-            wedge.moment = ellipse.shape * wedge.moment;
-            wedge
-        });
+        let wedges = ellipse.wedges(&mirror.normals, offset / self.sigma);
         let spots = [0, 1, 2].map(|i| {
             let lit = wedges[i].power > DARK;
             let arm = lit.then(|| self.arm(&wedges[i], mirror.normals[i], offset));

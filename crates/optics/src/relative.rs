@@ -2,7 +2,7 @@
 
 use nalgebra::Matrix6;
 
-use super::{Mat3, Pose, Rigid, Vec3};
+use super::{Mat3, Pose, Rigid};
 
 /// The pose of one frame in another, and how it depends on both.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,7 +26,11 @@ impl Relative {
         Self {
             pose: relative,
             by_pose: matrix(&back, &Mat3::zeros(), &(rates * pose.euler_axes())),
-            by_zero: matrix(&-back, &(back * cross(&way) * zero.euler_axes()), &(-rates * zero.euler_axes())),
+            by_zero: matrix(
+                &-back,
+                &(back * way.cross_matrix() * zero.euler_axes()),
+                &(-rates * zero.euler_axes()),
+            ),
         }
     }
 }
@@ -38,11 +42,6 @@ fn matrix(tt: &Mat3, ta: &Mat3, aa: &Mat3) -> Matrix6<f64> {
     matrix.fixed_view_mut::<3, 3>(0, 3).copy_from(ta);
     matrix.fixed_view_mut::<3, 3>(3, 3).copy_from(aa);
     matrix
-}
-
-/// `cross(a) * b` is a x b.
-fn cross(a: &Vec3) -> Mat3 {
-    a.cross_matrix()
 }
 
 #[cfg(test)]

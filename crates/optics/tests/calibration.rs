@@ -85,7 +85,7 @@ fn errors(head: &str, calibration: &Calibration) -> Vec<([f64; 6], Matrix6<f64>)
     };
     let raws: Vec<Raw> = rows.iter().map(raw).collect();
     let tare = pose(&raws[0]).inverse();
-    let covariances = calibration.relative_covariances(&raws[1..], &raws[0], &Rigid::identity()).unwrap();
+    let covariances = calibration.relative_covariances(&raws[1..], &raws[0]).unwrap();
     rows[1..]
         .iter()
         .zip(&raws[1..])

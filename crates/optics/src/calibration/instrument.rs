@@ -1,15 +1,12 @@
 //! The forward model of a calibration: from the pose of the mirror to signals, with an elliptical beam.
-//!
-//! An elliptical Gaussian is a round one after a linear map of the plane across the beam. Powers are the same
-//! in both planes, and centroids map linearly.
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 use super::point::Point;
-use crate::beam::{DARK, Split};
-use crate::model::{MIN_FACING, Optics, on_plane};
+use crate::beam::DARK;
+use crate::model::{MIN_FACING, Optics};
 use crate::ray::Ray;
-use crate::{Head, Pose, Rigid, Vec3};
+use crate::{Ellipse, Head, Pose, Rigid, Vec3};
 
 /// Pose (six), beam offset from the apex (two), logarithm of the total power.
 pub(super) type State = SVector<f64, 9>;
@@ -22,9 +19,7 @@ pub(super) type Eight = SVector<f64, 8>;
 #[derive(Clone, Debug)]
 pub(super) struct Instrument {
     optics: Optics,
-    /// Square root of the covariance of the beam, relative to its sigma.
-    shape: Matrix2<f64>,
-    unshape: Matrix2<f64>,
+    ellipse: Ellipse,
     ln_gains: [f64; 3],
     steering_matrix: Matrix2<f64>,
     steering_origin: Vector2<f64>,
@@ -42,16 +37,14 @@ const MAX_STEPS: usize = 40;
 impl Instrument {
     pub fn new(
         head: &Head,
-        shape: Matrix2<f64>,
+        ellipse: Ellipse,
         ln_gains: [f64; 3],
         steering: (Matrix2<f64>, Vector2<f64>),
         frames: [Rigid; 2],
     ) -> Self {
-        let det = shape.determinant();
-        let unshape = Matrix2::new(shape[(1, 1)], -shape[(0, 1)], -shape[(1, 0)], shape[(0, 0)]) / det;
         let (steering_matrix, steering_origin) = steering;
         let optics = Optics::new(head);
-        Self { optics, shape, unshape, ln_gains, steering_matrix, steering_origin, frames }
+        Self { optics, ellipse, ln_gains, steering_matrix, steering_origin, frames }
     }
 
     /// The signals of a state; `None` if a facet is dark or a PSD is missed. A spot may be beyond the edge.
@@ -62,21 +55,15 @@ impl Instrument {
         if !(x.iter().all(|x| x.is_finite()) && mirror.normals.iter().all(|n| n.z > MIN_FACING)) {
             return None;
         }
-        let sigma = self.optics.sigma();
-        let flat = mirror.normals.map(|n| {
-            let across = self.shape * n.xy();
-            Vec3::new(across.x, across.y, n.z)
-        });
-        let split = Split::new(&flat, self.unshape * offset / sigma);
+        let wedges = self.ellipse.wedges(&mirror.normals, offset / self.optics.sigma());
         let mut signals = Nine::zeros();
-        for i in 0..3 {
-            let wedge = split.wedge(i);
+        for (i, wedge) in wedges.iter().enumerate() {
             if wedge.power <= DARK {
                 return None;
             }
-            let centroid = offset + self.shape * wedge.moment * (sigma / wedge.power);
             let normal = mirror.normals[i];
-            let ray = Ray::new(&self.optics.psds[i], normal, mirror.t + on_plane(normal, centroid));
+            let arm = self.optics.arm(wedge, normal, offset);
+            let ray = Ray::new(&self.optics.psds[i], normal, mirror.t + arm);
             if !ray.reaches() {
                 return None;
             }
@@ -178,22 +165,15 @@ fn pose(x: &State) -> Pose {
     Pose::from_array([x[0], x[1], x[2], x[3], x[4], x[5]])
 }
 
-/// `exp([[c, s], [s, -c]])`: the square of the matrix is a multiple of the identity.
-pub(super) fn exponential(c: f64, s: f64) -> Matrix2<f64> {
-    let size = c.hypot(s);
-    let per_size = if size == 0.0 { 1.0 } else { size.sinh() / size };
-    Matrix2::identity() * size.cosh() + Matrix2::new(c, s, s, -c) * per_size
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::Model;
+    use crate::model::on_plane;
 
     fn instrument(c: f64, s: f64) -> Instrument {
         let steering = (Matrix2::identity(), Vector2::zeros());
-        let shape = exponential(0.5 * c, 0.5 * s);
-        Instrument::new(&Head::default(), shape, [0.0; 3], steering, [Rigid::identity(); 2])
+        Instrument::new(&Head::default(), Ellipse::new(c, s), [0.0; 3], steering, [Rigid::identity(); 2])
     }
 
     const STATE: [f64; 9] = [2e-4, -1e-4, 3e-4, 2e-3, -3e-3, 1e-3, 4e-5, -3e-5, 0.0];
@@ -220,7 +200,7 @@ mod tests {
         let round = instrument(0.0, 0.0);
         let mirror = round.optics.mirror(pose(&x).t, &pose(&x).rotation());
         let sigma = round.optics.sigma();
-        let inverse = exponential(-c, -s) / sigma.powi(2);
+        let inverse = Ellipse::new(-c, -s).covariance() / sigma.powi(2);
         let offset = Vector2::new(x[6], x[7]);
         let edge = |i: usize| {
             let along = mirror.normals[(i + 1) % 3].cross(&mirror.normals[i]);

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix2, Rotation3, Vector2};
 use serde::{Deserialize, Serialize};
 
-use super::instrument::{Instrument, exponential};
+use super::instrument::Instrument;
 use crate::model::turn_from_z;
 use crate::{Ellipse, Head, Mat3, Rigid, Vec3};
 
@@ -250,10 +250,10 @@ impl Nominal {
     /// The forward model of the given parameters.
     pub(super) fn instrument(&self, theta: &[f64]) -> Instrument {
         let [stage, table] = self.frames(theta);
-        let shape = exponential(0.5 * theta[place::ELLIPSE], 0.5 * theta[place::ELLIPSE + 1]);
         let ln_gains = [0.0, theta[place::GAIN], theta[place::GAIN + 1]];
         let steering = (self.steering_matrix(theta), self.steering_origin(theta));
-        Instrument::new(&self.head(theta), shape, ln_gains, steering, [stage.inverse(), table.inverse()])
+        let frames = [stage.inverse(), table.inverse()];
+        Instrument::new(&self.head(theta), Self::ellipse(theta), ln_gains, steering, frames)
     }
 }
 

@@ -10,7 +10,7 @@ use super::linearised::{Layout, Neighbours, Response};
 use super::map::{Field, polynomials};
 use super::parameters::{GEOMETRY, Nominal, Tolerances};
 use super::point::Point;
-use crate::{Ellipse, Head, Model, Optics, Pose, Rigid, Vec2};
+use crate::{Ellipse, Head, Model, Optics, Pose, Relative, Rigid, Vec2};
 
 /// Standard uncertainty of a spot by what the splines cannot follow and by the pitch of the tables, metres.
 const RESIDUE: f64 = 0.014e-6;
@@ -122,21 +122,10 @@ impl Calibration {
         self.factor.half_solve(&units).column_iter().map(|column| column.norm()).collect()
     }
 
-    /// Covariance by the calibration of the pose of a reading relative to the pose of the reading `tare`, in
-    /// the frames of the reference: tx, ty, tz in metres, roll, pitch, yaw in radians. `None` if one of the
-    /// readings has no pose.
-    pub fn relative_covariance(&self, reading: &Raw, tare: &Raw) -> Option<Matrix6<f64>> {
-        self.relative_covariances(std::slice::from_ref(reading), tare, &Rigid::identity())?.pop().flatten()
-    }
-
-    /// As [`Calibration::relative_covariance`], for many readings: faster than one by one. The poses are those of
-    /// the frame `tool`, given in the frame of the reference's table. `None` if the tare has no pose.
-    pub fn relative_covariances(
-        &self,
-        readings: &[Raw],
-        tare: &Raw,
-        tool: &Rigid,
-    ) -> Option<Vec<Option<Matrix6<f64>>>> {
+    /// Covariances by the calibration of the poses of readings relative to the pose of the reading `tare`, in
+    /// the frames of the reference: tx, ty, tz in metres, roll, pitch, yaw in radians. A reading without a pose
+    /// has no covariance; if the tare has no pose, the result is `None`.
+    pub fn relative_covariances(&self, readings: &[Raw], tare: &Raw) -> Option<Vec<Option<Matrix6<f64>>>> {
         let instruments = Neighbours::new(&self.nominal, &self.theta);
         let tare = self.seen(&instruments, tare)?;
         let n = self.theta.len();
@@ -147,7 +136,7 @@ impl Calibration {
             let mut residues = Vec::with_capacity(chunk.len());
             for (k, seen) in seen.iter().enumerate() {
                 residues.push(seen.as_ref().map(|seen| {
-                    let [by_pose, by_tare] = relative_slopes(&seen.pose, &tare.pose, tool);
+                    let Relative { by_pose, by_zero: by_tare, .. } = Relative::new(&seen.pose, &tare.pose);
                     for (part, by) in [(seen, &by_pose), (&tare, &by_tare)] {
                         let own = by * &part.jacobian;
                         for (column, values) in part.columns.iter().zip(own.column_iter()) {
@@ -223,9 +212,7 @@ impl Calibration {
             .collect();
         let (mut variance, mut largest) = ([0.0; 6], [0.0_f64; 6]);
         let mut found = 0;
-        for covariance in
-            self.relative_covariances(&readings, &tare, &Rigid::identity())?.into_iter().flatten()
-        {
+        for covariance in self.relative_covariances(&readings, &tare)?.into_iter().flatten() {
             found += 1;
             for (i, own) in covariance.diagonal().iter().enumerate() {
                 variance[i] += own;
@@ -266,28 +253,6 @@ struct Seen {
     by_spots: Matrix6<f64>,
     jacobian: Matrix,
     columns: Vec<usize>,
-}
-
-/// Derivatives of the pose relative to the tare with respect to the pose, and to the tare.
-fn relative_slopes(pose: &Pose, tare: &Pose, tool: &Rigid) -> [Matrix6<f64>; 2] {
-    let step = 1e-6;
-    let relative = |pose: &Pose, tare: &Pose| {
-        let relative = (Rigid::from(tare) * *tool).inverse() * (Rigid::from(pose) * *tool);
-        nalgebra::Vector6::from(Pose::from(&relative).to_array())
-    };
-    let changed = |pose: &Pose, i: usize, by: f64| {
-        let mut a = pose.to_array();
-        a[i] += by;
-        Pose::from_array(a)
-    };
-    let mut slopes = [Matrix6::zeros(); 2];
-    for i in 0..6 {
-        let by_pose = relative(&changed(pose, i, step), tare) - relative(&changed(pose, i, -step), tare);
-        let by_tare = relative(pose, &changed(tare, i, step)) - relative(pose, &changed(tare, i, -step));
-        slopes[0].set_column(i, &(by_pose / (2.0 * step)));
-        slopes[1].set_column(i, &(by_tare / (2.0 * step)));
-    }
-    slopes
 }
 
 /// The `k`th number of the van der Corput sequence: evenly spread over 0 to 1.
