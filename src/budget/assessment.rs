@@ -61,7 +61,7 @@ pub struct Basis<'a> {
     pub instrument: Instrument,
     /// The quantities that the configuration states.
     pub components: Components,
-    /// The calibration record, or why there is none that is valid.
+    /// The valid calibration record, or why no record is valid.
     pub calibration: Result<&'a dyn PoseCovariance, String>,
 }
 

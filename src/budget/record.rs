@@ -1,7 +1,5 @@
 //! The share of the calibration in the uncertainty of a pose, from the calibration record.
 
-use std::fs::File;
-use std::io::BufReader;
 use std::path::Path;
 
 use nalgebra::Matrix6;
@@ -26,7 +24,7 @@ impl Recorded {
     /// # Errors
     /// The file cannot be read, or is not a record.
     pub fn read(path: &Path) -> Result<Self, RecordError> {
-        let record = Record::read(BufReader::new(File::open(path)?))?;
+        let record = Record::open(path)?;
         let calibration = record.calibration()?;
         let [base, tool] = calibration.base_and_tool();
         Ok(Self { calibration, base, tool, source: format!("calibration record of {}", record.header.day()) })

@@ -95,11 +95,7 @@ impl<S: Source, C: Clock> Bench<S, C> {
         let mut config = config.clone();
         config.centering.mode = LoopMode::On;
         let context = CalibrationContext::read(config.clone()).map_err(|e| wrong(&e))?;
-        let mut raw_channels = config.channels(&context.tables)?;
-        for psd in &mut raw_channels.psds {
-            psd.correction = None;
-            psd.gain[2] = 1.0;
-        }
+        let raw_channels = config.channels(&context.tables)?.as_read();
         let mut pipeline = config.pipeline(&context)?;
         let params = LoopParams { on_exit: OnExit::Park, ..config.loop_params() };
         let _ = pipeline.centering().retune(params); // no sample yet, so no command

@@ -3,7 +3,8 @@
 use std::fmt::Write as _;
 
 use trifacet_core::time::Clock;
-use trifacet_optics::{Estimator, Model, Optics, Signals};
+use trifacet_optics::covariance::sigmas;
+use trifacet_optics::{Estimator, Model, Noise, Optics, Signals, Solution};
 
 use super::bench::{Bench, usable};
 use super::effort;
@@ -17,9 +18,6 @@ use crate::exit::Failure;
 const REST_S: f64 = 0.128;
 /// Samples are judged again after this fraction of the time at rest.
 const STRIDE: usize = 4;
-/// Deviations of the pose per deviation of a spot: metres, then radians per metre. By these, the axis is found that
-/// moves.
-const SENSITIVITY: [f64; 6] = [0.91, 0.91, 0.58, 1.63, 1.63, 2.31];
 
 /// What a point must satisfy.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -149,19 +147,19 @@ impl Samples {
     /// The axis of the mirror that moves most, compared with the noise, and the rms of its motion.
     fn moving_axis(&self, optics: &Optics) -> Option<(Axis, f64)> {
         let estimator = Estimator::new(optics.clone(), Model::Gaussian);
-        let pose = |s: &RawSample| {
-            estimator
-                .solve(&Signals { spots: s.spots, powers: s.powers }, None)
-                .ok()
-                .map(|s| s.pose.to_array())
-        };
-        let poses: Vec<[f64; 6]> = self.taken.iter().filter_map(pose).collect();
+        let solve = |s: &RawSample| estimator.solve(&Signals { spots: s.spots, powers: s.powers }, None).ok();
+        let solutions: Vec<Solution> = self.taken.iter().filter_map(solve).collect();
+        // What equal noise of all spots does to each axis.
+        let noise = Noise { spots: [1.0; 6], powers: [0.0; 3] };
+        let spread = estimator.sensitivity(solutions.first()?).ok()?.spread(&noise);
+        let by_noise = sigmas(&spread.pose_covariance());
+        let poses: Vec<[f64; 6]> = solutions.iter().map(|s| s.pose.to_array()).collect();
         let n = poses.len() as f64;
         let rms = |axis: Axis| {
             let mean = poses.iter().map(|p| p[axis as usize]).sum::<f64>() / n;
             (poses.iter().map(|p| (p[axis as usize] - mean).powi(2)).sum::<f64>() / n).sqrt()
         };
         let all = Axis::ALL.into_iter().map(|axis| (axis, rms(axis))).filter(|(_, rms)| rms.is_finite());
-        all.max_by(|(a, x), (b, y)| (x / SENSITIVITY[*a as usize]).total_cmp(&(y / SENSITIVITY[*b as usize])))
+        all.max_by(|(a, x), (b, y)| (x / by_noise[*a as usize]).total_cmp(&(y / by_noise[*b as usize])))
     }
 }

@@ -16,8 +16,10 @@ use trifacet_wire::layout::{POSE, SPOTS};
 use crate::exit::{self, Failure};
 use crate::text::table::{Layout, Row, RowError, Table};
 
-const POWERS: [&str; 3] = ["power_a", "power_b", "power_c"];
-const STAGE: [&str; 2] = ["stage_x_m", "stage_y_m"];
+/// Columns of the powers.
+pub(super) const POWERS: [&str; 3] = ["power_a", "power_b", "power_c"];
+/// Columns of the position of the steering.
+pub(super) const STAGE: [&str; 2] = ["stage_x_m", "stage_y_m"];
 const RUN: &str = "run";
 /// Largest file.
 const LARGEST: u64 = 256 << 20;
@@ -124,8 +126,7 @@ impl Measured {
         if rows.is_empty() {
             return Err(Failure::new(exit::DATA, format!("{name}: the table has no rows")));
         }
-        let hex: Vec<String> = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
-        let sha256 = hex.concat();
+        let sha256 = format!("{:x}", Sha256::digest(&bytes));
         self.files.push(InputFile { path: path.to_owned(), kind, rows: rows.len(), sha256 });
         Ok(rows)
     }

@@ -8,16 +8,13 @@ use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::path::Path;
 
+use trifacet_wire::layout::{POSE, SPOTS};
+
+use super::points::{POWERS, STAGE};
 use super::reading::Reading;
 use crate::exit::{self, Failure};
 use crate::text::table::{Layout, Table};
 
-/// Columns of the nine signals.
-const SIGNALS: [&str; 9] =
-    ["u_a_m", "v_a_m", "u_b_m", "v_b_m", "u_c_m", "v_c_m", "power_a", "power_b", "power_c"];
-/// Coordinates of the reference, after `ref_` and `ref_std_`.
-const POSE: [&str; 6] = super::pose_list::COORDINATES;
-const STAGE: [&str; 2] = ["stage_x_m", "stage_y_m"];
 /// Where a row comes from.
 const ORIGIN: [&str; 3] = ["point", "time_s", "samples"];
 
@@ -112,7 +109,8 @@ fn columns(contents: Contents) -> Vec<String> {
     let own = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
     let with =
         |prefix: &str, names: &[&str]| names.iter().map(|name| format!("{prefix}{name}")).collect::<Vec<_>>();
-    let mut columns = [own(&SIGNALS), with("std_", &SIGNALS)].concat();
+    let signals = [&SPOTS[..], &POWERS].concat();
+    let mut columns = [own(&signals), with("std_", &signals)].concat();
     if contents == Contents::Points {
         columns.extend([with("ref_", &POSE), with("ref_std_", &POSE)].concat());
     }

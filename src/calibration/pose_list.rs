@@ -6,12 +6,11 @@ use std::path::Path;
 
 use trifacet_optics::Pose;
 use trifacet_optics::calibration::plan::Planned;
+use trifacet_wire::layout::POSE;
 
 use crate::exit::{self, Failure};
 use crate::text::table::{Layout, Row, RowError, Table};
 
-/// Names of the coordinates.
-pub const COORDINATES: [&str; 6] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "yaw_rad"];
 const KIND: &str = "kind";
 /// Largest planned translation, metres, and rotation, radians: a larger number is in another unit.
 const LARGEST: [f64; 2] = [0.05, 0.5];
@@ -21,7 +20,7 @@ const LARGEST: [f64; 2] = [0.05, 0.5];
 /// # Errors
 /// The file cannot be written.
 pub fn write(poses: &[Planned], mut to: impl Write) -> io::Result<()> {
-    writeln!(to, "{KIND},{}", COORDINATES.join(","))?;
+    writeln!(to, "{KIND},{}", POSE.join(","))?;
     for Planned { tare, pose } in poses {
         let numbers = pose.to_array().map(|x| format!("{x:e}")).join(",");
         writeln!(to, "{},{numbers}", if *tare { "tare" } else { "point" })?;
@@ -36,7 +35,7 @@ pub fn write(poses: &[Planned], mut to: impl Write) -> io::Result<()> {
 pub fn read(file: &Path) -> Result<Vec<Planned>, Failure> {
     let name = file.display().to_string();
     let bytes = File::open(file).map_err(|e| Failure::new(exit::IO, format!("cannot read {name}: {e}")))?;
-    let layout = Layout { needed: &COORDINATES, optional: &[KIND], aliases: &[], comments: true };
+    let layout = Layout { needed: &POSE, optional: &[KIND], aliases: &[], comments: true };
     let mut table = Table::open(name.clone(), bytes, layout)?;
     let mut poses = Vec::new();
     while let Some(row) = table.next_row()? {
@@ -57,7 +56,7 @@ fn planned(row: &Row<'_>) -> Result<Planned, RowError> {
             _ => None,
         })?;
     let mut numbers = [0.0; 6];
-    for (i, (x, column)) in numbers.iter_mut().zip(COORDINATES).enumerate() {
+    for (i, (x, column)) in numbers.iter_mut().zip(POSE).enumerate() {
         *x = row.number(column)?;
         let (most, unit) = if i < 3 { (LARGEST[0], "m") } else { (LARGEST[1], "rad") };
         if x.abs() > most {

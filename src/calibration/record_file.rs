@@ -1,6 +1,6 @@
 //! The whole record of a calibration: what uncertainties are computed from.
 
-use std::io::Read;
+use std::path::Path;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -11,7 +11,7 @@ use trifacet_optics::calibration::map::{Field, Lattice};
 use trifacet_optics::calibration::parameters::{Nominal, Tolerances, parameters};
 use trifacet_optics::calibration::result::Calibration;
 
-use crate::config::{RecordError, RecordHeader};
+use crate::config::{RecordError, RecordHeader, contents, parsed};
 
 /// A record: the header, and the parameters with their covariance.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -103,12 +103,9 @@ impl Record {
     /// Reads a record. Blocks.
     ///
     /// # Errors
-    /// Fails if `bytes` cannot be read, or are not a record.
-    pub fn read(mut bytes: impl Read) -> Result<Self, RecordError> {
-        let mut text = Vec::new();
-        bytes.read_to_end(&mut text)?;
-        RecordHeader::read(&text[..])?;
-        Ok(serde_json::from_slice(&text)?)
+    /// Fails if the file cannot be read, or is not a record.
+    pub fn open(path: &Path) -> Result<Self, RecordError> {
+        parsed(&contents(path)?, |record: &Self| &record.header)
     }
 
     /// The calibration, from which uncertainties are computed.

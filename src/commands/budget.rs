@@ -11,7 +11,7 @@ use trifacet::config::CalibrationContext;
 use trifacet::exit::{self, Failure};
 use trifacet_optics::Pose;
 
-use super::{ConfigArg, whole, written};
+use super::{ConfigArg, within, written};
 
 /// Options of `budget`.
 #[derive(Debug, clap::Args)]
@@ -25,16 +25,16 @@ pub(crate) struct BudgetArgs {
     #[arg(long, value_name = "MM,MRAD", value_parser = range, allow_hyphen_values = true, default_value = "1,5")]
     range: [f64; 2],
     /// Samples that are averaged in the pose; by default estimation.average
-    #[arg(long, value_name = "N", value_parser = whole(1_u32..=1_000_000_000))]
+    #[arg(long, value_name = "N", value_parser = within(1_u32..=1_000_000_000))]
     average: Option<u32>,
     /// Coverage probability of the expanded uncertainty and of the Monte Carlo intervals
-    #[arg(long, value_name = "P", value_parser = probability, default_value = "0.9545")]
+    #[arg(long, value_name = "P", value_parser = within(0.5..=0.9999), default_value = "0.9545")]
     probability: f64,
     /// Trials of the Monte Carlo method; 0: none
     #[arg(long, value_name = "N", value_parser = trials, default_value = "100000")]
     trials: usize,
     /// Seed of the Monte Carlo method; the same seed gives the same numbers
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = whole(0_u64..=1 << 53))]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = within(0_u64..=1 << 53))]
     seed: u64,
     /// Format of the output
     #[arg(long, value_name = "FORMAT", value_enum, default_value_t = Format::Text)]
@@ -79,11 +79,6 @@ fn range(text: &str) -> Result<[f64; 2], String> {
     let [mm, mrad] = numbers::<2>(text, "two numbers, translation in mm and angle in mrad")?;
     let fine = (0.0..=1000.0).contains(&mm) && (0.0..=1000.0).contains(&mrad);
     if fine { Ok([mm * 1e-3, mrad * 1e-3]) } else { Err("allowed is 0 to 1000, each".into()) }
-}
-
-fn probability(text: &str) -> Result<f64, String> {
-    let value = text.parse().ok().filter(|p| (0.5..=0.9999).contains(p));
-    value.ok_or_else(|| "allowed is 0.5 to 0.9999".into())
 }
 
 /// Zero, or enough for an interval.

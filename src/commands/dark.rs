@@ -17,7 +17,7 @@ use trifacet_core::channels::dark::{DarkOffsetEstimator, DarkOffsets};
 use trifacet_core::telemetry::Counters;
 use trifacet_optics::FACETS;
 
-use super::{ConfigArg, whole, written};
+use super::{ConfigArg, within, written};
 
 /// Longest time to wait for the next scan.
 const SCAN_TIMEOUT: Duration = Duration::from_secs(5);
@@ -28,7 +28,7 @@ pub(crate) struct DarkArgs {
     #[command(flatten)]
     config: ConfigArg,
     /// Number of scans to average
-    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = whole(10_u32..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = within(10_u32..=1_000_000))]
     samples: u32,
     /// Print the offsets and do not change the file
     #[arg(long)]

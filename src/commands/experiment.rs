@@ -22,7 +22,7 @@ use trifacet::experiment::static_record::LEAST;
 use trifacet::experiment::table::{self, Table};
 use trifacet::experiment::twin::{Bench, beyond};
 
-use super::{ConfigArg, whole, written};
+use super::{ConfigArg, within, written};
 
 /// Options of `experiment`.
 #[derive(Debug, clap::Args)]
@@ -33,7 +33,7 @@ pub(crate) struct ExperimentArgs {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Seed of the twin, instead of that of the configuration; the same seed gives the same files
-    #[arg(long, value_name = "N", value_parser = whole(0_u64..=1 << 53))]
+    #[arg(long, value_name = "N", value_parser = within(0_u64..=1 << 53))]
     seed: Option<u64>,
     /// Take readings from a running daemon, point by point, with an operator at the stage
     #[arg(long, value_name = "HOST:PORT", value_parser = choices::endpoint, conflicts_with_all = ["config", "seed", "paper_only"])]
@@ -54,16 +54,16 @@ pub(crate) struct ExperimentArgs {
     #[arg(long, value_name = "AXES", value_delimiter = ',', value_parser = choices::axis)]
     axes: Vec<Axis>,
     /// Number of points of each axis, around the middle
-    #[arg(long, value_name = "N", default_value_t = protocol::POINTS, value_parser = whole(3_u32..=10_000))]
+    #[arg(long, value_name = "N", default_value_t = protocol::POINTS, value_parser = within(3_u32..=10_000))]
     points: u32,
     /// Interval of an axis in um or urad, such as tx=0.5,roll=10; by default that of the paper
     #[arg(long, value_name = "AXIS=X", value_delimiter = ',', value_parser = choices::interval)]
     interval: Vec<(Axis, f64)>,
     /// Number of readings at each point
-    #[arg(long, value_name = "N", default_value_t = protocol::READINGS, value_parser = whole(2_u32..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = protocol::READINGS, value_parser = within(2_u32..=100_000))]
     readings: u32,
     /// Number of values averaged in each reading: samples on the twin, poses with --connect
-    #[arg(long, value_name = "N", value_parser = whole(1_u16..=10_000))]
+    #[arg(long, value_name = "N", value_parser = within(1_u16..=10_000))]
     average: Option<u16>,
     /// Duration of the record at rest, for the Allan deviation, in seconds; 0: no record
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = choices::seconds)]

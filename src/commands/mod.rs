@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use anyhow::Context;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio_util::sync::CancellationToken;
 use trifacet::config::{self, Config};
 
 mod board_test;
@@ -78,8 +80,8 @@ impl ConfigArg {
     }
 }
 
-/// A parser of an option that is a whole number within this range, for its error message too.
-pub(crate) fn whole<T>(
+/// A parser of an option that is a number within this range, for its error message too.
+pub(crate) fn within<T>(
     allowed: RangeInclusive<T>,
 ) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static
 where
@@ -89,6 +91,18 @@ where
         let number = text.parse().ok().filter(|number| allowed.contains(number));
         number.ok_or_else(|| format!("allowed is {} to {}", allowed.start(), allowed.end()))
     }
+}
+
+/// A token that SIGINT or SIGTERM cancels.
+pub(crate) fn interrupted() -> io::Result<CancellationToken> {
+    let stop = CancellationToken::new();
+    let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
+    let token = stop.clone();
+    tokio::task::spawn_local(async move {
+        tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
+        token.cancel();
+    });
+    Ok(stop)
 }
 
 /// Standard output was closed by its reader, as by `head`. This is not an error.

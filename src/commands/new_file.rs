@@ -1,7 +1,7 @@
 //! A new file that appears under its name only when it is complete, and never replaces another file.
 
 use std::fs::{self, File, Metadata, OpenOptions};
-use std::io::{self, ErrorKind};
+use std::io::{self, ErrorKind, Write as _};
 use std::os::fd::AsRawFd;
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
@@ -39,6 +39,13 @@ impl NewFile {
         let mode = source.map_or(0o666, Metadata::mode) & 0o666;
         let (file, part) = unnamed(path, mode).with_context(|| cannot(path))?;
         Ok(Self { path: path.to_owned(), file, part })
+    }
+
+    /// Writes a whole new file.
+    pub(crate) fn write(path: &Path, contents: &[u8]) -> anyhow::Result<()> {
+        let file = Self::create(path, None)?;
+        cannot_write(file.writer()?.write_all(contents), path)?;
+        file.keep()
     }
 
     /// A handle for writing.

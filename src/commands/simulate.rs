@@ -12,7 +12,7 @@ use trifacet::exit::{self, Failure};
 use trifacet::recording::codec::{Encoded, Encoder};
 use trifacet::recording::writer::Writer;
 use trifacet::twin::{Twin, TwinScan};
-use trifacet_core::channels::{ChannelMap, Channels};
+use trifacet_core::channels::ChannelMap;
 use trifacet_core::signals::Sample;
 use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_optics::Pose;
@@ -52,21 +52,13 @@ pub(crate) fn simulate(args: &SimulateArgs) -> anyhow::Result<()> {
     let wrong = |message: String| Failure::new(exit::CONFIG, message);
     let mut twin = Twin::new(&config).map_err(|e| wrong(e.to_string()))?;
     let channels = config.read_channels()?;
-    let channels = if args.readings { as_read(channels) } else { channels };
+    let channels = if args.readings { channels.as_read() } else { channels };
     let mut map = channels.map(twin.identity()).map_err(Failure::from)?;
     if args.closed_loop {
         let sim = ClosedLoopSim::new(&config)?;
         return written(closed_loop(sim, &mut map, args.samples, io::stdout().lock()));
     }
     written(table(&mut twin, &mut map, args.samples, io::stdout().lock()))
-}
-
-/// The channel map of readings, which a calibration corrects.
-fn as_read(mut channels: Channels) -> Channels {
-    for psd in &mut channels.psds {
-        (psd.correction, psd.gain[2]) = (None, 1.0);
-    }
-    channels
 }
 
 /// Records the results of the twin's scans.

@@ -12,7 +12,6 @@ use std::sync::Arc;
 use anyhow::Context;
 use report::Report;
 use show::Show;
-use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{mpsc, watch};
 use tokio::task::LocalSet;
 use tokio_util::sync::CancellationToken;
@@ -32,7 +31,7 @@ use trifacet_core::pipeline::Mapping;
 use trifacet_core::steering::StagePosition;
 use trifacet_core::telemetry::Counters;
 
-use super::{ConfigArg, whole, written};
+use super::{ConfigArg, interrupted, within, written};
 
 /// Number of samples that may wait for the identification.
 const QUEUE: usize = 1024;
@@ -46,7 +45,7 @@ pub(crate) struct TuneArgs {
     #[arg(long, value_name = "UM", value_parser = positive)]
     step: Option<f64>,
     /// Number of steps of each axis, back and forth
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = whole(10_u32..=10_000))]
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = within(10_u32..=10_000))]
     steps: u32,
     /// Time that the stage rests after each step; by default ten times the sum of the configured delay and
     /// lag, at least 50 ms
@@ -204,18 +203,6 @@ async fn with<S: Source + 'static>(
     stop_acquisition.cancel();
     acquisition.await.context("the task acquisition failed at the end")?;
     Ok(result?)
-}
-
-/// A token that SIGINT or SIGTERM cancels.
-fn interrupted() -> io::Result<CancellationToken> {
-    let stop = CancellationToken::new();
-    let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
-    let token = stop.clone();
-    tokio::task::spawn_local(async move {
-        tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
-        token.cancel();
-    });
-    Ok(stop)
 }
 
 /// Why the value of an option is not valid.

@@ -16,7 +16,7 @@ use trifacet_wire::Status;
 use trifacet_wire::stream::request::MAX_DIVIDER;
 
 use super::silence::{Heard, SHORTEST, Wait, note};
-use super::{whole, written};
+use super::{within, written};
 
 /// Interval of the text output.
 const READABLE: Duration = Duration::from_millis(200);
@@ -29,7 +29,7 @@ pub(crate) struct WatchArgs {
     #[arg(default_value = "tcp://127.0.0.1:7361")]
     endpoint: Endpoint,
     /// Request every Nth frame (not for udp://)
-    #[arg(long, default_value_t = 1, value_parser = whole(1..=MAX_DIVIDER))]
+    #[arg(long, default_value_t = 1, value_parser = within(1..=MAX_DIVIDER))]
     divider: u32,
     /// Request the last valid pose, marked POSE_HELD, if there is no valid one (not for udp://)
     #[arg(long)]
@@ -44,7 +44,7 @@ pub(crate) struct WatchArgs {
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
     /// End after this number of printed frames
-    #[arg(long, value_parser = whole(1..=u64::MAX))]
+    #[arg(long, value_parser = within(1..=u64::MAX))]
     count: Option<u64>,
 }
 

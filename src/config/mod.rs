@@ -52,6 +52,7 @@ pub use assembly::AssemblyError;
 pub use calibration::{
     CalibrationConfig, CalibrationState, FORMAT, RecordError, RecordHeader, Standing, fingerprint,
 };
+pub(crate) use calibration::{contents, parsed};
 pub use calibration_context::{CalibrationContext, TableError, Tables};
 pub use centering::{CenteringConfig, Gains};
 pub use channels::{ChannelsConfig, PsdChannelsConfig};

@@ -235,9 +235,7 @@ fn write(
     ];
     fs::create_dir_all(&args.out).with_context(|| format!("cannot create {}", args.out.display()))?;
     for (name, text) in FILES.iter().zip(texts) {
-        let file = NewFile::create(&args.out.join(name), None)?;
-        file.writer()?.write_all(text.as_bytes()).with_context(|| format!("cannot write {name}"))?;
-        file.keep()?;
+        NewFile::write(&args.out.join(name), text.as_bytes())?;
     }
     Ok(())
 }

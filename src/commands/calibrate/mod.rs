@@ -7,6 +7,8 @@ mod run;
 
 use clap::Subcommand;
 
+use crate::commands::within;
+
 /// Options of `calibrate`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct CalibrateArgs {
@@ -40,10 +42,10 @@ pub(crate) fn calibrate(args: &CalibrateArgs) -> anyhow::Result<()> {
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(crate) struct ReferenceArgs {
     /// Standard uncertainty of each translation of the reference, micrometres
-    #[arg(long, value_name = "UM", default_value_t = 0.1, value_parser = micro)]
+    #[arg(long, value_name = "UM", default_value_t = 0.1, value_parser = within(0.001..=10_000.0))]
     reference_um: f64,
     /// Standard uncertainty of each rotation of the reference, microradians
-    #[arg(long, value_name = "URAD", default_value_t = 0.5, value_parser = micro)]
+    #[arg(long, value_name = "URAD", default_value_t = 0.5, value_parser = within(0.001..=10_000.0))]
     reference_urad: f64,
 }
 
@@ -54,13 +56,4 @@ impl ReferenceArgs {
             radians: self.reference_urad * 1e-6,
         }
     }
-}
-
-fn micro(text: &str) -> Result<f64, &'static str> {
-    number(text, 0.001, 10_000.0).ok_or("allowed is 0.001 to 10000")
-}
-
-/// A number within a range.
-fn number(text: &str, least: f64, most: f64) -> Option<f64> {
-    text.parse().ok().filter(|x| (least..=most).contains(x))
 }

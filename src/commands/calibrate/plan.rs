@@ -15,9 +15,9 @@ use trifacet_core::steering::BeamPoint;
 use trifacet_optics::calibration::plan::{Plan, Request, choose};
 use trifacet_optics::{FACETS, Optics, Pose};
 
-use super::{ReferenceArgs, number};
+use super::ReferenceArgs;
 use crate::commands::new_file::{NewFile, cannot_write};
-use crate::commands::{ConfigArg, whole, written};
+use crate::commands::{ConfigArg, within, written};
 
 /// What the steering keeps for the loop at each end of its range, metres.
 const STEERING_RESERVE: f64 = 20e-6;
@@ -28,13 +28,13 @@ const SCANS: f64 = 2.0;
 #[derive(Debug, clap::Args)]
 pub(crate) struct PlanArgs {
     /// Number of points, without the visits of the tare pose
-    #[arg(long, value_name = "N", value_parser = whole(10_usize..=5000))]
+    #[arg(long, value_name = "N", value_parser = within(10_usize..=5000))]
     points: usize,
     /// Range of the translations, plus and minus, millimetres
-    #[arg(long, value_name = "MM", default_value_t = 1.0, value_parser = millimetres)]
+    #[arg(long, value_name = "MM", default_value_t = 1.0, value_parser = within(0.001..=10.0))]
     range_mm: f64,
     /// Range of the rotations, plus and minus, milliradians
-    #[arg(long, value_name = "MRAD", default_value_t = 5.0, value_parser = milliradians)]
+    #[arg(long, value_name = "MRAD", default_value_t = 5.0, value_parser = within(0.001..=100.0))]
     range_mrad: f64,
     /// File for the poses: columns kind, tx_m, ty_m, tz_m, roll_rad, pitch_rad, yaw_rad
     #[arg(long, value_name = "FILE.csv")]
@@ -43,25 +43,13 @@ pub(crate) struct PlanArgs {
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     /// Time of a move until the mirror is at rest, seconds: for the duration only
-    #[arg(long, value_name = "S", default_value_t = 10.0, value_parser = seconds)]
+    #[arg(long, value_name = "S", default_value_t = 10.0, value_parser = within(0.0..=3600.0))]
     seconds_per_move: f64,
     #[command(flatten)]
     reference: ReferenceArgs,
     /// With it, the plan stays within the range of the steering; without it, the nominal head counts
     #[command(flatten)]
     config: ConfigArg,
-}
-
-fn millimetres(text: &str) -> Result<f64, &'static str> {
-    number(text, 0.001, 10.0).ok_or("allowed is 0.001 to 10")
-}
-
-fn milliradians(text: &str) -> Result<f64, &'static str> {
-    number(text, 0.001, 100.0).ok_or("allowed is 0.001 to 100")
-}
-
-fn seconds(text: &str) -> Result<f64, &'static str> {
-    number(text, 0.0, 3600.0).ok_or("allowed is 0 to 3600")
 }
 
 /// Chooses the poses, writes them, and states coverage and duration.

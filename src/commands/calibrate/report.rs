@@ -10,7 +10,7 @@ use clap::ValueEnum;
 use sha2::{Digest as _, Sha256};
 use trifacet::calibration::Record;
 use trifacet::calibration::certificate::{Certificate, IssuedFile, Laboratory, TEMPLATE};
-use trifacet::config::{self, SourceKind, Tables, fingerprint};
+use trifacet::config::{self, RecordError, SourceKind, Tables, fingerprint};
 use trifacet::exit::{self, Failure};
 
 use crate::commands::new_file::NewFile;
@@ -89,9 +89,12 @@ fn refused(why: &str) -> Failure {
 
 fn record(folder: &Path) -> anyhow::Result<Record> {
     let path = folder.join(RECORD);
-    let file = fs::File::open(&path).with_context(|| format!("cannot read {}", path.display()))?;
-    let read = Record::read(io::BufReader::new(file));
-    Ok(read.map_err(|e| Failure::new(exit::DATA, format!("{}: {e}", path.display())))?)
+    match Record::open(&path) {
+        Err(RecordError::Unreadable(error)) => {
+            Err(error).with_context(|| format!("cannot read {}", path.display()))
+        }
+        read => Ok(read.map_err(|e| Failure::new(exit::DATA, format!("{}: {e}", path.display())))?),
+    }
 }
 
 fn certificate(args: &ReportArgs, folder: &Path, record: &Record, out: &Path) -> anyhow::Result<()> {
@@ -133,9 +136,7 @@ fn certificate(args: &ReportArgs, folder: &Path, record: &Record, out: &Path) ->
         Format::Html => certificate.html(),
         Format::Dcc => certificate.dcc().context("the certificate is incomplete")?,
     };
-    let file = NewFile::create(out, None)?;
-    file.writer()?.write_all(text.as_bytes()).with_context(|| format!("cannot write {}", out.display()))?;
-    file.keep()?;
+    NewFile::write(out, text.as_bytes())?;
     written(writeln!(io::stdout(), "written to {}", out.display()))
 }
 
@@ -158,11 +159,7 @@ fn issued_files(folder: &Path, record: &Record) -> anyhow::Result<(Vec<IssuedFil
     for path in names {
         let bytes = fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let sha256 = Sha256::digest(&bytes).iter().fold(String::new(), |mut hex, byte| {
-            let _ = write!(hex, "{byte:02x}");
-            hex
-        });
-        files.push(IssuedFile { name, sha256 });
+        files.push(IssuedFile { name, sha256: format!("{:x}", Sha256::digest(&bytes)) });
     }
     Ok((files, config.acquisition.source == SourceKind::Twin))
 }

@@ -8,7 +8,6 @@ mod reference;
 mod scan;
 mod session;
 
-use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -16,10 +15,8 @@ use anyhow::Context;
 use folder::RunFolder;
 use reference::{Reference, ReferenceKind};
 use session::{Outcome, Session};
-use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{mpsc, watch};
 use tokio::task::LocalSet;
-use tokio_util::sync::CancellationToken;
 use trifacet::acquisition::{SerialSource, Source};
 use trifacet::calibration::bench::{Bench, Links};
 use trifacet::calibration::pose_list;
@@ -36,8 +33,8 @@ use trifacet::twin::{Twin, TwinSource};
 use trifacet_core::telemetry::Counters;
 use trifacet_optics::calibration::plan::Planned;
 
-use super::{ReferenceArgs, number};
-use crate::commands::ConfigArg;
+use super::ReferenceArgs;
+use crate::commands::{ConfigArg, interrupted, within};
 
 /// Moves of the twin that may wait.
 const MOVES: usize = 1;
@@ -64,10 +61,10 @@ pub(crate) struct RunArgs {
     #[command(flatten)]
     noise: ReferenceArgs,
     /// Time after which a pose that does not come to rest is given up, seconds
-    #[arg(long, value_name = "S", default_value_t = 30.0, value_parser = patience)]
+    #[arg(long, value_name = "S", default_value_t = 30.0, value_parser = within(0.1..=86_400.0))]
     rest_timeout: f64,
     /// Time after which the program of --reference command is ended, seconds
-    #[arg(long, value_name = "S", default_value_t = 120.0, value_parser = patience)]
+    #[arg(long, value_name = "S", default_value_t = 120.0, value_parser = within(0.1..=86_400.0))]
     command_timeout: f64,
     /// The program of --reference command, with its arguments
     #[arg(last = true, value_name = "PROGRAM")]
@@ -84,10 +81,6 @@ Kinds of reference:
   command       for each pose, the program after -- is run; {point}, {kind}, {tx_m}, {ty_m}, {tz_m}, {roll_rad},
                 {pitch_rad} and {yaw_rad} in its arguments are replaced; the last line that it prints is the pose (m, rad)
   twin          the mirror of the twin moves to each pose; the reference is its true pose with the stated noise";
-
-fn patience(text: &str) -> Result<f64, &'static str> {
-    number(text, 0.1, 86_400.0).ok_or("allowed is 0.1 to 86400")
-}
 
 /// Measures all poses of the plan that the folder does not contain yet.
 pub(crate) fn run(args: &RunArgs) -> anyhow::Result<()> {
@@ -215,16 +208,4 @@ impl Job<'_> {
         done.map_err(|e| outcome.explain(e))?;
         Ok(outcome)
     }
-}
-
-/// A token that SIGINT or SIGTERM cancels.
-fn interrupted() -> io::Result<CancellationToken> {
-    let stop = CancellationToken::new();
-    let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
-    let token = stop.clone();
-    tokio::task::spawn_local(async move {
-        tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
-        token.cancel();
-    });
-    Ok(stop)
 }

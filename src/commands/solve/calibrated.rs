@@ -1,8 +1,5 @@
 //! The share of the calibration in the uncertainty of a pose: what the fit of the head left unknown.
 
-use std::fs::File;
-use std::io::BufReader;
-
 use nalgebra::Matrix6;
 use trifacet::calibration::Record;
 use trifacet::config::{CalibrationContext, Config};
@@ -41,8 +38,7 @@ impl CalibrationShare {
             return Ok(Err("they need --readings, --frames and --tare-row".into()));
         }
         let refuse = |why: String| Failure::new(exit::CONFIG, format!("{}: {why}", path.display()));
-        let file = File::open(path).map_err(|e| refuse(e.to_string()))?;
-        let record = Record::read(BufReader::new(file)).map_err(|e| refuse(e.to_string()))?;
+        let record = Record::open(path).map_err(|e| refuse(e.to_string()))?;
         let calibration = record.calibration().map_err(|e| refuse(e.to_string()))?;
         if !same_frames(&calibration, config) {
             return Ok(Err("frames.base and frames.tool are not those of the calibration".into()));

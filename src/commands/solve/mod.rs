@@ -34,7 +34,7 @@ pub(crate) struct SolveArgs {
     frames: bool,
     /// Give the poses relative to that of a data row, counted from 1, and their uncertainties as those of the
     /// difference
-    #[arg(long, value_name = "N", value_parser = super::whole(1..=u64::MAX))]
+    #[arg(long, value_name = "N", value_parser = super::within(1..=u64::MAX))]
     tare_row: Option<u64>,
     /// Add standard uncertainties: total (std_tx_m ... std_yaw_rad), the part of it that is systematic (sys_std_...), and
     /// the share of the calibration in it (cal_std_...: needs a calibration record, --readings, --frames and --tare-row)

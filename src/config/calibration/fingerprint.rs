@@ -34,10 +34,7 @@ pub fn fingerprint(config: &Config, channels: &Channels) -> String {
             hash.update((number + 0.0).to_le_bytes());
         }
     }
-    hash.finalize().iter().fold(String::new(), |mut hex, byte| {
-        let _ = write!(hex, "{byte:02x}");
-        hex
-    })
+    format!("{:x}", hash.finalize())
 }
 
 /// Replaces -0.0 by 0.0.

@@ -3,8 +3,6 @@
 //! A record is a file `calibration.json` beside the configuration (`calibration.record`). Its header is small and is
 //! read at every start; the rest, from which uncertainties are computed, is read only by the commands that need it.
 
-use std::fs::File;
-use std::io::BufReader;
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
@@ -15,6 +13,7 @@ mod standing;
 
 pub use fingerprint::fingerprint;
 pub use record::{FORMAT, RecordError, RecordHeader};
+pub(crate) use record::{contents, parsed};
 pub use standing::{CalibrationState, Standing};
 
 use super::check::{Checker, above_zero};
@@ -40,8 +39,7 @@ impl CalibrationConfig {
     /// # Errors
     /// Fails if the record cannot be read or used.
     pub fn read(&self) -> Result<Option<RecordHeader>, RecordError> {
-        let read = |path| RecordHeader::read(BufReader::new(File::open(path)?));
-        self.record.as_ref().map(read).transpose()
+        self.record.as_deref().map(RecordHeader::open).transpose()
     }
 
     /// Checks that the record can be read. Blocks.

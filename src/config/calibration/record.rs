@@ -1,9 +1,12 @@
 //! The header of a calibration record.
 
-use std::io::Read;
+use std::path::Path;
 
 use jiff::Timestamp;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+
+use crate::config::file::read_regular_up_to;
 
 /// The format of records that this version writes and reads.
 pub const FORMAT: u32 = 1;
@@ -68,6 +71,35 @@ pub enum RecordError {
     },
 }
 
+/// Reads the file of a record. Blocks.
+///
+/// # Errors
+/// Fails if it is not a regular file, or cannot be read.
+pub fn contents(path: &Path) -> Result<Vec<u8>, RecordError> {
+    Ok(read_regular_up_to(path, LARGEST)?)
+}
+
+/// A record, or its header alone, from the contents of the file; `header` is that of the result.
+///
+/// # Errors
+/// Fails if the contents are not a record that this version can use.
+pub fn parsed<T: DeserializeOwned>(
+    text: &[u8],
+    header: impl Fn(&T) -> &RecordHeader,
+) -> Result<T, RecordError> {
+    let record = serde_json::from_slice(text);
+    if record.is_err() {
+        // A later format may lack fields.
+        let Format { format, version } = serde_json::from_slice(text)?;
+        if format != FORMAT {
+            return Err(RecordError::Format { found: format, version });
+        }
+    }
+    let record = record?;
+    header(&record).check()?;
+    Ok(record)
+}
+
 /// The format alone, so that a later format is named as such.
 #[derive(Deserialize)]
 struct Format {
@@ -80,24 +112,15 @@ impl RecordHeader {
     /// Reads the header of a record. Blocks.
     ///
     /// # Errors
-    /// Fails if `bytes` cannot be read, or are not a record that this version can use.
-    pub fn read(bytes: impl Read) -> Result<Self, RecordError> {
-        let mut text = Vec::new();
-        bytes.take(LARGEST).read_to_end(&mut text)?;
-        let header = serde_json::from_slice::<Self>(&text);
-        let format = match &header {
-            Ok(header) => Format { format: header.format, version: header.version.clone() },
-            Err(_) => serde_json::from_slice(&text)?, // a later format may lack fields
-        };
-        if format.format != FORMAT {
-            return Err(RecordError::Format { found: format.format, version: format.version });
-        }
-        let header = header?;
-        header.check()?;
-        Ok(header)
+    /// Fails if the file cannot be read, or is not a record that this version can use.
+    pub fn open(path: &Path) -> Result<Self, RecordError> {
+        parsed(&contents(path)?, |header| header)
     }
 
     fn check(&self) -> Result<(), RecordError> {
+        if self.format != FORMAT {
+            return Err(RecordError::Format { found: self.format, version: self.version.clone() });
+        }
         let wrong = |field, found: String, allowed| Err(RecordError::Field { field, found, allowed });
         for (field, time) in [("date", Some(&self.date)), ("expires", self.expires.as_ref())] {
             if let Some(text) = time
@@ -147,16 +170,16 @@ mod tests {
     fn refusal(change: impl FnOnce(&mut serde_json::Value)) -> String {
         let mut json = serde_json::to_value(header()).unwrap();
         change(&mut json);
-        RecordHeader::read(json.to_string().as_bytes()).unwrap_err().to_string()
+        parsed::<RecordHeader>(json.to_string().as_bytes(), |header| header).unwrap_err().to_string()
     }
 
     #[test]
     fn a_header_is_read_from_a_record_with_more_fields() {
         let mut json = serde_json::to_value(header()).unwrap();
         json["theta"] = serde_json::json!([1.0, 2.0]);
-        assert_eq!(RecordHeader::read(json.to_string().as_bytes()).unwrap(), header());
+        assert_eq!(parsed::<RecordHeader>(json.to_string().as_bytes(), |header| header).unwrap(), header());
         json["expires"] = "2027-05-04T12:00:00+02:00".into();
-        let read = RecordHeader::read(json.to_string().as_bytes()).unwrap();
+        let read = parsed::<RecordHeader>(json.to_string().as_bytes(), |header| header).unwrap();
         assert_eq!(read.expires.as_deref(), Some("2027-05-04T12:00:00+02:00"));
     }
 

@@ -106,6 +106,15 @@ impl Default for Channels {
 }
 
 impl Channels {
+    /// The channels of readings: without correction tables and power gains, which a calibration finds.
+    #[must_use]
+    pub fn as_read(mut self) -> Self {
+        for psd in &mut self.psds {
+            (psd.correction, psd.gain[2]) = (None, 1.0);
+        }
+        self
+    }
+
     /// The map for a source.
     ///
     /// # Errors

@@ -15,7 +15,7 @@ const DEGREE: usize = 7;
 /// Correlation of a coefficient with itself beyond the field: keeps the matrix positive definite.
 const NUGGET: f64 = 1e-3;
 
-/// A cell without a reading is covered if so many of the eight around it have one.
+/// A cell without a reading is covered if at least this number of its eight neighbours have one.
 const AROUND: usize = 5;
 
 /// The prior of the spline.

@@ -80,7 +80,7 @@ impl Regression {
     }
 }
 
-/// Poses of the points, changed as given, in the frame of the reference; `None` where there is none.
+/// Poses of the points, changed as given, in the frame of the reference; `None` for a point without a solution.
 fn poses(instrument: &Instrument, points: &[&Point], change: impl Fn(&Point) -> Point) -> Vec<Option<Pose>> {
     let solve = |point: &&Point| {
         let point = change(point);

@@ -33,7 +33,7 @@ pub struct Descriptor {
     /// Why `calibrated` is false; absent if it is true.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub uncalibrated: Option<String>,
-    /// The calibration record of the configuration, valid or not; absent if there is none.
+    /// The calibration record of the configuration, valid or not; absent without a record.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationEntry>,
     /// The part of the stated standard uncertainties that averaging does not reduce, in the sensor's world frame:

@@ -1,7 +1,6 @@
 //! The folder of a run: its files, and what a continued run must have in common with its beginning.
 
 use std::fs;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -38,9 +37,7 @@ impl RunFolder {
             return Ok(Self { path, points, done });
         }
         fresh(&path)?;
-        let file = NewFile::create(&path.join(RUN), None)?;
-        writeln!(file.writer()?, "{now:#}").with_context(|| format!("cannot write {RUN}"))?;
-        file.keep()?;
+        NewFile::write(&path.join(RUN), format!("{now:#}\n").as_bytes())?;
         let points = PointsFile::create(&path.join(POINTS), Contents::Points)
             .with_context(|| format!("cannot write {}", path.join(POINTS).display()))?;
         Ok(Self { path, points, done: Vec::new() })

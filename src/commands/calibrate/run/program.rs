@@ -7,8 +7,8 @@ use std::time::Duration;
 use rustix::process::{Pid, Signal, kill_process_group};
 use tokio::sync::oneshot;
 use tokio::time::sleep;
-use trifacet::calibration::pose_list::COORDINATES;
 use trifacet_optics::calibration::plan::Planned;
+use trifacet_wire::layout::POSE;
 
 /// Most characters of the program's own message in an error.
 const MESSAGE: usize = 300;
@@ -54,7 +54,7 @@ pub(super) enum ProgramError {
 pub(super) fn arguments(template: &[String], point: u32, planned: &Planned) -> Vec<String> {
     let kind = if planned.tare { "tare" } else { "point" };
     let mut values = vec![("{point}".to_owned(), point.to_string()), ("{kind}".to_owned(), kind.to_owned())];
-    let pose = COORDINATES.iter().zip(planned.pose.to_array());
+    let pose = POSE.iter().zip(planned.pose.to_array());
     values.extend(pose.map(|(name, x)| (format!("{{{name}}}"), format!("{x:e}"))));
     let fill =
         |text: &String| values.iter().fold(text.clone(), |text, (name, value)| text.replace(name, value));
