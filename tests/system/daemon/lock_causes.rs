@@ -7,7 +7,7 @@ use serde_json::Value;
 use trifacet::client::{Client, Endpoint, LockEvent, Message, Options};
 
 use crate::testkit::http::get;
-use crate::testkit::{Daemon, PATIENCE, Stream, run, trifacet};
+use crate::testkit::{Daemon, PATIENCE, Stream, run, trifacet, wait_for};
 
 /// The stage moves the beam the other way than the loop expects: the loop finds and loses the apex until it
 /// gives up.
@@ -58,10 +58,14 @@ fn every_output_shows_why_the_loop_has_given_up() {
         assert!(cause.is_some_and(|line| line.contains(WRONG_MATRIX)), "{}", screen.out);
     }
     let monitor = daemon.monitor();
-    let ready: Value = serde_json::from_str(&get(monitor, "/readyz").body).unwrap();
-    let check = ready["checks"].as_array().unwrap().iter().find(|check| check["name"] == "lock").unwrap();
-    let reason = check["reason"].as_str().unwrap();
-    assert!(reason.starts_with("held: ") && reason.contains(WRONG_MATRIX), "{reason}");
+    // The monitor takes the frames in batches: it may show the state before for some frames.
+    let reason = wait_for("the reason in /readyz", || {
+        let ready: Value = serde_json::from_str(&get(monitor, "/readyz").body).unwrap();
+        let check = ready["checks"].as_array().unwrap().iter().find(|check| check["name"] == "lock").unwrap();
+        let reason = check["reason"].as_str().unwrap().to_owned();
+        if reason.starts_with("held: ") { Ok(reason) } else { Err(reason) }
+    });
+    assert!(reason.contains(WRONG_MATRIX), "{reason}");
     let metrics = get(monitor, "/metrics").body;
     let causes: Vec<_> =
         metrics.lines().filter(|l| l.starts_with("trifacet_lock_cause{") && l.ends_with(" 1")).collect();
