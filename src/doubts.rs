@@ -5,16 +5,17 @@
 
 use std::sync::Arc;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 use trifacet_core::telemetry::ResidualGauge;
 use trifacet_core::time::Mono;
 
 use crate::clock::utc::read_clocks;
+use crate::grade::{Grade, Limitation};
 use crate::publishing::columns::rfc3339;
 
 /// What is doubted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Subject {
     /// The agreement of readback and pose (`INCONSISTENT`).
@@ -69,7 +70,7 @@ pub struct Doubt {
 }
 
 /// A doubt as the outputs show it.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ShownDoubt {
     /// What is doubted.
     pub subject: Subject,
@@ -77,6 +78,20 @@ pub struct ShownDoubt {
     pub since: String,
     /// What was observed, and its possible causes.
     pub text: String,
+}
+
+impl ShownDoubt {
+    /// The doubt as a limitation of the use of poses.
+    pub fn limitation(&self) -> Limitation {
+        Limitation {
+            grade: Grade::Limited,
+            name: format!("doubt: {}", self.subject.name()),
+            text: self.text.clone(),
+            remedy: String::new(),
+            since: Some(self.since.clone()),
+            consequence: false,
+        }
+    }
 }
 
 /// Reads the doubts that stand.

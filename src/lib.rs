@@ -16,7 +16,7 @@
 //! - [`centering`], [`estimation`], [`publishing`]: the fast side. The pure cores are in
 //!   [`trifacet_core`], the sensor model in [`trifacet_optics`], the byte formats in [`trifacet_wire`].
 //! - [`daemon`]: the wiring. [`control`]: commands to the running daemon. [`config`]: the configuration.
-//! - [`condition`], [`doubts`], [`monitor`], [`logging`], [`service`]: state of the daemon for operators and supervisors.
+//! - [`condition`], [`doubts`], [`grade`], [`monitor`], [`logging`], [`service`]: state of the daemon for operators and supervisors.
 //! - [`listening`]: opening of listeners, and their errors.
 //! - [`recording`], [`replay`]: records of inputs and results, and their recomputation.
 //! - [`text`]: text files and tables from people and spreadsheet programs.
@@ -42,6 +42,7 @@ pub mod doubts;
 pub mod estimation;
 pub mod exit;
 pub mod experiment;
+pub mod grade;
 pub mod identification;
 pub mod listening;
 pub mod logging;

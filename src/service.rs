@@ -7,7 +7,8 @@
 pub mod notify;
 pub mod watch;
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -20,6 +21,7 @@ use watch::Watch;
 
 use crate::config::RealtimeConfig;
 use crate::exit::{self, Failure};
+use crate::grade::{Evidence, HOLD_S};
 
 /// Longest interval between checks.
 const TICK: Duration = Duration::from_millis(250);
@@ -38,6 +40,7 @@ pub struct Service {
     /// `realtime.stall_ms`; `None` for 0.
     patience: Option<Duration>,
     ending: Cell<bool>,
+    recent: RefCell<Recent>,
 }
 
 impl Service {
@@ -45,7 +48,7 @@ impl Service {
     pub fn new(config: &RealtimeConfig, heartbeats: Arc<Heartbeats>, glance: Arc<LatestStatus>) -> Self {
         let patience = (config.stall_ms > 0).then(|| Duration::from_millis(config.stall_ms.into()));
         let notify = Notify::from_environment();
-        Self { notify, heartbeats, glance, patience, ending: Cell::new(false) }
+        Self { notify, heartbeats, glance, patience, ending: Cell::new(false), recent: RefCell::default() }
     }
 
     /// Notes that the daemon is stopping. From now on tasks need no heartbeats, but must end in time.
@@ -78,7 +81,7 @@ impl Service {
                 continue;
             }
             watch.look(&self.heartbeats, tell);
-            self.tell(watch.all_turned(&self.heartbeats));
+            self.tell(watch.all_turned(&self.heartbeats), ticks(Duration::from_secs_f64(HOLD_S)));
             let stalled = patience.map_or_else(Vec::new, |ticks| watch.stalled(&self.heartbeats, ticks));
             if !stalled.is_empty() {
                 let ms = self.patience.unwrap_or_default().as_millis();
@@ -89,13 +92,15 @@ impl Service {
         }
     }
 
-    fn tell(&self, alive: bool) {
+    /// `held`: the number of checks for which a status bit counts.
+    fn tell(&self, alive: bool, held: u32) {
         if alive {
             self.notify.alive();
         }
         if let Some(newest) = self.glance.newest() {
             self.notify.ready();
-            self.notify.status(&line(newest, &self.heartbeats.stalled()));
+            let lately = self.recent.borrow_mut().push(newest.0, held as usize);
+            self.notify.status(&line(newest, lately, &self.heartbeats.stalled()));
         }
     }
 
@@ -111,18 +116,29 @@ impl Service {
     }
 }
 
-/// The status in the newest frame, as a line for `systemctl status`.
-fn line((status, lock): (Status, LockState), stalled: &[Task]) -> String {
-    let reasons = Status(status.0 & Status::FATAL.0).names().collect::<Vec<_>>().join(" ");
-    let poses = match reasons.as_str() {
-        _ if status.has(Status::POSE_VALID) => "poses are valid".into(),
-        "" => "no pose: samples are missing".into(),
-        reasons => format!("no pose: {reasons}"),
-    };
-    let simulated = if status.has(Status::SIMULATED) { " (simulated)" } else { "" };
-    let replayed = if status.has(Status::REPLAYED) { " (replayed)" } else { "" };
-    let line = format!("{}, {poses}{simulated}{replayed}", lock.name());
-    if stalled.is_empty() { line } else { format!("task {} stalls; before that: {line}", list(stalled)) }
+/// The statuses of the last checks.
+#[derive(Debug, Default)]
+struct Recent(VecDeque<Status>);
+
+impl Recent {
+    /// Adds the status of this check, and returns all bits of the last `checks` checks.
+    fn push(&mut self, status: Status, checks: usize) -> Status {
+        self.0.push_back(status);
+        while self.0.len() > checks {
+            self.0.pop_front();
+        }
+        self.0.iter().fold(Status::default(), |bits, status| bits | *status)
+    }
+}
+
+/// The grade and the most important state, as a line for `systemctl status`.
+fn line((status, lock): (Status, LockState), lately: Status, stalled: &[Task]) -> String {
+    let stalled = (!stalled.is_empty()).then(|| format!("task {} stalls", list(stalled)));
+    let lately = Status(lately.0 & !Status::POSE_VALID.0);
+    let evidence =
+        Evidence { status: Some(status), lately, lock, stalled: stalled.as_deref(), ..Evidence::default() };
+    let now = evidence.assess(Vec::new(), |_| None);
+    format!("{}: {}", now.grade.name(), now.headline)
 }
 
 /// Names of tasks, separated by commas.
@@ -135,14 +151,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_status_line_states_the_state_and_its_reason() {
-        let fine = (Status::POSE_VALID | Status::UNCALIBRATED, LockState::Locked);
-        assert_eq!(line(fine, &[]), "locked, poses are valid");
+    fn the_status_line_states_the_grade_and_its_reason() {
+        let fine = (Status::POSE_VALID | Status::STEERING_MEASURED, LockState::Locked);
+        let none = Status::default();
+        assert_eq!(line(fine, none, &[]), "good: Pose valid, beam locked");
         let dark = (Status::PSD_A_LOW | Status::PSD_C_LOW | Status::SIMULATED, LockState::Lost);
-        assert_eq!(line(dark, &[]), "lost, no pose: PSD_A_LOW PSD_C_LOW (simulated)");
+        assert_eq!(line(dark, none, &[]), "bad: No valid pose: too little light on PSD A, C");
         let replayed = (fine.0 | Status::REPLAYED, fine.1);
-        assert_eq!(line(replayed, &[]), "locked, poses are valid (replayed)");
-        let stalled = line(fine, &[Task::Centering]);
-        assert_eq!(stalled, "task centering stalls; before that: locked, poses are valid");
+        assert_eq!(line(replayed, none, &[]), "limited: Replay: pose valid, beam locked");
+        let stalled = line(fine, none, &[Task::Centering]);
+        assert_eq!(stalled, "bad: Pose valid, beam locked: task centering stalls");
+    }
+
+    #[test]
+    fn a_bit_of_one_check_stays_for_some_checks() {
+        let mut recent = Recent::default();
+        let bits = [Status::PSD_A_LOW, Status::POSE_VALID, Status::POSE_VALID, Status::POSE_VALID]
+            .map(|status| recent.push(status, 3).has(Status::PSD_A_LOW));
+        assert_eq!(bits, [true, true, true, false]);
     }
 }

@@ -6,6 +6,7 @@ use trifacet_core::centering::lock::LockCause;
 use trifacet_wire::{LockState, PoseFrame, Status};
 
 use crate::doubts::ShownDoubt;
+use crate::grade::Assessment;
 
 /// A condition for the use of poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -138,14 +139,14 @@ impl Checks {
         }
     }
 
-    /// The readiness with `newest` as the newest frame. Nothing is ready while a part of the daemon stalls
+    /// The findings with `newest` as the newest frame. No check passes while a part of the daemon stalls
     /// (`dead`).
-    pub fn readiness(
+    pub fn findings(
         &self,
         newest: Option<&PoseFrame>,
         dead: Option<&Standstill>,
         causes: &Causes,
-    ) -> Readiness {
+    ) -> Vec<Finding> {
         let checks = Subject::ALL.iter().zip(self.0).map(|(subject, check)| {
             let (Some(frame), Some(check)) = (newest, check) else {
                 let reason = dead.map_or("no frame has been made yet", |still| &still.why);
@@ -160,8 +161,7 @@ impl Checks {
             };
             Finding { name: subject.name(), ok, since: utc(since_ns), reason }
         });
-        let checks: Vec<_> = checks.collect();
-        Readiness { ready: checks.iter().all(|check| check.ok), checks, doubts: Vec::new() }
+        checks.collect()
     }
 }
 
@@ -174,6 +174,9 @@ pub struct Readiness {
     pub checks: Vec<Finding>,
     /// The doubts that stand. They do not decide whether the poses can be used.
     pub doubts: Vec<ShownDoubt>,
+    /// Grade of the poses with all limitations. Poses can be ready with a limited grade.
+    #[serde(flatten)]
+    pub assessment: Assessment,
 }
 
 /// Result of a check.
@@ -189,7 +192,8 @@ pub struct Finding {
     pub reason: Option<String>,
 }
 
-fn utc(ns: i64) -> Option<String> {
+/// A time in nanoseconds since 1970 as text.
+pub(super) fn utc(ns: i64) -> Option<String> {
     Timestamp::from_nanosecond(ns.into()).ok().map(|time| time.to_string())
 }
 
@@ -205,9 +209,9 @@ mod tests {
         [good, held, lost]
     }
 
-    fn checks_of(readiness: &Readiness) -> Vec<(bool, &str, &str)> {
+    fn checks_of(findings: &[Finding]) -> Vec<(bool, &str, &str)> {
         let text = |text: &'static str| text;
-        let checks = readiness.checks.iter();
+        let checks = findings.iter();
         checks
             .map(|c| (c.ok, c.since.as_deref().unwrap_or(text("")), c.reason.as_deref().unwrap_or("")))
             .collect()
@@ -218,19 +222,19 @@ mod tests {
         let [good, held, lost] = frames();
         let mut checks = Checks::default();
         checks.frame(&good);
-        let readiness = checks.readiness(Some(&good), None, &Causes::default());
-        assert!(readiness.ready);
-        assert_eq!(checks_of(&readiness), [(true, "1970-01-01T00:00:01Z", ""); 6]);
+        let findings = checks.findings(Some(&good), None, &Causes::default());
+        assert!(findings.iter().all(|check| check.ok));
+        assert_eq!(checks_of(&findings), [(true, "1970-01-01T00:00:01Z", ""); 6]);
         checks.frame(&held);
         checks.frame(&lost);
-        let readiness =
-            checks.readiness(Some(&lost), None, &Causes { lock: Some(LockCause::NoLight), source: None });
-        assert!(!readiness.ready);
+        let findings =
+            checks.findings(Some(&lost), None, &Causes { lock: Some(LockCause::NoLight), source: None });
+        assert!(!findings.iter().all(|check| check.ok));
         let at = "1970-01-01T00:00:02Z";
         let dark = (false, at, "PSD_A_LOW, PSD_B_LOW");
         let good = (true, "1970-01-01T00:00:01Z", "");
         assert_eq!(
-            checks_of(&readiness),
+            checks_of(&findings),
             [good, good, dark, good, good, (false, at, "lost: no PSD sees light")]
         );
     }
@@ -241,11 +245,11 @@ mod tests {
         let replayed = PoseFrame { status: good.status | Status::REPLAYED, ..good };
         let mut checks = Checks::default();
         checks.frame(&replayed);
-        let readiness = checks.readiness(Some(&replayed), None, &Causes::default());
-        assert!(!readiness.ready);
+        let findings = checks.findings(Some(&replayed), None, &Causes::default());
+        assert!(!findings.iter().all(|check| check.ok));
         let at = "1970-01-01T00:00:01Z";
         let fine = (true, at, "");
-        assert_eq!(checks_of(&readiness), [(false, at, "REPLAYED"), fine, fine, fine, fine, fine]);
+        assert_eq!(checks_of(&findings), [(false, at, "REPLAYED"), fine, fine, fine, fine, fine]);
     }
 
     #[test]
@@ -255,7 +259,7 @@ mod tests {
             let frame = PoseFrame { status: good.status | *bit, ..good };
             let mut checks = Checks::default();
             checks.frame(&frame);
-            let ready = checks.readiness(Some(&frame), None, &Causes::default()).ready;
+            let ready = checks.findings(Some(&frame), None, &Causes::default()).iter().all(|check| check.ok);
             // POSE_HELD is set for single clients only; with a fatal bit the estimator does not set POSE_VALID.
             if *bit != Status::POSE_HELD && !Status::FATAL.has(*bit) {
                 assert_eq!(ready, frame.status.usable(Status::SIMULATED), "{name}");
@@ -268,25 +272,25 @@ mod tests {
         let [good, held, _] = frames();
         let mut checks = Checks::default();
         assert_eq!(
-            checks_of(&checks.readiness(None, None, &Causes::default())),
+            checks_of(&checks.findings(None, None, &Causes::default())),
             [(false, "", "no frame has been made yet"); 6]
         );
         let dead = Standstill { why: "dead".into(), since_ns: Some(4_000_000_000), silent: true };
         assert_eq!(
-            checks_of(&checks.readiness(None, Some(&dead), &Causes::default())),
+            checks_of(&checks.findings(None, Some(&dead), &Causes::default())),
             [(false, "", "dead"); 6]
         );
         checks.frame(&good);
         let at = "1970-01-01T00:00:04Z";
         assert_eq!(
-            checks_of(&checks.readiness(Some(&good), Some(&dead), &Causes::default())),
+            checks_of(&checks.findings(Some(&good), Some(&dead), &Causes::default())),
             [(false, at, "dead"); 6]
         );
         checks.frame(&held);
         let down = PoseFrame { status: Status::SOURCE_DOWN, time_ns: 5_000_000_000, ..held };
         checks.frame(&down);
         assert_eq!(
-            checks_of(&checks.readiness(Some(&down), None, &Causes::default()))[0],
+            checks_of(&checks.findings(Some(&down), None, &Causes::default()))[0],
             (false, "1970-01-01T00:00:05Z", "SOURCE_DOWN")
         );
     }

@@ -8,21 +8,25 @@ use tokio::sync::mpsc::error::TryRecvError;
 use tokio::sync::{Semaphore, broadcast, mpsc, watch};
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
-use trifacet_core::centering::lock::LockCondition;
+use trifacet_core::centering::LoopMode;
+use trifacet_core::centering::lock::{LockCause, LockCondition};
 use trifacet_core::telemetry::CommandGauge;
 use trifacet_core::telemetry::heartbeat::Task;
 use trifacet_core::time::{Clock, Mono};
-use trifacet_wire::PoseFrame;
 use trifacet_wire::stream::Descriptor;
+use trifacet_wire::{LockState, PoseFrame, Status};
 
-use super::health::{Causes, Checks, Readiness, Standstill};
+use super::health::{Causes, Checks, Readiness, Standstill, utc};
 use super::page::bins::History;
 use super::page::state::PageState;
+use super::recent::{RecentStatus, UncertaintyTrend};
 use super::tally::Tally;
 use crate::clock::SystemClock;
 use crate::condition::Condition;
 use crate::config::Config;
 use crate::control::PageControls;
+use crate::doubts::ShownDoubt;
+use crate::grade::{Assessment, Evidence, Grade, Limitation};
 use crate::publishing::lock_event::lock_event;
 use crate::recording::handle::State;
 
@@ -83,6 +87,8 @@ pub(super) struct Aggregates {
     stalled_ns: Option<i64>,
     pub(super) checks: Checks,
     pub(super) tally: Tally,
+    recent: RecentStatus,
+    uncertainty: UncertaintyTrend,
     page: PageState,
 }
 
@@ -100,8 +106,16 @@ impl View {
     /// A view without frames.
     pub fn new(sources: Sources) -> Self {
         let now = SystemClock.now();
-        let (checks, tally, page) = (Checks::default(), Tally::new(now), PageState::default());
-        let aggregates = Aggregates { looked: now, last_arrival: now, stalled_ns: None, checks, tally, page };
+        let aggregates = Aggregates {
+            looked: now,
+            last_arrival: now,
+            stalled_ns: None,
+            checks: Checks::default(),
+            tally: Tally::new(now),
+            recent: RecentStatus::default(),
+            uncertainty: UncertaintyTrend::default(),
+            page: PageState::default(),
+        };
         Self {
             sources,
             ending: CancellationToken::new(),
@@ -157,14 +171,57 @@ impl View {
         (!parts.is_empty()).then(|| Standstill { why: parts.join(", "), since_ns, silent })
     }
 
-    /// Readiness of the poses.
+    /// Readiness and grade of the poses.
     pub fn readiness(&self) -> Readiness {
         let dead = self.dead();
         let newest = self.newest.borrow().map(|newest| newest.frame);
         let source = self.sources.condition.source_down.borrow().as_ref().map(ToString::to_string);
         let causes = Causes { lock: self.lock().map(|now| now.cause), source };
-        let readiness = self.aggregates().checks.readiness(newest.as_ref(), dead.as_ref(), &causes);
-        Readiness { doubts: self.sources.condition.doubts.shown(), ..readiness }
+        let doubts = self.sources.condition.doubts.shown();
+        let further = doubts.iter().map(ShownDoubt::limitation).chain(self.large_uncertainty()).collect();
+        let assessment = self.assess(newest.as_ref(), dead.as_ref(), &causes, further);
+        let checks = self.aggregates().checks.findings(newest.as_ref(), dead.as_ref(), &causes);
+        Readiness { ready: checks.iter().all(|check| check.ok), checks, doubts, assessment }
+    }
+
+    fn assess(
+        &self,
+        newest: Option<&PoseFrame>,
+        dead: Option<&Standstill>,
+        causes: &Causes,
+        further: Vec<Limitation>,
+    ) -> Assessment {
+        let shadow = self.sources.config.borrow().centering.mode == LoopMode::Shadow;
+        let aggregates = self.aggregates();
+        let now = aggregates.looked;
+        let evidence = Evidence {
+            status: newest.map(|frame| frame.status),
+            lately: Status(aggregates.recent.bits(now).0 & !Status::POSE_VALID.0),
+            lock: newest.map_or(LockState::Off, |frame| frame.lock),
+            lock_cause: causes.lock.map(LockCause::text),
+            source_down: causes.source.as_deref(),
+            loop_mode: shadow.then_some("loop in shadow mode"),
+            stalled: dead.map(|still| still.why.as_str()),
+            silent: dead.is_some_and(|still| still.silent),
+        };
+        let mut assessment =
+            evidence.assess(further, |set| aggregates.recent.since_ns(set, now).and_then(utc));
+        if let Some(still) = dead {
+            assessment.since = still.since_ns.and_then(utc);
+        }
+        assessment
+    }
+
+    fn large_uncertainty(&self) -> Option<Limitation> {
+        let text = self.aggregates().uncertainty.finding()?;
+        Some(Limitation {
+            grade: Grade::Limited,
+            name: "uncertainty".into(),
+            text,
+            remedy: "check the power of the laser and the offset of the beam from the apex".into(),
+            since: None,
+            consequence: false,
+        })
     }
 
     /// The lock state with its cause, if it explains the newest frame.
@@ -211,6 +268,7 @@ impl View {
             ready,
             lock,
             &self.sources.condition.counters,
+            &self.sources.recording,
         );
         self.sources.condition.counters.page_updates.inc();
         // Fails if the last viewer has just left, which is not a loss.
@@ -225,8 +283,11 @@ impl View {
         let mut aggregates = self.aggregates();
         aggregates.looked = SystemClock.now();
         aggregates.page.frames(batch, rate_hz, self.updates.receiver_count() > 0);
+        let now = aggregates.looked;
         for frame in batch {
+            aggregates.recent.frame(frame, now);
             aggregates.checks.frame(frame);
+            aggregates.uncertainty.frame(frame);
             aggregates.tally.frame(frame, half_m);
         }
         if !batch.is_empty() {
@@ -234,7 +295,6 @@ impl View {
         }
         aggregates.stalled_ns =
             aggregates.stalled_ns.or(batch.last().map(|frame| frame.time_ns)).filter(|_| stalled);
-        let now = aggregates.looked;
         aggregates.tally.tick(now);
     }
 }

@@ -1,12 +1,17 @@
 //! Formats the output of `trifacet status`.
 
+use serde::Deserialize as _;
 use serde_json::Value;
 use trifacet::client::PoseFrame;
+use trifacet::doubts::ShownDoubt;
+use trifacet::grade::{Evidence, Limitation};
 use trifacet_core::telemetry::Counters;
 use trifacet_wire::{LockState, Status};
 
 use super::Known;
 
+/// Width of a terminal for which rows are wrapped.
+const WIDTH: usize = 79;
 /// Status bits that are shown elsewhere on the page, or are normal.
 const SHOWN_ELSEWHERE: Status =
     Status(Status::POSE_VALID.0 | Status::NOT_LOCKED.0 | Status::STEERING_MEASURED.0);
@@ -23,6 +28,7 @@ pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
         lines.extend(known.unanswered.as_ref().map(|why| row("control", why)));
         return lines;
     };
+    lines.extend(grade(frame, known));
     lines.push(row("pose", &validity(frame, known.between)));
     lines.extend(source_down(known));
     for (i, [length, angle]) in [["tx", "roll"], ["ty", "pitch"], ["tz", "yaw"]].into_iter().enumerate() {
@@ -44,6 +50,43 @@ pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
     lines.extend(known.unanswered.as_ref().map(|why| row("control", why)));
     lines.push(row("status", &names(Status(frame.status.0 & !SHOWN_ELSEWHERE.0))));
     lines
+}
+
+/// The grade of the poses since the last update, and what to do about the most important limitation.
+fn grade(frame: &PoseFrame, known: &Known) -> Vec<String> {
+    let cause = cause(frame, known).map(|(_, why)| why);
+    let source_down = known.control.as_ref().and_then(|control| control["source"]["down"].as_str());
+    let evidence = Evidence {
+        status: Some(frame.status),
+        lately: Status(known.between.0 & !Status::POSE_VALID.0),
+        lock: frame.lock,
+        lock_cause: cause.as_deref(),
+        source_down,
+        ..Evidence::default()
+    };
+    let now = evidence.assess(doubted(known), |_| None);
+    let mut lines = wrapped("grade", &format!("{}: {}", now.grade.name(), now.headline));
+    let first = now.limitations.first().filter(|first| !first.remedy.is_empty());
+    lines.extend(first.into_iter().flat_map(|first| wrapped("remedy", &first.remedy)));
+    lines
+}
+
+/// A row whose text continues on further lines of at most [`WIDTH`] characters.
+fn wrapped(name: &str, text: &str) -> Vec<String> {
+    let mut rows: Vec<String> = Vec::new();
+    for word in text.split_whitespace() {
+        match rows.last_mut() {
+            Some(last) if last.chars().count() + 1 + word.chars().count() <= WIDTH => {
+                last.push(' ');
+                last.push_str(word);
+            }
+            last => {
+                let first = last.is_none();
+                rows.push(row(if first { name } else { "" }, word));
+            }
+        }
+    }
+    rows
 }
 
 /// Why no samples arrive.
@@ -169,12 +212,17 @@ fn commands(control: Option<&Value>) -> Option<String> {
 
 /// The doubts that stand. Only the control socket tells them.
 fn doubts(known: &Known) -> Vec<String> {
-    let all = known.control.as_ref().and_then(|control| control["doubts"].as_array());
-    let shown = |doubt: &Value| {
-        let (since, text) = (doubt["since"].as_str()?, doubt["text"].as_str()?);
-        Some(row("doubt", &format!("since {since}: {text}")))
+    let shown = |doubt: Limitation| {
+        wrapped("doubt", &format!("since {}: {}", doubt.since.unwrap_or_default(), doubt.text))
     };
-    all.into_iter().flatten().filter_map(shown).collect()
+    doubted(known).into_iter().flat_map(shown).collect()
+}
+
+/// The doubts that the control socket reports.
+fn doubted(known: &Known) -> Vec<Limitation> {
+    let all = known.control.as_ref().map(|control| &control["doubts"]);
+    let doubts = all.and_then(|all| Vec::<ShownDoubt>::deserialize(all).ok());
+    doubts.iter().flatten().map(ShownDoubt::limitation).collect()
 }
 
 /// The receivers of datagrams that fail. Only the control socket tells them.
@@ -234,10 +282,12 @@ pub(super) fn mood(line: &str) -> Option<&'static str> {
     let text = text.trim_start();
     let is = |state: LockState| text.split(' ').next() == Some(state.name());
     Some(match name {
-        "pose" if text == "valid" => "32",
+        "grade" if text.starts_with("good") => "32",
+        "grade" if text.starts_with("limited") => "33",
+        "pose" if text == "valid" => return None,
         "pose" if text.starts_with("valid") => "33",
-        "pose" | "commands" => "31",
-        "lock" if is(LockState::Locked) => "32",
+        "grade" | "pose" | "commands" => "31",
+        "lock" if is(LockState::Locked) => return None,
         "lock" if is(LockState::Lost) || is(LockState::Railed) => "31",
         "lock" | "cause" | "doubt" | "control" | "replay" | "receiver" => "33",
         "losses" if text != "none" => "33",
@@ -280,15 +330,17 @@ mod tests {
     fn columns_are_aligned_also_with_long_numbers() {
         let known = Known { frame: Some(frame()), ..Known::default() };
         let page = page("tcp://here:1", &known);
-        let lengths: Vec<_> = page[2..5].iter().map(|line| line.find(" um   ").unwrap()).collect();
+        let first = page.iter().position(|line| line.starts_with("pose")).unwrap() + 1;
+        let lengths: Vec<_> =
+            page[first..first + 3].iter().map(|line| line.find(" um   ").unwrap()).collect();
         assert_eq!(lengths, [lengths[0]; 3], "{page:#?}");
         assert!(
-            page[4].contains("12345678.900 +- - ") && page[4].ends_with("- +- 1.000    urad"),
+            page[first + 2].contains("12345678.900 +- - ") && page[first + 2].ends_with("- +- 1.000    urad"),
             "{page:#?}"
         );
         let widest = page.iter().map(|line| line.chars().count()).max().unwrap();
         assert!(widest <= 80, "{widest} {page:#?}");
-        assert_eq!(page[7], "balance   A  25.00 %   B  50.00 %   C  25.00 %   of 0.4000 mW");
+        assert_eq!(page[first + 5], "balance   A  25.00 %   B  50.00 %   C  25.00 %   of 0.4000 mW");
         let (header, line) = (header(), line(&known));
         assert_eq!(header.find(" off y um").map(|at| at + 9), line.find("-1.250").map(|at| at + 6));
     }
@@ -314,8 +366,8 @@ mod tests {
         known.frame = None;
         assert!(line(&known).contains("no frame") && page("", &known)[1].contains("no frame"));
         assert_eq!(
-            ["pose      valid", "lock      lost", "losses    none"].map(mood),
-            [Some("32"), Some("31"), None]
+            ["grade     good: Pose valid", "pose      valid", "lock      lost", "losses    none"].map(mood),
+            [Some("32"), None, Some("31"), None]
         );
     }
 }

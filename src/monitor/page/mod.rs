@@ -41,6 +41,11 @@ pub fn routes() -> Router<Arc<View>> {
         .route("/optics.js", asset("text/javascript", include_str!("assets/optics.js")))
         .route("/words.js", asset("text/javascript", include_str!("assets/words.js")))
         .route("/icon.svg", asset("image/svg+xml", include_str!("assets/icon.svg")))
+        .route("/icon-good.svg", asset("image/svg+xml", include_str!("assets/icon-good.svg")))
+        .route("/icon-limited.svg", asset("image/svg+xml", include_str!("assets/icon-limited.svg")))
+        .route("/icon-bad.svg", asset("image/svg+xml", include_str!("assets/icon-bad.svg")))
+        .route("/icon-note.svg", asset("image/svg+xml", include_str!("assets/icon-note.svg")))
+        .route("/icon-none.svg", asset("image/svg+xml", include_str!("assets/icon-none.svg")))
         .route("/live", get(viewer::open))
         .route("/control", post(control::obey).layer(DefaultBodyLimit::max(control::LONGEST)))
 }

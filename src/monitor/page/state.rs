@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use serde::Serialize;
+use serde_json::Value;
 use trifacet_core::telemetry::Counters;
 use trifacet_wire::stream::LockEvent;
 use trifacet_wire::{PoseFrame, Status};
@@ -12,6 +13,7 @@ use super::spectrum::{Spectrum, Welch};
 use super::status_history::{Spell, StatusHistory};
 use crate::monitor::health::{Readiness, Standstill};
 use crate::publishing::columns::Columns;
+use crate::recording::handle::State;
 
 /// Updates between two that include counters and spectrum.
 const RARELY: u64 = 10;
@@ -60,6 +62,9 @@ pub struct Update {
     counters: Option<BTreeMap<&'static str, u64>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     spectrum: Option<Spectrum>,
+    /// State of the recorder.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    recording: Option<Value>,
 }
 
 impl PageState {
@@ -98,6 +103,7 @@ impl PageState {
         ready: Readiness,
         lock: Option<LockEvent>,
         counters: &Counters,
+        recording: &State,
     ) -> Update {
         let mut lately = std::mem::take(&mut self.lately);
         let rarely = self.updates.is_multiple_of(RARELY);
@@ -117,6 +123,7 @@ impl PageState {
             delay_us: lately.delay_us(),
             counters: rarely.then(|| counters.list().into_iter().collect()),
             spectrum: self.welch.as_ref().filter(|_| rarely).and_then(Welch::spectrum),
+            recording: rarely.then(|| recording.tell()),
         }
     }
 }

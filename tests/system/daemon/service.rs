@@ -95,9 +95,9 @@ fn with_the_laser_off_the_daemon_is_ready_and_the_status_states_it() {
     let fault = "twin.fault = [{ at_s = 0, for_s = 2, kind = 'beam-blocked' }]";
     let _daemon = systemd.start(fault, None);
     assert_eq!(systemd.next(), "READY=1");
-    let dark = systemd.until("no pose: PSD_A_LOW PSD_B_LOW PSD_C_LOW (simulated)");
+    let dark = systemd.until("STATUS=bad: No valid pose: too little light on PSD A, B, C");
     assert!(dark.iter().all(|message| message.starts_with("STATUS=")), "{dark:?}");
-    let bright = systemd.until("STATUS=locked, poses are valid (simulated)");
+    let bright = systemd.until("STATUS=limited: Pose valid, beam locked; limited: ");
     assert!(bright.len() < 20, "not a message for every frame: {bright:?}");
 }
 
@@ -108,7 +108,7 @@ fn an_unplugged_cable_does_not_end_the_daemon() {
         "acquisition.source = 'serial'\nacquisition.serial.port = '/nowhere/board'\nrealtime.stall_ms = 2000";
     let mut daemon = systemd.start(config, Some("800000"));
     systemd.until("READY=1");
-    systemd.until("no pose: SOURCE_DOWN");
+    systemd.until("STATUS=bad: No valid pose: no samples");
     // Ten notifications take twice the time after which a stall would be reported.
     (0..10).for_each(|_| drop(systemd.until("WATCHDOG=1")));
     daemon.ends_in_order(Signal::TERM);
@@ -125,7 +125,7 @@ fn a_stalled_task_stops_the_watchdog_notifications_and_the_log_names_it() {
         daemon.says("which task", |line| {
             line["message"] == "a task of the fast side stalls" && line["task"] == task
         });
-        systemd.until(&format!("STATUS=task {task} stalls"));
+        systemd.until(&format!(": task {task} stalls"));
         systemd.rest();
         // Longer than the watchdog time.
         std::thread::sleep(Duration::from_millis(1200));
@@ -224,7 +224,7 @@ fn status_prints_once_or_follows() {
     let systemd = Systemd::new();
     let mut daemon = systemd.start("", None);
     let address = format!("tcp://{}", daemon.address());
-    systemd.until("STATUS=locked");
+    systemd.until("STATUS=limited: Pose valid, beam locked");
     let socket = daemon.socket();
     let once = trifacet(&["status", &address, "--socket", socket.to_str().unwrap()]);
     let page = text(&once.stdout);
@@ -235,6 +235,8 @@ fn status_prints_once_or_follows() {
     for (name, part) in [
         ("trifacet", &address[..]),
         ("trifacet", &pid),
+        ("grade", "limited: Pose valid, beam locked; limited: "),
+        ("remedy", "calibrate"),
         ("pose", "valid"),
         ("lock", "locked   loop on"),
         ("offset", " um"),
@@ -271,6 +273,8 @@ fn status_reports_a_blocked_beam() {
     Stream::tcp(address).next();
     let output = trifacet(&["status", &format!("tcp://{address}"), "--socket", "/none"]);
     let page = text(&output.stdout);
+    assert!(page.contains("grade     bad: No valid pose: too little light on PSD A, B, C\n"), "{page}");
+    assert!(page.contains("remedy    check the beam path, the laser and the cable\n"), "{page}");
     assert!(page.contains("pose      NOT VALID: PSD_A_LOW PSD_B_LOW PSD_C_LOW\n"), "{page}");
     assert!(page.contains("balance   A        -   B        -   C        -"), "{page}");
 }

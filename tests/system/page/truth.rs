@@ -3,6 +3,7 @@
 use std::net::SocketAddr;
 
 use serde_json::Value;
+use trifacet::grade::HOLD_S;
 use trifacet_wire::Status;
 
 use super::{DESK, FINE, daemon, page};
@@ -83,7 +84,7 @@ const NOTES: &str = "(() => {
 })()";
 
 #[test]
-fn the_headline_states_a_blocked_beam_and_the_recovery_within_a_second() {
+fn the_headline_states_a_blocked_beam_and_the_recovery() {
     let (mut board, _daemon, mut stream, at) = on_board();
     let mut page = page(at);
     page.eval(NOTES);
@@ -94,7 +95,7 @@ fn the_headline_states_a_blocked_beam_and_the_recovery_within_a_second() {
         "notes.some(([, text]) => text.includes('too little light on PSD A, B, C'))
             && document.querySelector('#headline').dataset.grade === 'bad'
             && document.querySelector('#pose .now').textContent === '–'
-            && document.querySelector('#faults').innerText.includes('PSD_B_LOW, since')",
+            && document.querySelector('#faults').innerText.includes('PSD_C_LOW, since')",
     );
     let locked = stream.until("locked again", |frame| frame.time_ns > dark.time_ns && frame.locked());
     page.until(FINE);
@@ -110,8 +111,11 @@ fn the_headline_states_a_blocked_beam_and_the_recovery_within_a_second() {
     let reported = first(&|text| text.contains("too little light"), dark_ms);
     assert!(reported - dark_ms < 1000.0, "reported after {} ms", reported - dark_ms);
     let locked_ms = locked.time_ns as f64 * 1e-6;
-    let reported = first(&|text| text.contains("locked") && text.contains("valid,"), locked_ms - 200.0);
-    assert!(reported - locked_ms < 1000.0, "reported after {} ms", reported - locked_ms);
+    let reported = first(&|text| text.starts_with("Pose valid, beam locked; limited: no valid"), locked_ms);
+    // Within a second after the time for which a fault counts, so that a flicker does not change the words.
+    assert!(reported - locked_ms < 1000.0 * HOLD_S + 1000.0, "reported after {} ms", reported - locked_ms);
+    let words: Vec<_> = notes.as_array().unwrap().iter().map(|note| note[1].as_str().unwrap()).collect();
+    assert!(words.len() < 8, "the words change too often: {words:#?}");
     assert_eq!(page.complaints(), Vec::<String>::new());
 }
 

@@ -2,6 +2,7 @@
 //! the same bytes.
 
 use trifacet::client::PoseFrame;
+use trifacet::grade::remedy;
 use trifacet_wire::byte_order::big_endian;
 use trifacet_wire::layout::FIELDS;
 use trifacet_wire::stream::{ClientCommand, Decoder, SubscriptionRequest};
@@ -52,6 +53,37 @@ fn every_status_bit_and_lock_state_is_documented() {
     let coded: Vec<_> =
         LockState::ALL.iter().map(|l| ((*l as u8).to_string(), l.name().to_owned())).collect();
     assert_eq!(documented, coded);
+}
+
+/// A cell without the addresses of its links.
+fn without_links(cell: &str) -> String {
+    let mut text = String::new();
+    for (n, part) in cell.split("](").enumerate() {
+        text += if n == 0 { part } else { part.split_once(')').map_or("", |(_, rest)| rest) };
+    }
+    // What remains of a link is its opening bracket; sections such as [frames] have both.
+    let opened =
+        |at: usize| text[at..].find([']', '[']).is_none_or(|next| text[at..].as_bytes()[next] == b'[');
+    let opening: Vec<_> = text.match_indices('[').map(|(at, _)| at).filter(|at| opened(at + 1)).collect();
+    text.char_indices().filter(|(at, _)| !opening.contains(at)).map(|(_, letter)| letter).collect()
+}
+
+#[test]
+fn the_remedies_of_status_bits_are_those_of_the_document() {
+    let rows = table("Status bits");
+    let mut last = String::new();
+    for (row, (bit, name)) in rows.iter().zip(Status::NAMES) {
+        let documented = match without_links(&row[4]).as_str() {
+            "likewise" => last.clone(),
+            text => text.to_owned(),
+        };
+        last.clone_from(&documented);
+        let shown = remedy(*bit);
+        // The document may continue with details.
+        let needed = *bit != Status::POSE_VALID && !documented.is_empty();
+        assert_eq!(needed, !shown.is_empty(), "{name}");
+        assert!(documented.contains(shown), "{name}: {documented:?}, {shown:?}");
+    }
 }
 
 #[test]

@@ -3,7 +3,7 @@
 import { Spectra, Strips } from "./charts.js";
 import { Link } from "./link.js";
 import { Balance, Detectors } from "./optics.js";
-import { AXES, LOCK_GRADES, SHAPES, chooseUnits, count, duration, facts, fixed, inUnit, meaning, node, say, time, um, unit } from "./words.js";
+import { AXES, GRADES, LOCK_GRADES, SHAPES, chooseUnits, count, duration, facts, fixed, inUnit, meaning, node, say, time, um, unit } from "./words.js";
 
 const SPANS = [[10, "10 s"], [60, "1 min"], [600, "10 min"], [3600, "1 h"], [21600, "6 h"]];
 const FINE_MS = 20;
@@ -37,6 +37,8 @@ const spectra = new Spectra(document.querySelector(".spectra"), $("spectrum-fact
 let hello = null;
 let newest = null;
 let counters = null;
+/** State of the recorder. */
+let recording = null;
 
 // Settings of the user.
 
@@ -136,7 +138,9 @@ function show(update) {
   const { frame } = update;
   const now_ms = frame ? frame.time_ns / 1e6 : Date.now();
   document.body.classList.toggle("stale", frame === null || update.dead?.silent === true);
+  if (update.recording) recording = update.recording;
   headline(update, now_ms);
+  badges(update);
   faults(update, now_ms);
   if (frame === null) return;
   newest = frame;
@@ -163,65 +167,57 @@ function pose(frame) {
   $("pose").dataset.time = frame.time_ns / 1e6;
 }
 
-/** The headline: the most important state in one sentence. */
-function headline({ frame, ready, dead }, now_ms) {
-  const wrong = ready.checks.filter((check) => !check.ok);
-  if (!dead && frame && hello.descriptor.replay) return grade("note", replayed(frame, hello.descriptor.replay, wrong));
-  if (dead) {
-    const at = dead.since_ns === null ? "" : ` since ${time(dead.since_ns / 1e6, now_ms)}`;
-    return grade("bad", `${dead.silent ? "No poses" : still(frame)}: ${dead.why}${at}`);
-  }
-  if (wrong.length === 0) return grade("good", "Pose valid, beam locked");
-  const [{ name, since, reason }] = wrong;
-  const from = since ? ` since ${time(Date.parse(since), now_ms)}` : "";
-  if (name === "lock") {
-    const { mode } = hello.config.centering;
-    const loop = mode === "shadow" ? " (loop in shadow mode)" : "";
-    return grade("warn", `Pose valid, beam not locked: ${reason}${loop}${from}`);
-  }
-  const unusable = ["time", "consistency", "calibration"].includes(name);
-  const fault = unusable ? "Pose not usable" : "No valid pose";
-  grade("bad", `${fault}: ${reasons(reason)}${from}`);
+/** The headline: the most important state in one sentence, with the grade that the daemon gives. */
+function headline({ frame, ready }, now_ms) {
+  const since = ready.since ? ` since ${time(Date.parse(ready.since), now_ms)}` : "";
+  const { replay } = hello.descriptor;
+  if (frame && replay) return grade("note", replayed(frame, replay, ready));
+  grade(ready.grade, `${ready.headline}${ready.grade === "good" ? "" : since}`);
+}
+
+/** Conditions that hold until somebody ends them, beside the name. */
+function badges({ frame }) {
+  const { descriptor, config } = hello;
+  const tare = Object.values(config.frames.tare).flat();
+  const file = recording?.recording ? recording.file?.split("/").at(-1) : null;
+  const free = recording?.free_bytes ? `, ${fixed(recording.free_bytes / 1e9, 1)} GB are free` : "";
+  const all = [
+    [frame?.status.includes("SIMULATED"), "SIMULATED", "the light is simulated, not measured"],
+    [descriptor.replay !== undefined, "REPLAY", "the samples come from a recording"],
+    [descriptor.uncalibrated, "UNCALIBRATED", descriptor.uncalibrated],
+    [config.centering.mode === "shadow", "SHADOW", "the loop computes commands, but does not steer"],
+    [tare.some((x) => x !== 0), "TARED", "poses are relative to the tare pose", "note"],
+    [file, `RECORDING ${file}`, `${recording?.file}${free}`, "note"],
+  ].filter(([on]) => on);
+  const list = $("badges");
+  while (list.children.length > all.length) list.lastChild.remove();
+  all.forEach(([, text, title, kind], i) => {
+    if (!list.children[i]) list.append(node("li"));
+    const badge = list.children[i];
+    say(badge, text);
+    if (badge.title !== title) badge.title = title;
+    badge.classList.toggle("note", kind === "note");
+  });
 }
 
 /** The headline of a replay, which must not look like live data. */
-function replayed({ status, lock }, { file, recorded, repeat }, wrong) {
+function replayed({ status }, { file, recorded, repeat }, { headline: now }) {
   const what = `Replay of ${file}, recorded ${recorded.slice(0, 10)} ${time(Date.parse(recorded))}`;
   if (status.includes("SOURCE_DOWN")) {
     const over = !repeat && counters?.replay_ends > 0;
     return `${what}: ${over ? "ended" : "no samples at this position"}`;
   }
-  const dark = wrong.find((check) => check.name === "optics");
-  return `${what}: ${dark ? `no valid pose: ${reasons(dark.reason)}` : still({ status, lock }).toLowerCase()}`;
+  return now.replace("Replay:", `${what}:`);
 }
 
-/** Pose and lock state of the frames while a task is stalled. */
-function still({ status, lock }) {
-  const pose = status.includes("POSE_VALID") ? "Pose valid" : "No valid pose";
-  return `${pose}, beam ${lock === "locked" ? "locked" : `not locked (${lock})`}`;
-}
-
-/** "PSD_A_LOW, PSD_B_LOW" in words; equal faults of several detectors in one phrase. A cause may follow: "SOURCE_DOWN: why". */
-function reasons(reason) {
-  const colon = reason.indexOf(": ");
-  return colon < 0 ? bits(reason) : bits(reason.slice(0, colon)) + reason.slice(colon);
-}
-
-function bits(names) {
-  const words = names.split(", ").map((name) => {
-    const bit = hello.bits.find((bit) => bit.name === name);
-    return bit ? meaning(bit).text : name;
-  });
-  const parts = words.map((text) => /^(.*) PSD ([ABC])(.*)$/.exec(text));
-  if (words.length > 1 && parts.every((p) => p && p[1] === parts[0][1] && p[3] === parts[0][3])) {
-    return `${parts[0][1]} PSD ${parts.map((p) => p[2]).join(", ")}${parts[0][3]}`;
-  }
-  return words.join("; ");
-}
-
+/** Grade and text of the headline; the grade also on the tab. */
 function grade(name, text) {
   const place = $("headline");
-  if (place.dataset.grade !== name) place.dataset.grade = name;
+  if (place.dataset.grade !== name) {
+    place.dataset.grade = name;
+    document.title = `${SHAPES[name]} ${GRADES[name]} – trifacet`;
+    $("icon").href = `/icon-${name}.svg`;
+  }
   say(place.querySelector(".shape"), SHAPES[name]);
   say(place.querySelector(".text"), text);
 }
@@ -251,31 +247,39 @@ function beam(frame, update, now_ms) {
   ]);
 }
 
-/** Present faults, then recent ones. */
-function faults({ history, dead, ready }, now_ms) {
-  const explained = history.map((spell) => ({ ...spell, ...hello.bits[spell.bit], ...meaning(hello.bits[spell.bit]) }));
-  const shown = explained.filter((spell) => !MARKS.includes(spell.name) && (spell.until_ms === null || now_ms - spell.until_ms < RECENT_MS));
-  if (dead?.since_ns) shown.push({ bit: -1, name: dead.silent ? "no frames" : "stalled", grade: "bad", text: dead.why, since_ms: dead.since_ns / 1e6, until_ms: null, times: 1 });
-  for (const { subject, since, text } of ready.doubts) {
-    shown.push({ bit: -1, name: `doubt: ${subject}`, grade: "warn", text, since_ms: Date.parse(since), until_ms: null, times: 1 });
-  }
-  const rank = (spell) => (spell.until_ms === null ? 0 : 4) + ["bad", "warn", "note"].indexOf(spell.grade);
-  shown.sort((a, b) => rank(a) - rank(b) || a.bit - b.bit);
+/** Present limitations, causes before their consequences, then recent states that have ended. */
+function faults({ history, ready }, now_ms) {
+  const present = ready.limitations.map(({ grade, name, text, remedy, since, consequence }) => ({
+    grade: consequence ? "none" : grade,
+    kind: consequence ? "Consequence" : { bad: "Fault", limited: "Limitation" }[grade],
+    text,
+    when: since ? `${name}, since ${time(Date.parse(since), now_ms)}` : name,
+    remedy: consequence ? "" : remedy,
+    consequence,
+  }));
+  const named = new Set(ready.limitations.flatMap(({ name }) => name.split(", ")));
+  const over = history.filter(({ bit, until_ms }) => until_ms !== null && now_ms - until_ms < RECENT_MS && !named.has(hello.bits[bit].name));
+  const ended = over.filter(({ bit }) => !MARKS.includes(hello.bits[bit].name)).map(({ bit, since_ms, until_ms, times }) => ({
+    grade: "none",
+    kind: { bad: "Fault", limited: "Limitation", note: "Note" }[meaning(hello.bits[bit]).grade],
+    text: meaning(hello.bits[bit]).text,
+    when: `${hello.bits[bit].name}, ended: ${time(since_ms, now_ms)} for ${duration(until_ms - since_ms)}${times > 1 ? `, ${count(times)} times` : ""}`,
+    remedy: "",
+    consequence: false,
+  }));
+  const shown = [...present, ...ended];
   const list = $("faults").querySelector("ul");
   while (list.children.length > shown.length) list.lastChild.remove();
-  shown.forEach((spell, i) => {
-    if (!list.children[i]) list.append(node("li", {}, node("span", { class: "shape", "aria-hidden": "true" }), node("strong"), node("span", { class: "quiet number" })));
-    const [shape, text, when] = list.children[i].children;
-    const over = spell.until_ms !== null;
-    list.children[i].dataset.grade = over ? "none" : spell.grade;
-    say(shape, over ? SHAPES.none : SHAPES[spell.grade]);
-    const kind = { bad: "Fault", warn: "Warning", note: "Note" }[spell.grade];
-    say(text, `${kind}: ${spell.text}`);
-    const times = spell.times > 1 ? `, ${count(spell.times)} times` : "";
-    const span = over
-      ? `ended: ${time(spell.since_ms, now_ms)} for ${duration(spell.until_ms - spell.since_ms)}`
-      : `since ${time(spell.since_ms, now_ms)}`;
-    say(when, `${spell.name}, ${span}${times}`);
+  shown.forEach(({ grade, kind, text, when, remedy, consequence }, i) => {
+    if (!list.children[i]) {
+      list.append(node("li", {}, node("span", { class: "shape", "aria-hidden": "true" }), node("strong"),
+        node("span", { class: "quiet number" }), node("span", { class: "quiet remedy" })));
+    }
+    const row = list.children[i];
+    row.dataset.grade = grade;
+    row.classList.toggle("consequence", consequence);
+    const texts = [consequence ? "↳" : SHAPES[grade], `${kind}: ${text}`, when, remedy && `→ ${remedy}`];
+    texts.forEach((text, k) => say(row.children[k], text));
   });
 }
 

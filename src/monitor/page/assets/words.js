@@ -55,10 +55,13 @@ export function duration(ms) {
 }
 
 /** Each grade has a shape and a word besides its colour. */
-export const SHAPES = { good: "●", warn: "▲", bad: "■", note: "◆", none: "○" };
+export const SHAPES = { good: "●", limited: "▲", bad: "■", note: "◆", none: "○" };
+
+/** The grades in words. */
+export const GRADES = { good: "good", limited: "limited", bad: "bad", note: "replay", none: "no connection" };
 
 export const LOCK_GRADES = {
-  locked: "good", acquiring: "warn", searching: "warn", held: "warn",
+  locked: "good", acquiring: "limited", searching: "limited", held: "limited",
   off: "note", manual: "note", railed: "bad", lost: "bad",
 };
 
@@ -66,7 +69,7 @@ export const LOCK_GRADES = {
 export function meaning(bit) {
   const [, grade, text] = /^(?:(Fatal|Warning): )?(.*?)\.?$/.exec(bit.meaning) ?? [null, null, bit.meaning];
   const lower = /^[A-Z][a-z]/.test(text) ? text[0].toLowerCase() + text.slice(1) : text;
-  return { grade: { Fatal: "bad", Warning: "warn" }[grade] ?? "note", text: lower };
+  return { grade: { Fatal: "bad", Warning: "limited" }[grade] ?? "note", text: lower };
 }
 
 export function node(tag, attributes = {}, ...children) {
