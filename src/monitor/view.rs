@@ -10,7 +10,7 @@ use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 use trifacet_core::centering::LoopMode;
 use trifacet_core::centering::lock::{LockCause, LockCondition};
-use trifacet_core::telemetry::CommandGauge;
+use trifacet_core::telemetry::{CommandGauge, Counter};
 use trifacet_core::telemetry::heartbeat::Task;
 use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::stream::Descriptor;
@@ -18,6 +18,7 @@ use trifacet_wire::{LockState, PoseFrame, Status};
 
 use super::health::{Causes, Checks, Readiness, Standstill, utc};
 use super::page::bins::History;
+use super::page::events::{Event, Snapshot};
 use super::page::state::PageState;
 use super::recent::{RecentStatus, UncertaintyTrend};
 use super::tally::Tally;
@@ -248,8 +249,12 @@ impl View {
                 self.newest.send_replace(Some(Newest { frame: *frame, seen: SystemClock.now() }));
                 batch.clear();
             }
-            if look.is_multiple_of(UPDATE) && self.updates.receiver_count() > 0 {
-                self.update();
+            if look.is_multiple_of(UPDATE) {
+                let ready = self.readiness();
+                self.note_events(&ready);
+                if self.updates.receiver_count() > 0 {
+                    self.update(ready);
+                }
             }
             if gone {
                 return;
@@ -258,8 +263,8 @@ impl View {
     }
 
     /// Sends an update to all viewers.
-    fn update(&self) {
-        let (dead, ready) = (self.dead(), self.readiness());
+    fn update(&self, ready: Readiness) {
+        let dead = self.dead();
         let lock = self.lock().as_ref().map(lock_event);
         let newest = self.newest.borrow().map(|newest| newest.frame);
         let update = self.aggregates().page.update(
@@ -273,6 +278,28 @@ impl View {
         self.sources.condition.counters.page_updates.inc();
         // Fails if the last viewer has just left, which is not a loss.
         let _ = self.updates.send(serde_json::json!({ "update": update }).to_string().into());
+    }
+
+    /// Adds what has changed to the list of events.
+    fn note_events(&self, ready: &Readiness) {
+        let Some(frame) = self.newest.borrow().map(|newest| newest.frame) else { return };
+        let condition = &self.sources.condition;
+        let tare = self.sources.config.borrow().frames.tare;
+        let snapshot = Snapshot {
+            time_ms: frame.time_ns as f64 * 1e-6,
+            grade: (ready.assessment.grade.name(), ready.assessment.headline.clone()),
+            lock: (frame.lock, self.lock().map(|now| now.cause.text())),
+            config: frame.config,
+            tare: tare.translation_mm.into_iter().chain(tare.rotation_deg).collect(),
+            recording: self.sources.recording.file_name(),
+            clients: [&condition.counters.tcp_connected, &condition.counters.tcp_disconnected].map(Counter::get),
+        };
+        self.aggregates().page.events.look(snapshot);
+    }
+
+    /// All events so far.
+    pub(super) fn events(&self) -> Vec<Event> {
+        self.aggregates().page.events.list().iter().cloned().collect()
     }
 
     /// Adds frames to the aggregates.

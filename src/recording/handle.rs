@@ -80,6 +80,11 @@ impl State {
         self.words().file = file;
     }
 
+    /// Name of the file that is being written, without its folder.
+    pub fn file_name(&self) -> Option<String> {
+        Some(self.words().file.as_ref()?.file_name()?.to_string_lossy().into_owned())
+    }
+
     /// Sets the reason for which data are being lost.
     pub fn fault(&self, why: Option<String>) {
         self.fault.store(why.is_some(), Ordering::Relaxed);

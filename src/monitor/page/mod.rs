@@ -1,6 +1,6 @@
 //! The live page: its data and its files.
 //!
-//! - [`bins`], [`status_history`], [`spectrum`]: evaluation of every frame. Pure.
+//! - [`bins`], [`status_history`], [`spectrum`]: evaluation of every frame. [`events`]: what has changed. Pure.
 //! - [`state`]: makes one update for all viewers, ten times a second.
 //! - [`viewer`]: a WebSocket for each viewer. [`control`]: the commands that the page can give.
 //!
@@ -8,6 +8,7 @@
 
 pub mod bins;
 pub mod control;
+pub mod events;
 pub mod spectrum;
 pub mod state;
 pub mod status_history;

@@ -9,6 +9,7 @@ use trifacet_wire::stream::LockEvent;
 use trifacet_wire::{PoseFrame, Status};
 
 use super::bins::{Bin, History, Past};
+use super::events::{Event, Events};
 use super::spectrum::{Spectrum, Welch};
 use super::status_history::{Spell, StatusHistory};
 use crate::monitor::health::{Readiness, Standstill};
@@ -23,9 +24,13 @@ const RARELY: u64 = 10;
 pub struct PageState {
     past: Past,
     history: StatusHistory,
+    /// What has changed.
+    pub events: Events,
     lately: Lately,
     /// Present while there are viewers.
     welch: Option<Welch>,
+    /// Session and configuration of the newest frame.
+    of: Option<(u32, u32)>,
     updates: u64,
 }
 
@@ -62,6 +67,9 @@ pub struct Update {
     counters: Option<BTreeMap<&'static str, u64>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     spectrum: Option<Spectrum>,
+    /// All events, if there are new ones.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    events: Option<Vec<Event>>,
     /// State of the recorder.
     #[serde(skip_serializing_if = "Option::is_none")]
     recording: Option<Value>,
@@ -81,6 +89,7 @@ impl PageState {
             self.welch = Some(Welch::new(rate_hz));
         }
         for frame in batch {
+            self.meaning(frame, rate_hz);
             self.past.frame(frame);
             self.history.frame(frame);
             if let Some(welch) = &mut self.welch {
@@ -88,6 +97,16 @@ impl PageState {
                 self.lately.frame(frame);
             }
         }
+    }
+
+    /// With another session or configuration, poses have another meaning: a spectrum over the change would be
+    /// that of the step.
+    fn meaning(&mut self, frame: &PoseFrame, rate_hz: f64) {
+        let of = Some((frame.session, frame.config));
+        if self.of.is_some() && self.of != of && self.welch.is_some() {
+            self.welch = Some(Welch::new(rate_hz));
+        }
+        self.of = of;
     }
 
     /// The history with which a chart begins.
@@ -123,6 +142,7 @@ impl PageState {
             delay_us: lately.delay_us(),
             counters: rarely.then(|| counters.list().into_iter().collect()),
             spectrum: self.welch.as_ref().filter(|_| rarely).and_then(Welch::spectrum),
+            events: if rarely { self.events.news() } else { None },
             recording: rarely.then(|| recording.tell()),
         }
     }

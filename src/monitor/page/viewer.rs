@@ -129,7 +129,11 @@ impl Viewer {
             Ok(ViewerRequest::Watch(span_s)) => {
                 // Subscribe before the history is read, so that no update is missed in between.
                 self.updates.get_or_insert_with(|| self.view.updates());
-                let past = json!({ "history": self.view.history(span_s), "span_s": span_s });
+                let past = json!({
+                    "history": self.view.history(span_s),
+                    "span_s": span_s,
+                    "events": self.view.events(),
+                });
                 self.say(&past).await
             }
             Ok(ViewerRequest::Pause(true)) => {

@@ -100,6 +100,15 @@ fn an_operator_with_the_token_steers_from_the_page() {
     stream.locked();
     page.eval(&say(TOKEN, "tare"));
     page.until("document.querySelector('#answer').textContent === '● tare: done'");
+    // Poses have another meaning: a mark, a badge, an event, and statistics without the jump.
+    page.until("document.querySelector('#badges').innerText.includes('TARED')");
+    page.until("/tare\\s*tare set/.test(document.querySelector('#events').innerText)");
+    let chart = "document.querySelector('.strips .chart').chart";
+    page.until(&format!("{chart}.data[0].length > 3 && document.title.includes('limited')"));
+    let events = page.eval("document.querySelector('#events').innerText");
+    let events = events.as_str().unwrap();
+    assert!(events.contains("off after locked") || events.contains("manual after locked"), "{events}");
+    assert!(events.contains("the monitor of the daemon has started"), "{events}");
     let text = page.eval("document.documentElement.innerHTML");
     assert!(!text.as_str().unwrap().contains(TOKEN), "the page shows the token");
     let refused = page.complaints();

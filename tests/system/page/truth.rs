@@ -164,7 +164,7 @@ fn a_task_that_stalls_is_named_before_the_daemon_ends() {
     page.eval(NOTES);
     daemon.told(&["drill", "stall", "centering"]);
     let headline = |text: &str| format!("notes.some(([, text]) => text.startsWith('{text}'))");
-    page.until(&headline("Pose valid, beam not locked (held): task centering stalled since "));
+    page.until(&headline("Pose valid, beam not locked (held): task centering stalled, since "));
     page.until("document.querySelector('#faults li').innerText.includes('Fault: task centering stalled')");
     assert_eq!(page.eval("document.body.classList.contains('stale')"), false, "poses arrive");
     page.until(&headline("No connection"));

@@ -1,6 +1,6 @@
 // Strip charts and spectra. Only visible charts are drawn, and drawing takes a limited part of the time.
 
-import { plot, through } from "./plot.js";
+import { css, plot, through } from "./plot.js";
 import { AXES, duration, fixed, node, say, time, unit } from "./words.js";
 
 const LINES = [["--line-1", "solid"], ["--line-2", "dash"], ["--line-3", "dot"]];
@@ -8,6 +8,8 @@ const LINES = [["--line-1", "solid"], ["--line-2", "dash"], ["--line-3", "dot"]]
 const OLD_MS = 2500;
 /** A step back by more fine intervals is a restart of a replay; a smaller one is a repetition of known intervals. */
 const BACK = 50;
+/** Shortest time axis. */
+const LEAST_MS = 5000;
 /** Allowed steps between the times at the axis, milliseconds. */
 const STEPS_MS = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200].map((s) => s * 1000);
 
@@ -44,6 +46,7 @@ export class Strips extends Charts {
   constructor(parent) {
     super();
     this.bins = [];
+    this.marks = [];
     this.elements = AXES.map((axis, i) => this.add(parent.appendChild(node("div", { class: "chart", "data-axis": i }))));
   }
 
@@ -75,11 +78,19 @@ export class Strips extends Charts {
     this.dirty = true;
   }
 
-  /** Mean and range of an axis over the time span of the chart. */
+  /** Takes the events after which poses have another meaning. */
+  mark(events) {
+    this.marks = events;
+    this.dirty = true;
+  }
+
+  /** Mean and range of an axis over the time span of the chart, from the last mark on. */
   statistics(axis) {
     const at = 2 + 3 * axis;
     let [n, sum, min, max] = [0, 0, Infinity, -Infinity];
+    const from = (this.marks.at(-1)?.time_ms ?? -Infinity) / this.width_ms;
     for (const bin of this.bins) {
+      if (bin[0] < from) continue; // begins before the mark
       n += bin[1];
       sum += bin[1] * bin[at + 2];
       min = Math.min(min, bin[at]);
@@ -120,6 +131,30 @@ export class Strips extends Charts {
     element.chart.batch(() => element.chart.setData(data));
   }
 
+  /** Lines at the marks. */
+  under(u) {
+    const { ctx, bbox } = u;
+    ctx.save();
+    ctx.strokeStyle = css("--event");
+    ctx.lineWidth = uPlot.pxRatio;
+    for (const { time_ms } of this.marks) {
+      if (time_ms < this.from_ms || time_ms > this.now_ms) continue;
+      const x = Math.round(u.valToPos(time_ms, "x", true));
+      ctx.beginPath();
+      ctx.moveTo(x, bbox.top);
+      ctx.lineTo(x, bbox.top + bbox.height);
+      ctx.stroke();
+    }
+    ctx.restore();
+  }
+
+  /** Start of the time axis: that of the span, or of the data if they are shorter. */
+  get from_ms() {
+    const start = this.now_ms - this.span_ms;
+    const first = this.bins[0]?.[0] * this.width_ms;
+    return first > start ? Math.min(first, this.now_ms - LEAST_MS) : start;
+  }
+
   begin(element, axis, data) {
     const clock = (ms) => new Date(ms).toISOString().slice(11, this.span_ms > 600e3 ? 16 : 19);
     return plot(element, {
@@ -130,10 +165,11 @@ export class Strips extends Charts {
         { color: "--mean", width: 1.5, name: "mean" },
       ],
       x: {
-        range: () => [this.now_ms - this.span_ms, this.now_ms], steps: STEPS_MS, values: (u, splits) => splits.map(clock),
+        range: () => [this.from_ms, this.now_ms], steps: STEPS_MS, values: (u, splits) => splits.map(clock),
         tell: (ms) => time(ms), reach: () => Math.max(this.gap_ms, this.span_ms / 200), // no readout in a gap
       },
       y: { tell: (value) => `${fixed(value, unit(axis).digits)} ${unit(axis).name}` },
+      under: (u) => this.under(u),
     });
   }
 }

@@ -8,6 +8,8 @@ import { AXES, GRADES, LOCK_GRADES, SHAPES, chooseUnits, count, duration, facts,
 const SPANS = [[10, "10 s"], [60, "1 min"], [600, "10 min"], [3600, "1 h"], [21600, "6 h"]];
 const FINE_MS = 20;
 const RECENT_MS = 10 * 60e3;
+/** Most events in the list. */
+const EVENTS = 50;
 /** Bits that describe the kind of a frame and are not faults. */
 const MARKS = ["POSE_VALID", "STEERING_MEASURED"];
 
@@ -81,9 +83,10 @@ for (const [seconds, name] of SPANS) {
 const link = new Link({ message, broken });
 link.look(span_s);
 
-function message({ hello: first, history, span_s: shown, update, missed }) {
+function message({ hello: first, history, span_s: shown, events: past, update, missed }) {
   if (first) begin(first);
   if (history) strips.past(history, shown);
+  if (past) events(past);
   if (missed) console.info(`this page missed ${missed} updates`);
   if (update && hello) show(update);
 }
@@ -139,6 +142,7 @@ function show(update) {
   const now_ms = frame ? frame.time_ns / 1e6 : Date.now();
   document.body.classList.toggle("stale", frame === null || update.dead?.silent === true);
   if (update.recording) recording = update.recording;
+  if (update.events) events(update.events);
   headline(update, now_ms);
   badges(update);
   faults(update, now_ms);
@@ -169,7 +173,7 @@ function pose(frame) {
 
 /** The headline: the most important state in one sentence, with the grade that the daemon gives. */
 function headline({ frame, ready }, now_ms) {
-  const since = ready.since ? ` since ${time(Date.parse(ready.since), now_ms)}` : "";
+  const since = ready.since ? `, since ${time(Date.parse(ready.since), now_ms)}` : "";
   const { replay } = hello.descriptor;
   if (frame && replay) return grade("note", replayed(frame, replay, ready));
   grade(ready.grade, `${ready.headline}${ready.grade === "good" ? "" : since}`);
@@ -280,6 +284,22 @@ function faults({ history, ready }, now_ms) {
     row.classList.toggle("consequence", consequence);
     const texts = [consequence ? "↳" : SHAPES[grade], `${kind}: ${text}`, when, remedy && `→ ${remedy}`];
     texts.forEach((text, k) => say(row.children[k], text));
+  });
+}
+
+/** After these events, poses have another meaning: statistics begin anew, and the charts have a mark. */
+const MARKED = ["start", "tare", "configuration"];
+
+/** The list of events, newest first. */
+function events(all) {
+  strips.mark(all.filter(({ kind }) => MARKED.includes(kind)));
+  const shown = all.slice(-EVENTS).reverse();
+  const list = $("events").querySelector("ol");
+  while (list.children.length > shown.length) list.lastChild.remove();
+  shown.forEach(({ time_ms, kind, text, times }, i) => {
+    if (!list.children[i]) list.append(node("li", {}, node("span", { class: "quiet number" }), node("strong"), node("span")));
+    const texts = [time(time_ms, Date.now()), kind, times > 1 ? `${text} (${count(times)} times)` : text];
+    texts.forEach((text, k) => say(list.children[i].children[k], text));
   });
 }
 
