@@ -10,8 +10,8 @@ use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 use trifacet_core::centering::LoopMode;
 use trifacet_core::centering::lock::{LockCause, LockCondition};
-use trifacet_core::telemetry::{CommandGauge, Counter};
 use trifacet_core::telemetry::heartbeat::Task;
+use trifacet_core::telemetry::{CommandGauge, Counter};
 use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::stream::Descriptor;
 use trifacet_wire::{LockState, PoseFrame, Status};
@@ -292,7 +292,8 @@ impl View {
             config: frame.config,
             tare: tare.translation_mm.into_iter().chain(tare.rotation_deg).collect(),
             recording: self.sources.recording.file_name(),
-            clients: [&condition.counters.tcp_connected, &condition.counters.tcp_disconnected].map(Counter::get),
+            clients: [&condition.counters.tcp_connected, &condition.counters.tcp_disconnected]
+                .map(Counter::get),
         };
         self.aggregates().page.events.look(snapshot);
     }

@@ -112,8 +112,9 @@ fn the_headline_states_a_blocked_beam_and_the_recovery() {
     assert!(reported - dark_ms < 1000.0, "reported after {} ms", reported - dark_ms);
     let locked_ms = locked.time_ns as f64 * 1e-6;
     let reported = first(&|text| text.starts_with("Pose valid, beam locked; limited: no valid"), locked_ms);
-    // Within a second after the time for which a fault counts, so that a flicker does not change the words.
-    assert!(reported - locked_ms < 1000.0 * HOLD_S + 1000.0, "reported after {} ms", reported - locked_ms);
+    // After the time for which a fault counts, so that a flicker does not change the words; the first lock may last
+    // for a moment only.
+    assert!(reported - locked_ms < 1000.0 * HOLD_S + 3000.0, "reported after {} ms", reported - locked_ms);
     let words: Vec<_> = notes.as_array().unwrap().iter().map(|note| note[1].as_str().unwrap()).collect();
     assert!(words.len() < 8, "the words change too often: {words:#?}");
     assert_eq!(page.complaints(), Vec::<String>::new());
