@@ -54,9 +54,11 @@ pub struct Limitation {
 impl Limitation {
     /// A few words for a headline. The text of a doubt has several sentences.
     fn short(&self) -> String {
-        match self.name.strip_prefix("doubt: ") {
-            Some(subject) => format!("doubt about {}", subject.replace('_', " ")),
-            None => self.text.clone(),
+        match (self.name.as_str(), self.name.strip_prefix("doubt: ")) {
+            ("UNCALIBRATED", _) => "not calibrated".into(),
+            ("SIMULATED", _) => "simulated light".into(),
+            (_, Some(subject)) => format!("doubt about {}", subject.replace('_', " ")),
+            _ => self.text.clone(),
         }
     }
 }
@@ -442,8 +444,7 @@ mod tests {
         let text = |status, lock| assessed(status, lock).headline;
         assert_eq!(
             text(valid | Status::SIMULATED | Status::UNCALIBRATED, LockState::Locked),
-            "Pose valid, beam locked; limited: no valid calibration record belongs to the configuration; \
-             the light is simulated, not measured"
+            "Pose valid, beam locked; limited: not calibrated; simulated light"
         );
         assert_eq!(
             text(valid | Status::SAMPLE_GAP | Status::SIMULATED, LockState::Locked),

@@ -17,7 +17,7 @@ const ON: &str = "monitor.listen = \"127.0.0.1:0\"\n";
 const DESK: [u32; 2] = [1280, 900];
 /// The headline of a daemon without faults, whose twin or board is not calibrated.
 const FINE: &str = "document.querySelector('#headline')?.dataset.grade === 'limited'
-    && document.querySelector('#headline .text').textContent.startsWith('Pose valid, beam locked; limited: no valid calibration record')
+    && document.querySelector('#headline .text').textContent.startsWith('Pose valid, beam locked; limited: not calibrated')
     && !document.body.classList.contains('stale')";
 
 /// A daemon, its stream, and the address of its page.

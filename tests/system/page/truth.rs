@@ -111,7 +111,8 @@ fn the_headline_states_a_blocked_beam_and_the_recovery() {
     let reported = first(&|text| text.contains("too little light"), dark_ms);
     assert!(reported - dark_ms < 1000.0, "reported after {} ms", reported - dark_ms);
     let locked_ms = locked.time_ns as f64 * 1e-6;
-    let reported = first(&|text| text.starts_with("Pose valid, beam locked; limited: no valid"), locked_ms);
+    let reported =
+        first(&|text| text.starts_with("Pose valid, beam locked; limited: not calibrated"), locked_ms);
     // After the time for which a fault counts, so that a flicker does not change the words; the first lock may last
     // for a moment only.
     assert!(reported - locked_ms < 1000.0 * HOLD_S + 3000.0, "reported after {} ms", reported - locked_ms);
