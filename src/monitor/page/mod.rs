@@ -40,6 +40,7 @@ pub fn routes() -> Router<Arc<View>> {
         .route("/plot.css", asset("text/css", charts::STYLE))
         .route("/charts.js", asset("text/javascript", include_str!("assets/charts.js")))
         .route("/optics.js", asset("text/javascript", include_str!("assets/optics.js")))
+        .route("/tools.js", asset("text/javascript", include_str!("assets/tools.js")))
         .route("/words.js", asset("text/javascript", include_str!("assets/words.js")))
         .route("/icon.svg", asset("image/svg+xml", include_str!("assets/icon.svg")))
         .route("/icon-good.svg", asset("image/svg+xml", include_str!("assets/icon-good.svg")))

@@ -5,6 +5,7 @@ mod replay;
 mod soak;
 mod socket;
 mod steering;
+mod tools;
 mod truth;
 
 use std::net::SocketAddr;

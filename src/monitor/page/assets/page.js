@@ -3,6 +3,7 @@
 import { Spectra, Strips } from "./charts.js";
 import { Link } from "./link.js";
 import { Balance, Detectors } from "./optics.js";
+import { csv, hex, picture, save, stamp } from "./tools.js";
 import { AXES, GRADES, LOCK_GRADES, SHAPES, chooseUnits, count, duration, facts, fixed, inUnit, meaning, node, say, time, um, unit } from "./words.js";
 
 const SPANS = [[10, "10 s"], [60, "1 min"], [600, "10 min"], [3600, "1 h"], [21600, "6 h"]];
@@ -83,9 +84,33 @@ for (const [seconds, name] of SPANS) {
 const link = new Link({ message, broken });
 link.look(span_s);
 
+/** Update at which the person has frozen the page; `null` while it follows the daemon. */
+let frozen = null;
+
+$("freeze").addEventListener("click", () => {
+  frozen = frozen === null && newest ? newest.time_ns / 1e6 : null;
+  $("freeze").setAttribute("aria-pressed", frozen !== null);
+  document.body.classList.toggle("frozen", frozen !== null);
+  if (frozen === null) link.look(); // the charts need what they have missed
+});
+$("csv").addEventListener("click", () => {
+  if (strips.now_ms === undefined) return;
+  save(new Blob([csv(strips, hello.descriptor)], { type: "text/csv" }), `trifacet-${stamp(strips.now_ms)}.csv`);
+});
+$("png").addEventListener("click", () => {
+  if (strips.now_ms === undefined) return;
+  picture(strips.elements, strips.now_ms).toBlob((blob) => save(blob, `trifacet-${stamp(strips.now_ms)}.png`));
+});
+function wall(on) {
+  document.body.classList.toggle("wall", on);
+  $("wall").setAttribute("aria-pressed", on);
+}
+wall(stored("trifacet.wall") === "true");
+$("wall").addEventListener("click", () => wall(stored("trifacet.wall", !document.body.classList.contains("wall")) === "true"));
+
 function message({ hello: first, history, span_s: shown, events: past, update, missed }) {
   if (first) begin(first);
-  if (history) strips.past(history, shown);
+  if (history && frozen === null) strips.past(history, shown);
   if (past) events(past);
   if (missed) console.info(`this page missed ${missed} updates`);
   if (update && hello) show(update);
@@ -135,7 +160,6 @@ function calibration({ calibration: record, uncalibrated }) {
 const OWN_HEAD = ["head", "psd", "beam", "stage", "tolerances"];
 const twin = (config) =>
   OWN_HEAD.some((section) => config[section] !== null) ? "digital twin with a head of its own" : "digital twin";
-const hex = (n) => n.toString(16).padStart(8, "0");
 
 function show(update) {
   const { frame } = update;
@@ -146,7 +170,7 @@ function show(update) {
   headline(update, now_ms);
   badges(update);
   faults(update, now_ms);
-  if (frame === null) return;
+  if (frame === null || frozen !== null) return;
   newest = frame;
   strips.add_news(update.bins, FINE_MS, now_ms);
   pose(frame);
@@ -186,6 +210,7 @@ function badges({ frame }) {
   const file = recording?.recording ? recording.file?.split("/").at(-1) : null;
   const free = recording?.free_bytes ? `, ${fixed(recording.free_bytes / 1e9, 1)} GB are free` : "";
   const all = [
+    [frozen !== null, `FROZEN at ${time(frozen ?? 0)}`, "pose, detectors and charts are those of this time; the first line is current"],
     [frame?.status.includes("SIMULATED"), "SIMULATED", "the light is simulated, not measured"],
     [descriptor.replay !== undefined, "REPLAY", "the samples come from a recording"],
     [descriptor.uncalibrated, "UNCALIBRATED", descriptor.uncalibrated],
