@@ -397,12 +397,8 @@ mod tests {
             assert_eq!(now.grade == Grade::Good, normal, "{name}: {now:?}");
             // Whatever is not usable for control is bad, apart from the marks of a twin and of a recording.
             let permitted = Status::SIMULATED | Status::REPLAYED;
-            if !Status::FATAL.has(*bit) {
-                let usable = (Status::POSE_VALID | *bit).usable(permitted);
-                assert_eq!(now.grade == Grade::Bad, !usable, "{name}: {now:?}");
-            } else {
-                assert_eq!(now.grade, Grade::Bad, "{name}");
-            }
+            let usable = !Status::FATAL.has(*bit) && (Status::POSE_VALID | *bit).usable(permitted);
+            assert_eq!(now.grade == Grade::Bad, !usable, "{name}: {now:?}");
             let noted = now.limitations.first().is_some_and(|first| first.remedy.is_empty());
             assert!(!noted, "{name} has no remedy");
         }

@@ -76,10 +76,14 @@ impl Events {
     /// Compares with the last call, and adds an event for each difference.
     pub fn look(&mut self, now: Snapshot) {
         let ms = now.time_ms;
-        let Some(last) = self.last.replace(now.clone()) else {
-            self.add(ms, Kind::Start, "the monitor of the daemon has started".into());
-            return;
-        };
+        match self.last.take() {
+            Some(last) => self.compare(ms, &last, &now),
+            None => self.add(ms, Kind::Start, "the monitor of the daemon has started".into()),
+        }
+        self.last = Some(now);
+    }
+
+    fn compare(&mut self, ms: f64, last: &Snapshot, now: &Snapshot) {
         if last.tare != now.tare {
             let cleared = now.tare.iter().all(|x| *x == 0.0);
             self.add(ms, Kind::Tare, if cleared { "tare cleared" } else { "tare set" }.into());
