@@ -60,7 +60,7 @@ fn on_a_wall_the_digits_fill_the_screen() {
     page.size([3840, 2160]);
     page.until("document.querySelector('.strips canvas')?.getBoundingClientRect().right > 1000");
     page.picture(&Path::new(env!("CARGO_TARGET_TMPDIR")).join("page-3840.png"));
-    let empty = page.eval(&format!("{digits}")).as_f64().unwrap();
+    let empty = page.eval(digits).as_f64().unwrap();
     page.eval("document.querySelector('#wall').click()");
     page.until(&format!("{digits} > 0.08"));
     assert!(empty < 0.05, "{empty}");

@@ -55,17 +55,12 @@ fn every_status_bit_and_lock_state_is_documented() {
     assert_eq!(documented, coded);
 }
 
-/// A cell without the addresses of its links.
+/// A cell without the addresses of its links: `[text](address)` becomes `text`.
 fn without_links(cell: &str) -> String {
-    let mut text = String::new();
-    for (n, part) in cell.split("](").enumerate() {
-        text += if n == 0 { part } else { part.split_once(')').map_or("", |(_, rest)| rest) };
-    }
-    // What remains of a link is its opening bracket; sections such as [frames] have both.
-    let opened =
-        |at: usize| text[at..].find([']', '[']).is_none_or(|next| text[at..].as_bytes()[next] == b'[');
-    let opening: Vec<_> = text.match_indices('[').map(|(at, _)| at).filter(|at| opened(at + 1)).collect();
-    text.char_indices().filter(|(at, _)| !opening.contains(at)).map(|(_, letter)| letter).collect()
+    let Some((before, rest)) = cell.split_once("](") else { return cell.to_owned() };
+    let (before, text) = before.rsplit_once('[').expect("the beginning of the link");
+    let (_, after) = rest.split_once(')').expect("the end of the address");
+    format!("{before}{text}{}", without_links(after))
 }
 
 #[test]
