@@ -1,7 +1,8 @@
 //! `trifacet ctl`: sends a command to a running daemon.
 
-use std::io::Write as _;
-use std::path::PathBuf;
+mod people;
+
+use std::io::{IsTerminal as _, Write as _};
 
 use clap::{Args, Subcommand, ValueEnum};
 use trifacet::control::{self, Command};
@@ -12,14 +13,19 @@ use trifacet::twin::moves::DEFAULT_S;
 use trifacet_core::centering::LoopMode;
 use trifacet_core::telemetry::heartbeat::{Drill, Task};
 
+use super::running::{RunningArg, SocketArg};
 use super::written;
 
 /// Options of `ctl`.
 #[derive(Debug, Args)]
 pub(crate) struct CtlArgs {
-    /// Control socket of the daemon: `[control] socket` in its configuration
-    #[arg(long, value_name = "PATH", default_value = "/run/trifacet/control.sock")]
-    socket: PathBuf,
+    #[command(flatten)]
+    socket: SocketArg,
+    #[command(flatten)]
+    running: RunningArg,
+    /// Print JSON on a terminal too
+    #[arg(long)]
+    json: bool,
     #[command(subcommand)]
     order: CtlCommand,
 }
@@ -208,11 +214,19 @@ impl CtlCommand {
     }
 }
 
-/// Prints the daemon's answer, one line of JSON. Fails if the daemon refuses the command.
+/// Prints the daemon's answer: one line of JSON, or lines for a person on a terminal. Fails if the daemon refuses
+/// the command.
 pub(crate) fn ctl(args: &CtlArgs) -> anyhow::Result<()> {
-    let answer = control::client::ask(&args.socket, &args.order.command())?;
-    written(writeln!(std::io::stdout(), "{answer}"))?;
-    let Some(error) = answer["error"].as_str() else { return Ok(()) };
+    let socket = args.running.socket(&args.socket)?;
+    let answer = control::client::ask(&socket, &args.order.command())?;
+    let mut out = std::io::stdout();
+    let error = answer["error"].as_str();
+    if args.json || !out.is_terminal() {
+        written(writeln!(out, "{answer}"))?;
+    } else if error.is_none() {
+        written(out.write_all(people::lines(&answer).as_bytes()))?;
+    }
+    let Some(error) = error else { return Ok(()) };
     let code = answer["code"].as_u64().and_then(|code| u8::try_from(code).ok()).unwrap_or(exit::SOFTWARE);
     Err(Failure::new(code, error).into())
 }

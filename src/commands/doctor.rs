@@ -7,7 +7,6 @@ mod port;
 
 use std::fmt::Write as _;
 use std::io::{self, Write as _};
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::time::Duration;
 
 use anyhow::Result;
@@ -21,6 +20,7 @@ use trifacet::config::Config;
 use trifacet::exit::{self, Failure};
 use trifacet_core::time::{Clock, Mono};
 
+use super::running::configured;
 use super::silence::{Heard, SHORTEST, Wait};
 use super::{ConfigArg, written};
 
@@ -91,28 +91,6 @@ pub(crate) fn doctor(args: &DoctorArgs) -> Result<()> {
     match report.wrong {
         None => Ok(()),
         Some(wrong) => Err(Failure::new(exit::UNAVAILABLE, format!("{endpoint}: {wrong}")).into()),
-    }
-}
-
-/// The first outlet of the stream in a configuration.
-fn configured(config: &Config) -> Result<Endpoint> {
-    let publishing = &config.publishing;
-    let local = |address: SocketAddr| {
-        let ip = match address.ip() {
-            ip if !ip.is_unspecified() => ip,
-            IpAddr::V4(_) => Ipv4Addr::LOCALHOST.into(),
-            IpAddr::V6(_) => Ipv6Addr::LOCALHOST.into(),
-        };
-        SocketAddr::new(ip, address.port()).to_string()
-    };
-    match (publishing.tcp, publishing.subscribe, publishing.udp.first()) {
-        (Some(tcp), _, _) => Ok(Endpoint::Tcp(local(tcp))),
-        (None, Some(subscribe), _) => Ok(Endpoint::Subscribe(local(subscribe))),
-        (None, None, Some(target)) => Ok(Endpoint::Udp(target.address.to_string())),
-        (None, None, None) => {
-            let why = "the configuration publishes nothing: set tcp, subscribe or udp in [publishing]";
-            Err(Failure::new(exit::UNAVAILABLE, why).into())
-        }
     }
 }
 

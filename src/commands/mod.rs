@@ -28,6 +28,7 @@ mod park;
 mod recover;
 mod replay;
 mod run;
+mod running;
 mod silence;
 mod simulate;
 mod solve;

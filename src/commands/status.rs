@@ -3,7 +3,7 @@
 mod screen;
 
 use std::io::{self, IsTerminal, Write as _};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
 use anyhow::Result;
@@ -15,6 +15,7 @@ use trifacet::client::{Backoff, Client, Descriptor, Endpoint, Heartbeat, Message
 use trifacet::control::{self, Command};
 use trifacet_wire::Status;
 
+use super::running::{RunningArg, SocketArg};
 use super::silence::{Heard, SHORTEST, Wait, note};
 use super::watch::{opening_failed, silence, unavailable};
 use super::written;
@@ -26,17 +27,17 @@ const ASIDE: Duration = Duration::from_secs(1);
 #[derive(Debug, Args)]
 pub(crate) struct StatusArgs {
     /// Source of the stream, as for `watch`
-    #[arg(default_value = "tcp://127.0.0.1:7361")]
-    endpoint: Endpoint,
+    endpoint: Option<Endpoint>,
+    #[command(flatten)]
+    running: RunningArg,
     /// Continue: redraw on a terminal, otherwise write a line each time
     #[arg(long)]
     follow: bool,
     /// Interval of the updates, in seconds
     #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = seconds, requires = "follow")]
     interval: f64,
-    /// Control socket of the daemon, which gives more data; optional
-    #[arg(long, value_name = "PATH", default_value = "/run/trifacet/control.sock")]
-    socket: PathBuf,
+    #[command(flatten)]
+    socket: SocketArg,
 }
 
 /// An interval that is not a number of seconds in the allowed range.
@@ -77,15 +78,17 @@ pub(crate) fn status(args: &StatusArgs) -> Result<()> {
 
 async fn look(args: &StatusArgs) -> Result<()> {
     let options = Options { reconnect: args.follow.then(Backoff::default), ..Options::default() };
-    let endpoint = &args.endpoint;
+    let endpoint = &args.running.endpoint(args.endpoint.as_ref())?;
+    // A daemon without a control socket gives less data.
+    let socket = args.running.socket(&args.socket).unwrap_or_default();
     let mut client = match timeout(SHORTEST, Client::connect_with(endpoint, options)).await {
         Ok(client) => client.map_err(|e| opening_failed(endpoint, &e))?,
         Err(_) => return Err(unavailable(format!("{endpoint} does not answer"))),
     };
     let mut known = Known::default();
     known.first(&mut client, endpoint).await?;
-    known.ask(&args.socket).await;
-    let mut screen = Screen::new(args);
+    known.ask(&socket).await;
+    let mut screen = Screen::new(args, endpoint);
     screen.show(&known)?;
     if !args.follow {
         return Ok(());
@@ -103,7 +106,7 @@ async fn look(args: &StatusArgs) -> Result<()> {
             }
         }
         known.missing = client.losses().missed_frames;
-        known.ask(&args.socket).await;
+        known.ask(&socket).await;
         screen.show(&known)?;
     }
 }
@@ -187,7 +190,7 @@ struct Screen {
 }
 
 impl Screen {
-    fn new(args: &StatusArgs) -> Self {
+    fn new(args: &StatusArgs, endpoint: &Endpoint) -> Self {
         let terminal = io::stdout().is_terminal();
         let wanted = std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
         let form = match (args.follow, terminal) {
@@ -195,7 +198,7 @@ impl Screen {
             (true, true) => Layout::Redrawn,
             (true, false) => Layout::Lines,
         };
-        Self { source: args.endpoint.to_string(), form, colour: terminal && wanted, drawn: 0 }
+        Self { source: endpoint.to_string(), form, colour: terminal && wanted, drawn: 0 }
     }
 
     fn show(&mut self, known: &Known) -> Result<()> {

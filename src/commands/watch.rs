@@ -15,6 +15,7 @@ use trifacet::publishing::columns::Columns;
 use trifacet_wire::Status;
 use trifacet_wire::stream::request::MAX_DIVIDER;
 
+use super::running::RunningArg;
 use super::silence::{Heard, SHORTEST, Wait, note};
 use super::{within, written};
 
@@ -25,9 +26,11 @@ const READABLE: Duration = Duration::from_millis(200);
 #[derive(Debug, Args)]
 pub(crate) struct WatchArgs {
     /// TCP server of the daemon (tcp://HOST:PORT), local address or multicast group to which it sends
-    /// datagrams (udp://HOST:PORT), or its server for subscriptions (subscribe://HOST:PORT)
-    #[arg(default_value = "tcp://127.0.0.1:7361")]
-    endpoint: Endpoint,
+    /// datagrams (udp://HOST:PORT), or its server for subscriptions (subscribe://HOST:PORT); by default that of
+    /// the configuration, or tcp://127.0.0.1:7361
+    endpoint: Option<Endpoint>,
+    #[command(flatten)]
+    running: RunningArg,
     /// Request every Nth frame (not for udp://)
     #[arg(long, default_value_t = 1, value_parser = within(1..=MAX_DIVIDER))]
     divider: u32,
@@ -78,16 +81,17 @@ pub(crate) fn watch(args: &WatchArgs) -> Result<()> {
 }
 
 async fn follow(args: &WatchArgs) -> Result<()> {
-    let mut client = match timeout(SHORTEST, Client::connect_with(&args.endpoint, args.options())).await {
-        Ok(client) => client.map_err(|e| opening_failed(&args.endpoint, &e))?,
-        Err(_) => return Err(unavailable(format!("{} does not answer", args.endpoint))),
+    let endpoint = args.running.endpoint(args.endpoint.as_ref())?;
+    let mut client = match timeout(SHORTEST, Client::connect_with(&endpoint, args.options())).await {
+        Ok(client) => client.map_err(|e| opening_failed(&endpoint, &e))?,
+        Err(_) => return Err(unavailable(format!("{endpoint} does not answer"))),
     };
     let mut printer = Printer::new(args);
     let mut losses = LossNotes::default();
     let mut wait = Wait::new(None);
     let mut silent = false;
     loop {
-        match wait.next(&mut client, &args.endpoint).await {
+        match wait.next(&mut client, &endpoint).await {
             Ok(Heard::Message(Message::Pose(frame))) => {
                 silent = false;
                 losses.note_own(client.losses());
@@ -98,8 +102,8 @@ async fn follow(args: &WatchArgs) -> Result<()> {
             Ok(Heard::Message(Message::Heartbeat(heartbeat))) => losses.note_daemon(&heartbeat),
             Ok(Heard::Message(_)) => {}
             Ok(Heard::Silence { waited, due }) => {
-                let why = silence(&args.endpoint, client.losses(), waited);
-                let waits = args.reconnect || matches!(args.endpoint, Endpoint::Udp(_));
+                let why = silence(&endpoint, client.losses(), waited);
+                let waits = args.reconnect || matches!(endpoint, Endpoint::Udp(_));
                 if due && (args.count.is_some() || !waits) {
                     return Err(unavailable(why));
                 }
@@ -108,7 +112,7 @@ async fn follow(args: &WatchArgs) -> Result<()> {
                 }
                 silent = true;
             }
-            Err(e) => return Err(unavailable(format!("{}: {e}", args.endpoint))),
+            Err(e) => return Err(unavailable(format!("{endpoint}: {e}"))),
         }
     }
 }

@@ -1,18 +1,20 @@
 //! `[control]`: the socket that accepts commands for a running daemon.
 
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use serde::{Deserialize, Deserializer, Serialize, de};
 
 use super::check::Checker;
+use super::places::{self, AUTO};
 use super::text::or_off;
 
 /// Settings of `[control]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ControlConfig {
-    /// Path of the Unix socket. `None` (`"off"` in the file) disables it.
+    /// Path of the Unix socket. `None` (`"off"` in the file) disables it; `"auto"` in the file is the place of
+    /// [`places::control_socket`].
     #[serde(deserialize_with = "path_or_off", serialize_with = "or_off")]
     pub socket: Option<PathBuf>,
     /// Permissions of the socket. Every user with write permission may steer.
@@ -22,7 +24,7 @@ pub struct ControlConfig {
 
 impl Default for ControlConfig {
     fn default() -> Self {
-        Self { socket: None, mode: 0o660 }
+        Self { socket: places::control_socket(), mode: 0o660 }
     }
 }
 
@@ -33,7 +35,7 @@ impl ControlConfig {
     pub(super) fn check(&self, mut at: Checker<'_>) {
         if let Some(path) = &self.socket {
             let fine = path.is_absolute() && path.as_os_str().len() <= LONGEST;
-            let allowed = format!("\"off\", or an absolute path of at most {LONGEST} bytes");
+            let allowed = format!("\"auto\", \"off\", or an absolute path of at most {LONGEST} bytes");
             at.demand(fine, "socket", format!("{:?}", path.display().to_string()), allowed);
         }
         let fine = self.mode & !0o777 == 0 && self.mode & 0o600 == 0o600;
@@ -45,7 +47,11 @@ const MODE: &str = "octal permissions from \"0600\" to \"0777\" with which the o
 
 fn path_or_off<'de, D: Deserializer<'de>>(from: D) -> Result<Option<PathBuf>, D::Error> {
     let text = String::deserialize(from)?;
-    Ok((text != "off").then(|| Path::new(&text).to_owned()))
+    Ok(match text.as_str() {
+        "off" => None,
+        AUTO => places::control_socket(),
+        path => Some(path.into()),
+    })
 }
 
 /// Parses `"0660"`, or TOML's own `0o660`.

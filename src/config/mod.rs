@@ -34,6 +34,7 @@ mod log;
 mod monitor;
 mod motion;
 mod network;
+pub mod places;
 mod publishing;
 mod realtime;
 mod recording;

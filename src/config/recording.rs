@@ -3,9 +3,10 @@
 use std::ops::{RangeBounds as _, RangeInclusive};
 use std::path::PathBuf;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::check::{Checker, above_zero};
+use super::places::{self, AUTO};
 
 /// When the daemon records. `trifacet ctl record start` starts a recording in any mode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -52,7 +53,8 @@ const BUDGET_GB: f64 = 100_000.0;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RecordingConfig {
-    /// Folder for the files.
+    /// Folder for the files; `"auto"` in the file is that of [`places::recordings`].
+    #[serde(deserialize_with = "folder_or_auto")]
     pub folder: PathBuf,
     /// When the daemon records.
     pub mode: RecordingMode,
@@ -73,7 +75,7 @@ pub struct RecordingConfig {
 impl Default for RecordingConfig {
     fn default() -> Self {
         Self {
-            folder: "/var/lib/trifacet/recordings".into(),
+            folder: places::recordings(),
             mode: RecordingMode::Off,
             compression: Compression::Zstd,
             rotate_mb: 1000.0,
@@ -83,6 +85,11 @@ impl Default for RecordingConfig {
             after_s: 10.0,
         }
     }
+}
+
+fn folder_or_auto<'de, D: Deserializer<'de>>(from: D) -> Result<PathBuf, D::Error> {
+    let folder = PathBuf::deserialize(from)?;
+    Ok(if folder.as_os_str() == AUTO { places::recordings() } else { folder })
 }
 
 impl RecordingConfig {

@@ -1,7 +1,7 @@
 //! Server of the control socket: one line in, one line of JSON out.
 
 use std::net::SocketAddr;
-use std::os::unix::fs::FileTypeExt;
+use std::os::unix::fs::{DirBuilderExt, FileTypeExt};
 use std::os::unix::net as blocking;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -21,12 +21,14 @@ use tracing::field::display;
 
 use super::live::{error, obey};
 use super::{Command, RunningConfig};
-use crate::config::ControlConfig;
+use crate::config::{ControlConfig, places};
 use crate::exit::{self, Failure};
 use crate::listening::Accepting;
 
 /// Longest line in bytes, including its end.
 const LINE: u64 = 256;
+/// Permissions of a folder that is created for the socket: access for its owner.
+const FOLDER_MODE: u32 = 0o700;
 /// Most clients at a time.
 const CLIENTS: usize = 16;
 /// A client that sends no line or accepts no answer for this time is disconnected.
@@ -50,6 +52,10 @@ impl Socket {
     pub fn open(config: &ControlConfig) -> Result<Option<Self>, Failure> {
         let Some(path) = config.socket.clone() else { return Ok(None) };
         clear(&path)?;
+        if let Some(folder) = path.parent().filter(|_| places::is_own(&path)) {
+            // If this fails, so does opening, with the path in its message.
+            let _ = fs::DirBuilder::new().mode(FOLDER_MODE).create(folder);
+        }
         let fail = |e: io::Error| {
             Failure::new(exit::IO, format!("cannot open the control socket {}: {e}", path.display()))
         };
@@ -95,7 +101,10 @@ fn clear(path: &Path) -> Result<(), Failure> {
     }
     match blocking::UnixStream::connect(path) {
         Ok(_) => {
-            let why = format!("the control socket {} is in use by another daemon", path.display());
+            let why = format!(
+                "the control socket {} is in use by another daemon: stop it, or set another control.socket",
+                path.display()
+            );
             Err(Failure::new(exit::IN_USE, why))
         }
         Err(e) if e.kind() == io::ErrorKind::ConnectionRefused => {

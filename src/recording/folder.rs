@@ -8,6 +8,8 @@ use std::path::{Path, PathBuf};
 use jiff::Timestamp;
 use rustix::fs::{Access, access, statvfs};
 
+use crate::config::places;
+
 /// Extension of an unfinished file.
 pub const UNFINISHED: &str = "part";
 /// Permissions of a file, before the umask.
@@ -77,7 +79,9 @@ impl Folder {
     /// # Errors
     /// The folder cannot be created.
     pub fn make(&self) -> io::Result<()> {
-        match DirBuilder::new().mode(FOLDER_MODE).create(&self.0) {
+        // The folders above are made only in the home of the user: a missing one elsewhere may be a disk that is not
+        // mounted.
+        match DirBuilder::new().recursive(places::is_own(&self.0)).mode(FOLDER_MODE).create(&self.0) {
             Err(e) if e.kind() == io::ErrorKind::AlreadyExists => Ok(()),
             made => made,
         }
@@ -89,7 +93,11 @@ impl Folder {
     /// The path is not a folder, its parent does not exist, or there is no permission to write.
     pub fn usable(&self) -> Result<(), UnusableFolder> {
         let parent = self.0.parent().filter(|parent| !parent.as_os_str().is_empty());
-        let parent = parent.unwrap_or(Path::new("."));
+        let parent = match parent.unwrap_or(Path::new(".")) {
+            // These are made with the folder.
+            parent if places::is_own(&self.0) => parent.ancestors().find(|it| it.is_dir()).unwrap_or(parent),
+            parent => parent,
+        };
         let there = match fs::metadata(&self.0) {
             Ok(it) if it.is_dir() => &self.0,
             Ok(_) => return Err(UnusableFolder::NotFolder),

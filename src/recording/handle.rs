@@ -58,6 +58,8 @@ pub struct State {
 #[derive(Debug, Default)]
 struct Words {
     file: Option<PathBuf>,
+    /// The last recording that is complete.
+    last: Option<PathBuf>,
     fault: Option<String>,
 }
 
@@ -85,6 +87,11 @@ impl State {
         Some(self.words().file.as_ref()?.file_name()?.to_string_lossy().into_owned())
     }
 
+    /// Sets the last recording that is complete.
+    pub fn finished(&self, file: PathBuf) {
+        self.words().last = Some(file);
+    }
+
     /// Sets the reason for which data are being lost.
     pub fn fault(&self, why: Option<String>) {
         self.fault.store(why.is_some(), Ordering::Relaxed);
@@ -103,6 +110,7 @@ impl State {
             "mode": self.mode.name(),
             "recording": self.recording.load(Ordering::Relaxed),
             "file": words.file,
+            "last": words.last,
             "fault": words.fault,
             "ring_bytes": self.ring.load(Ordering::Relaxed),
             "free_bytes": self.free(),

@@ -88,7 +88,7 @@ const BAD: &[(&str, &[&str])] = &[
     ("[[twin.fault]]\nat_s = 1\nkind = 'laser-bump'\nshift_um = [1, nan]\n", &["lab.toml:4:16: twin.fault[0].shift_um[1] = nan: allowed is -10000 to 10000"]),
     ("[[twin.fault]]\nat_s = 1\nkind = 'laser-bump'\nfactor = 2\n", &["twin.fault[0]", "needs the key `shift_um`"]),
     ("[log]\nlevel = 'inof'\n", &["lab.toml:2:9: log.level = 'inof': allowed is off, error, warn, info"]),
-    ("[control]\nsocket = 'ctl.sock'\n", &["lab.toml:2:10: control.socket = 'ctl.sock': allowed is \"off\", or an absolute path"]),
+    ("[control]\nsocket = 'ctl.sock'\n", &["lab.toml:2:10: control.socket = 'ctl.sock': allowed is \"auto\", \"off\", or an absolute path"]),
     ("[control]\nmode = 660\n", &["lab.toml:2:8: control.mode = 660: allowed is octal permissions from \"0600\""]),
     ("[control]\nmode = '0o660'\n", &["lab.toml:2:8: control.mode", "octal permissions"]),
     ("[control]\nmode = '0440'\n", &["lab.toml:2:8: control.mode = '0440': allowed is octal"]),

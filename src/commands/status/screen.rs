@@ -18,7 +18,7 @@ const SHOWN_ELSEWHERE: Status =
 
 /// The lines of the page.
 pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
-    let mut lines = vec![head(source, known)];
+    let mut lines = head(source, known);
     lines.extend(replay(known).map(|what| row("replay", &what)));
     let Some(frame) = &known.frame else {
         lines.push(row("pose", "no frame since the last update"));
@@ -99,17 +99,18 @@ fn row(name: &str, text: &str) -> String {
     format!("{name:<9} {text}").trim_end().to_owned()
 }
 
-fn head(source: &str, known: &Known) -> String {
+fn head(source: &str, known: &Known) -> Vec<String> {
     let mut parts = vec![source.to_owned()];
     if let Some(descriptor) = &known.descriptor {
         let (version, config, rate) = (&descriptor.daemon_version, descriptor.config, descriptor.rate_hz);
         parts.push(format!("version {version}  config {config:08x}  {rate} frames/s"));
     }
+    let mut rows = vec![row("trifacet", &parts.join("  "))];
     if let Some(control) = &known.control {
         let (pid, uptime) = (&control["pid"], control["uptime_s"].as_f64().unwrap_or(f64::NAN));
-        parts.push(format!("pid {pid}  up {}", duration(uptime)));
+        rows.push(row("process", &format!("pid {pid}  up {}", duration(uptime))));
     }
-    row("trifacet", &parts.join("  "))
+    rows
 }
 
 /// What is replayed. Without a descriptor, as over UDP, only the status bits show that it is a replay.

@@ -184,7 +184,7 @@ impl Recorder {
         self.state.file(None);
         let file = output.path.clone();
         match output.finish(&mut self.disk) {
-            Ok(true) => {}
+            Ok(true) => self.state.finished(file.with_extension("")), // without .part
             Ok(false) => tracing::info!("no samples received: empty recording removed"),
             Err(source) => self.suffer(FaultReason::Finish { file, source }),
         }

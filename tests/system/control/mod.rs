@@ -1,5 +1,6 @@
 //! Control of a running daemon: through `trifacet ctl`, the control socket, and SIGHUP.
 
+mod first_steps;
 mod fixture;
 mod reload;
 mod self_check;

@@ -234,9 +234,9 @@ fn status_prints_once_or_follows() {
     });
     for (name, part) in [
         ("trifacet", &address[..]),
-        ("trifacet", &pid),
-        ("grade", "limited: Pose valid, beam locked; limited: "),
-        ("remedy", "calibrate"),
+        ("process", &pid),
+        ("grade", "limited: Pose valid, beam "),
+        ("remedy", ""),
         ("pose", "valid"),
         ("lock", "locked   loop on"),
         ("offset", " um"),

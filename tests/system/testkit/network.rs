@@ -8,7 +8,7 @@ use std::sync::mpsc;
 
 use serde_json::Value;
 
-use super::{Daemon, Folder, Killed, PATIENCE};
+use super::{Daemon, Folder, Killed, NO_SESSION, PATIENCE};
 
 /// A network: `near`, where the daemon runs, and `far`, where receivers are. Cables are added by the test. The
 /// first one is v0 (near, 10.7.0.1/24) to v1 (far, up, without an address).
@@ -80,7 +80,7 @@ impl Network {
     /// The program with these arguments, where the daemon is.
     pub(crate) fn trifacet(&self, args: &[&str]) -> Command {
         let mut command = enter(&self.near.0, env!("CARGO_BIN_EXE_trifacet"));
-        command.args(args).stdin(Stdio::null());
+        command.args(args).stdin(Stdio::null()).env("XDG_RUNTIME_DIR", NO_SESSION);
         command
     }
 

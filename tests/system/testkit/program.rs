@@ -3,6 +3,9 @@
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
+/// Instead of `$XDG_RUNTIME_DIR`: daemons of several tests must not share a control socket.
+pub(crate) const NO_SESSION: &str = "/nonexistent";
+
 /// The result of a command.
 pub(crate) struct Done {
     pub(crate) code: i32,
@@ -13,7 +16,7 @@ pub(crate) struct Done {
 /// The program with these arguments and an empty standard input.
 pub(crate) fn trifacet(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_trifacet"));
-    command.args(args).stdin(Stdio::null());
+    command.args(args).stdin(Stdio::null()).env("XDG_RUNTIME_DIR", NO_SESSION);
     command
 }
 

@@ -36,6 +36,15 @@ impl Terminal {
         }
     }
 
+    /// All that is waiting to be read, after the programs in it have ended.
+    pub(crate) fn text(&self) -> String {
+        let (mut all, mut bytes) = (Vec::new(), [0; 4096]);
+        while let Ok(n @ 1..) = rustix::io::read(&self.0, &mut bytes) {
+            all.extend_from_slice(&bytes[..n]);
+        }
+        String::from_utf8(all).unwrap()
+    }
+
     /// The side of the programs in it.
     pub(crate) fn inside(&self) -> File {
         let name = ptsname(&self.0, Vec::new()).unwrap();
