@@ -2,28 +2,26 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Output;
 
-use crate::testkit::{Folder, trifacet};
+use crate::testkit::{Done, Folder, computing, run, trifacet};
 
 fn reference(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/reference/calibration").join(name)
 }
 
 /// Fits these tables in a folder with a configuration `in.toml`; the results go to `out`.
-fn fit(folder: &Folder, points: &Path, options: &[&str]) -> Output {
+fn fit(folder: &Folder, points: &Path, options: &[&str]) -> Done {
     let config = folder.path("in.toml");
     if !config.exists() {
         fs::write(&config, "# my rig\n[log]\nlevel = \"warn\" # quiet").unwrap();
     }
-    let out = folder.path("out");
-    let mut command = trifacet(&["calibrate", "fit"]);
-    command.arg("--config").arg(config).arg("--points").arg(points).arg("--out").arg(out);
-    command.args(options).output().unwrap()
+    let (config, points, out) = (text(&config), text(points), text(&folder.path("out")));
+    let fit = ["calibrate", "fit", "--config", &config, "--points", &points, "--out", &out];
+    computing(&[&fit, options].concat())
 }
 
-fn said(output: &Output) -> String {
-    String::from_utf8(output.stderr.clone()).unwrap()
+fn text(path: &Path) -> String {
+    path.to_str().unwrap().into()
 }
 
 fn numbers(csv: &str, names: &[&str]) -> Vec<Vec<f64>> {
@@ -43,18 +41,18 @@ fn a_fit_writes_a_configuration_that_gives_the_true_poses() {
     let scan = reference("mild.scan.csv");
     let options = ["--scan", scan.to_str().unwrap(), "--want-um", "0.2", "--want-urad", "0.5"];
     let output = fit(&folder, &reference("mild.points.csv"), &options);
-    assert!(output.status.success(), "{}", said(&output));
-    assert!(said(&output).contains("calibrated: over +-1 mm and +-5 mrad"), "{}", said(&output));
+    assert_eq!(output.code, 0, "{}", output.err);
+    assert!(output.err.contains("calibrated: over +-1 mm and +-5 mrad"), "{}", output.err);
     let out = folder.path("out");
     let text = fs::read_to_string(out.join("trifacet.toml")).unwrap();
     assert!(text.starts_with("# my rig\n[log]\nlevel = \"warn\" # quiet\n"), "{text}");
 
     let mut solve = trifacet(&["solve", "--readings", "--frames", "--tare-row", "1", "--sigma", "--config"]);
-    let solved = solve.arg(out.join("trifacet.toml")).arg(reference("mild.test.csv")).output().unwrap();
-    assert!(solved.status.success(), "{}", said(&solved));
-    let table = String::from_utf8(solved.stdout).unwrap();
-    let found = numbers(&table, &POSE);
-    let stated = numbers(&table, &POSE.map(|name| format!("cal_std_{name}")).each_ref().map(String::as_str));
+    let solved = run(solve.arg(out.join("trifacet.toml")).arg(reference("mild.test.csv")));
+    assert_eq!(solved.code, 0, "{}", solved.err);
+    let found = numbers(&solved.out, &POSE);
+    let stated =
+        numbers(&solved.out, &POSE.map(|name| format!("cal_std_{name}")).each_ref().map(String::as_str));
     let wanted = numbers(&fs::read_to_string(reference("mild.test.csv")).unwrap(), &POSE);
     let figures = |rows: std::ops::Range<usize>, axes: std::ops::Range<usize>| {
         let errors: Vec<f64> = rows
@@ -77,11 +75,13 @@ fn a_fit_writes_a_configuration_that_gives_the_true_poses() {
     assert!(far_m.1 <= 0.7e-6 && far_rad.1 <= 1.7e-6, "{far_m:?} {far_rad:?}");
 
     let mut check = trifacet(&["check", "--config"]);
-    assert!(check.arg(out.join("trifacet.toml")).output().unwrap().status.success());
+    assert_eq!(run(check.arg(out.join("trifacet.toml"))).code, 0);
 
     let report: serde_json::Value =
         serde_json::from_str(&fs::read_to_string(out.join("report.json")).unwrap()).unwrap();
     assert_eq!(report["dropped"], serde_json::json!([]));
+    let per_row = report["chi2_per_row"].as_f64().unwrap();
+    assert!((0.7..=1.1).contains(&per_row), "{per_row}");
     assert!(report["verdict"].as_str().unwrap().starts_with("calibrated: "));
     assert!(report["before"]["um"][0].as_f64().unwrap() > 10.0 * report["after"]["um"][0].as_f64().unwrap());
     let page = fs::read_to_string(out.join("report.html")).unwrap();
@@ -89,8 +89,8 @@ fn a_fit_writes_a_configuration_that_gives_the_true_poses() {
 
     // Nothing is written over: refused before anything is read.
     let again = fit(&folder, Path::new("absent.csv"), &[]);
-    assert_eq!(again.status.code(), Some(74));
-    assert!(said(&again).contains("psd-a.csv exists already: choose another folder"), "{}", said(&again));
+    assert_eq!(again.code, 74);
+    assert!(again.err.contains("psd-a.csv exists already: choose another folder"), "{}", again.err);
 }
 
 /// The points of the mild head, changed row by row; `header` has the names of the columns.
@@ -113,8 +113,8 @@ fn assert_refused(change: impl Fn(&[String], &mut Vec<String>), options: &[&str]
     let folder = Folder::new();
     let points = changed(&folder, change);
     let output = fit(&folder, &points, options);
-    assert_eq!(output.status.code(), Some(65), "{}", said(&output));
-    assert!(said(&output).contains(reason), "{}", said(&output));
+    assert_eq!(output.code, 65, "{}", output.err);
+    assert!(output.err.contains(reason), "{}", output.err);
     assert!(!folder.path("out").exists());
 }
 
@@ -181,11 +181,11 @@ fn a_bad_row_is_named_by_file_line_and_column() {
     let points = folder.path("points.csv");
     fs::write(&points, [header, row].concat()).unwrap();
     let output = fit(&folder, &points, &[]);
-    assert_eq!(output.status.code(), Some(65));
-    assert!(said(&output).contains("points.csv:2: ref_tx_m has a value, but ref_std_tx_m does not"));
+    assert_eq!(output.code, 65);
+    assert!(output.err.contains("points.csv:2: ref_tx_m has a value, but ref_std_tx_m does not"));
     fs::write(&points, [header, &row.replace("0.001,0,0", "12,0,0")].concat()).unwrap();
     let output = fit(&folder, &points, &[]);
-    assert!(said(&output).contains("points.csv:2: u_a_m is \"12\": allowed is"), "{}", said(&output));
+    assert!(output.err.contains("points.csv:2: u_a_m is \"12\": allowed is"), "{}", output.err);
 }
 
 #[test]
@@ -195,10 +195,10 @@ fn tolerances_out_of_range_are_named() {
     let options = ["--tolerances", file.to_str().unwrap()];
     fs::write(&file, "psd_position_mm = 0.0\n").unwrap();
     let output = fit(&folder, &reference("mild.points.csv"), &options);
-    assert_eq!(output.status.code(), Some(78));
-    assert!(said(&output).contains("psd_position_mm is 0: allowed is"), "{}", said(&output));
+    assert_eq!(output.code, 78);
+    assert!(output.err.contains("psd_position_mm is 0: allowed is"), "{}", output.err);
     fs::write(&file, "psd_distance = 1.0\n").unwrap();
     let output = fit(&folder, &reference("mild.points.csv"), &options);
-    assert_eq!(output.status.code(), Some(78));
-    assert!(said(&output).contains("psd_distance"), "{}", said(&output));
+    assert_eq!(output.code, 78);
+    assert!(output.err.contains("psd_distance"), "{}", output.err);
 }

@@ -10,7 +10,7 @@ use rustix::process::{Pid, Signal, kill_process, test_kill_process};
 use trifacet_optics::calibration::plan::cells;
 use trifacet_optics::{Head, Model, Optics, Pose, Vec2};
 
-use crate::testkit::{Done, Folder, Killed, Socket, run, trifacet, wait_for};
+use crate::testkit::{Done, Folder, Killed, Socket, computing, run, trifacet, wait_for};
 
 /// A head whose steering reaches every pose of a plan of 1 mm, and whose mirror is at rest.
 const LAB: &str = "channels.readback_um_per_v = 200.0\n\
@@ -37,7 +37,8 @@ impl Lab {
     }
 
     fn plan(&self, name: &str, options: &[&str]) -> Done {
-        run(trifacet(&["calibrate", "plan", "--out"]).arg(self.path(name)).args(options))
+        let out = self.path(name);
+        computing(&[&["calibrate", "plan", "--out", out.to_str().unwrap()], options].concat())
     }
 
     /// `calibrate run` with the plan of this name, into the folder of this name.

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use trifacet_wire::Status;
 
-use crate::testkit::{self, Board, Daemon, Folder, Frame, on};
+use crate::testkit::{self, Board, Daemon, Done, Folder, Frame, computing, on};
 
 fn real_head() -> String {
     std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("config/real-head.toml")).unwrap()
@@ -191,10 +191,10 @@ fn a_rough_head_is_calibrated_by_commands_and_its_poses_are_then_true() {
     let run_it = vec!["calibrate", "run", "--config", &config, "--plan", &plan, "--out", &run];
     let fit_it =
         vec!["calibrate", "fit", "--config", &config, "--points", &points, "--scan", &scan, "--out", &out];
-    for command in [plan_it, run_it, fit_it] {
-        let done = testkit::trifacet(&command).output().unwrap();
-        assert!(done.status.success(), "{command:?}: {}", String::from_utf8_lossy(&done.stderr));
-    }
+    let succeeds = |done: Done| assert_eq!(done.code, 0, "{}", done.err);
+    succeeds(computing(&plan_it));
+    succeeds(testkit::run(&mut testkit::trifacet(&run_it)));
+    succeeds(computing(&fit_it));
     let calibrated = std::fs::read_to_string(folder.path("calibrated/trifacet.toml")).unwrap();
     let quiet = "[twin]\nspot_noise_um = 0.0\npower_noise = 0.0\nconverter_bits = 24\n";
     let moving = calibrated.replace("motion = []", "").replace("[twin]\n", quiet) + MOTION;

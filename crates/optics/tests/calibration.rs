@@ -1,4 +1,5 @@
-//! Calibrations of two simulated heads, whose points and true poses an independent program has computed.
+//! Calibrations of simulated heads, whose points and true poses an independent program has computed. The fit of the mild
+//! head is in `tests/system/calibrate_fit.rs`, through the program.
 
 #![allow(clippy::unwrap_used, reason = "a test")]
 
@@ -137,13 +138,6 @@ fn calibrated(head: &str) -> Fitted {
 }
 
 #[test]
-fn the_mild_head_is_calibrated() {
-    let fitted = calibrated("mild");
-    assert!(fitted.dropped.is_empty(), "{:?}", fitted.dropped);
-    assert_figures("mild", &fitted, (0.13e-6, 0.32e-6));
-}
-
-#[test]
 fn the_rough_head_is_calibrated_and_its_false_references_are_found() {
     let fitted = calibrated("rough");
     let lines: Vec<usize> = fitted.dropped.iter().map(|(k, _)| k + 2).collect();
@@ -155,7 +149,7 @@ fn the_rough_head_is_calibrated_and_its_false_references_are_found() {
 fn a_fit_repeats_to_the_last_digit() {
     let (points, nominal, tolerances) = (points("mild"), nominal(), Tolerances::default());
     let fields = [fit::FIRST_FIELD];
-    let job = Job { nominal: &nominal, tolerances: &tolerances, points: &points[..150], fields: &fields };
+    let job = Job { nominal: &nominal, tolerances: &tolerances, points: &points[..60], fields: &fields };
     let [a, b] = [0, 1].map(|_| fit(job, |_| ()).unwrap().calibration.theta);
     assert_eq!(a, b);
 }

@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::mpsc;
+use std::sync::{Arc, Mutex, PoisonError, Weak, mpsc};
 
 use tempfile::TempDir;
 
@@ -25,9 +25,16 @@ impl Program {
         Self(place, program)
     }
 
-    /// The board on a pseudo-terminal.
-    pub(crate) fn board() -> Self {
-        Self::compile("firmware/host/board_host.c", &["host/head.c", "host/options.c", "host/sensor.c"])
+    /// The board on a pseudo-terminal, compiled once for the tests that run at the same time.
+    pub(crate) fn board() -> Arc<Self> {
+        static ONCE: Mutex<Weak<Program>> = Mutex::new(Weak::new());
+        let mut once = ONCE.lock().unwrap_or_else(PoisonError::into_inner);
+        once.upgrade().unwrap_or_else(|| {
+            let parts = ["host/head.c", "host/options.c", "host/sensor.c"];
+            let program = Arc::new(Self::compile("firmware/host/board_host.c", &parts));
+            *once = Arc::downgrade(&program);
+            program
+        })
     }
 
     pub(crate) fn path(&self) -> &Path {

@@ -11,12 +11,14 @@ use serde_json::{Value, json};
 use tungstenite::stream::MaybeTlsStream;
 use tungstenite::{Message, WebSocket};
 
+use super::turn::Turn;
 use super::{Killed, PATIENCE, now_ns};
 
 /// A browser with one tab. It is closed at the end of its test.
 pub(crate) struct Browser {
     _child: Killed,
     _profile: tempfile::TempDir,
+    _turn: Turn,
     socket: WebSocket<MaybeTlsStream<TcpStream>>,
     session: String,
     target: String,
@@ -29,6 +31,7 @@ impl Browser {
     /// Opens a browser at this address with a window of this size.
     pub(crate) fn open(url: &str, [width, height]: [u32; 2]) -> Self {
         install();
+        let turn = Turn::wait();
         let profile = tempfile::tempdir().unwrap();
         let mut child = Command::new("chromium")
             .args(["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"])
@@ -58,6 +61,7 @@ impl Browser {
         let mut browser = Self {
             _child: Killed(child),
             _profile: profile,
+            _turn: turn,
             socket,
             session,
             target,

@@ -14,6 +14,7 @@ mod program;
 mod stream;
 mod terminal;
 mod truth;
+mod turn;
 mod udp;
 pub(crate) mod venv;
 
@@ -26,7 +27,7 @@ pub(crate) use daemon::{Daemon, stamp_ns};
 pub(crate) use folder::Folder;
 pub(crate) use load::waited_ns;
 pub(crate) use network::{Network, Receiver};
-pub(crate) use program::{Done, Killed, NO_SESSION, lacks, on, run, trifacet};
+pub(crate) use program::{Done, Killed, NO_SESSION, computing, lacks, on, run, trifacet};
 pub(crate) use stream::{Frame, Stream};
 pub(crate) use terminal::Terminal;
 pub(crate) use truth::{errors, truth};

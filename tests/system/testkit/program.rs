@@ -3,6 +3,8 @@
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
+use super::turn::Turn;
+
 /// Instead of `$XDG_RUNTIME_DIR`: daemons of several tests must not share a control socket.
 pub(crate) const NO_SESSION: &str = "/nonexistent";
 
@@ -18,6 +20,13 @@ pub(crate) fn trifacet(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_trifacet"));
     command.args(args).stdin(Stdio::null()).env("XDG_RUNTIME_DIR", NO_SESSION);
     command
+}
+
+/// Runs the program with these arguments, for which it computes for seconds, and waits for its end. The daemons of other
+/// tests come first.
+pub(crate) fn computing(args: &[&str]) -> Done {
+    let _turn = Turn::wait();
+    run(Command::new("nice").arg(env!("CARGO_BIN_EXE_trifacet")).args(args).stdin(Stdio::null()))
 }
 
 /// Runs a command and waits for its end.
