@@ -28,4 +28,4 @@ pub use edits::{edits, nominal};
 pub use points::{Defaults, InputFile, Line, Measured};
 pub use record_file::{ParameterReport, Record, parameter_reports};
 pub use tables::table;
-pub use verdict::{Verdict, Wanted, before, verdict};
+pub use verdict::{Verdict, Wanted, before, pointing_advice, verdict};

@@ -6,9 +6,10 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use serde::{Deserialize, Serialize};
 use trifacet_optics::calibration::cholesky::Factor;
+use trifacet_optics::calibration::gauge;
 use trifacet_optics::calibration::linearised::Layout;
 use trifacet_optics::calibration::map::{Field, Lattice};
-use trifacet_optics::calibration::parameters::{Nominal, Tolerances, parameters};
+use trifacet_optics::calibration::parameters::{Nominal, Parameter, Tolerances, parameters};
 use trifacet_optics::calibration::result::Calibration;
 
 use crate::config::{RecordError, RecordHeader, contents, parsed};
@@ -53,31 +54,59 @@ pub struct ParameterReport {
     pub prior: f64,
     /// Standard deviation after the fit.
     pub posterior: f64,
-    /// "data", "data and tolerance", or "tolerance or convention".
+    /// What most of the variance before the fit is removed or kept by: "data", "tolerance" or "convention".
     pub determined_by: String,
+    /// The parts of the variance before the fit; absent in records of before.
+    #[serde(default)]
+    pub shares: Shares,
+}
+
+/// Parts of the variance of a parameter before the fit; their sum is 1.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub struct Shares {
+    /// The data have removed it.
+    pub data: f64,
+    /// More data would remove it: the tolerance holds.
+    pub tolerance: f64,
+    /// No measurement can remove it, since it has no effect on a pose: a convention.
+    pub convention: f64,
+}
+
+impl Shares {
+    /// From the deviations before and after the fit, and from the part that no measurement can remove.
+    fn new(prior: f64, posterior: f64, gauge: f64) -> Self {
+        let left = (posterior / prior).powi(2).min(1.0);
+        let convention = gauge.clamp(0.0, left);
+        Self { data: 1.0 - left, tolerance: left - convention, convention }
+    }
+
+    /// The name of the largest part.
+    fn largest(&self) -> &'static str {
+        let parts = [("data", self.data), ("tolerance", self.tolerance), ("convention", self.convention)];
+        parts.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)).map_or("tolerance", |(name, _)| name)
+    }
 }
 
 /// The geometric parameters of a calibration.
 pub fn parameter_reports(calibration: &Calibration) -> Vec<ParameterReport> {
-    let deviations = calibration.deviations();
-    let parameters = parameters(&calibration.tolerances).into_iter();
-    parameters
-        .zip(&calibration.theta)
-        .zip(deviations)
-        .map(|((parameter, value), posterior)| ParameterReport {
-            determined_by: match posterior / parameter.deviation {
-                ratio if ratio < 0.1 => "data",
-                ratio if ratio < 0.5 => "data and tolerance",
-                _ => "tolerance or convention",
-            }
-            .to_owned(),
+    let list = parameters(&calibration.tolerances);
+    // A head that cannot be measured as drawn has no fit, so that there are always shares.
+    let gauge = gauge::shares(&calibration.nominal, &calibration.tolerances);
+    let gauge = gauge.unwrap_or_else(|| vec![0.0; list.len()]);
+    let found = calibration.theta.iter().zip(calibration.deviations()).zip(gauge);
+    let one = |(parameter, ((value, posterior), gauge)): (Parameter, ((&f64, f64), f64))| {
+        let shares = Shares::new(parameter.deviation, posterior, gauge);
+        ParameterReport {
+            determined_by: shares.largest().to_owned(),
             name: parameter.name,
             unit: parameter.unit,
             value: *value,
             prior: parameter.deviation,
             posterior,
-        })
-        .collect()
+            shares,
+        }
+    };
+    list.into_iter().zip(found).map(one).collect()
 }
 
 impl Record {

@@ -1,11 +1,11 @@
 //! The report of a calibration, as JSON and as a page.
 
-use std::fmt::Write as _;
+mod page;
+mod pictures;
 
 use serde::{Deserialize, Serialize};
-use trifacet_optics::FACETS;
 use trifacet_optics::calibration::fit::{Dropped, Fitted};
-use trifacet_optics::calibration::held_out::HeldOut;
+use trifacet_optics::calibration::held_out::{HeldOut, PoseError};
 use trifacet_optics::calibration::map::Field;
 use trifacet_optics::calibration::mistakes::Regression;
 use trifacet_optics::calibration::result::RangeUncertainty;
@@ -32,6 +32,40 @@ pub struct Errors {
     pub urad: [f64; 3],
 }
 
+/// A pose that was held out.
+#[derive(Clone, Debug, Serialize)]
+pub struct HeldOutPose {
+    /// The file.
+    pub file: String,
+    /// Its line; the header is line 1.
+    pub line: u64,
+    /// The reference: tx, ty, tz, roll, pitch, yaw, um and urad.
+    pub reference: [f64; 6],
+    /// Pose by the other points less the reference, um and urad.
+    pub error: [f64; 6],
+    /// Spots as read: u, v of A, B, C, mm.
+    pub spots_mm: [f64; 6],
+    /// The same error as displacements of the spots, um.
+    pub spot_errors_um: [f64; 6],
+}
+
+/// Where readings lie on a PSD.
+#[derive(Clone, Debug, Serialize)]
+pub struct Coverage {
+    /// Half the side of the PSD, mm.
+    pub half_side_mm: f64,
+    /// Side of a cell, mm.
+    pub cell_mm: f64,
+    /// Lower left corners of the cells with readings or among cells with readings: u, v, mm.
+    pub covered_mm: Vec<[f64; 2]>,
+    /// Spots of the points: u, v, mm.
+    #[serde(skip)]
+    pub points_mm: Vec<[f64; 2]>,
+    /// Spots of the scans: u, v, mm.
+    #[serde(skip)]
+    pub scans_mm: Vec<[f64; 2]>,
+}
+
 /// All that people may want to know of a fit.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
@@ -51,6 +85,10 @@ pub struct Report {
     pub before: Option<Errors>,
     /// Errors of the points that were held out, with the head that the others give.
     pub after: Option<Errors>,
+    /// The errors of each of these points.
+    pub held_out_poses: Vec<HeldOutPose>,
+    /// Where readings lie on PSDs A, B, C.
+    pub coverage: [Coverage; 3],
     /// The test on the points held out.
     pub held_out: HeldOut,
     /// Cost per row: chi-square with the prior's share.
@@ -124,7 +162,9 @@ impl Report {
             covered: range.covered,
             before: regression.and_then(|r| errors(r.rms)),
             after: errors(fitted.held_out.rms),
-            held_out: fitted.held_out,
+            held_out_poses: fitted.held_out.errors.iter().map(|e| held_out_pose(measured, e)).collect(),
+            coverage: [0, 1, 2].map(|psd| coverage(measured, fitted, psd)),
+            held_out: fitted.held_out.clone(),
             chi2_per_row: fitted.cost_per_row(),
             rows: fitted.rows,
             steering_um: [steering(0), steering(1)],
@@ -136,78 +176,38 @@ impl Report {
             chi2: fitted.chi2.clone(),
         }
     }
+}
 
-    /// The report as a page that prints.
-    pub fn html(&self) -> String {
-        let mut page = format!(
-            "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>Calibration</title>\n<style>\
-             body{{font:14px/1.4 sans-serif;max-width:60em;margin:2em auto;padding:0 1em}}table{{border-collapse:\
-             collapse;margin:.5em 0}}td,th{{border:1px solid #bbb;padding:.15em .6em;text-align:right}}\
-             td:first-child,th:first-child{{text-align:left}}</style></head><body>\n<h1>Calibration of the head</h1>\n\
-             <p><strong>{}</strong></p>\n<p>Measured: {}.</p>\n",
-            escaped(&self.verdict),
-            escaped(&self.method)
-        );
-        for warning in &self.warnings {
-            let _ = writeln!(page, "<p>Warning: {}.</p>", escaped(warning));
-        }
-        page += "<h2>Poses</h2>\n<table><tr><th></th><th>tx, um</th><th>ty, um</th><th>tz, um</th>\
-                 <th>roll, urad</th><th>pitch, urad</th><th>yaw, urad</th></tr>\n";
-        let rows = [
-            ("nominal head against the reference, rms", self.before),
-            ("calibrated head on points held out, rms", self.after),
-            ("standard uncertainty by the calibration", Some(self.std)),
-        ];
-        for (name, errors) in rows {
-            let Some(Errors { um, urad }) = errors else { continue };
-            let cells: Vec<String> = um.iter().chain(&urad).map(|x| format!("<td>{x:.3}</td>")).collect();
-            let _ = writeln!(page, "<tr><td>{name}</td>{}</tr>", cells.concat());
-        }
-        let _ = writeln!(
-            page,
-            "</table>\n<h2>Tests</h2>\n<table>\n<tr><td>chi-square per row</td><td>{:.3}</td></tr>\n\
-             <tr><td>chi-square per row, {} points held out</td><td>{:.3}</td></tr>\n\
-             <tr><td>residual of the steering, um</td><td>{:.3}, {:.3}</td></tr>",
-            self.chi2_per_row,
-            self.held_out.points,
-            self.held_out.per_row(),
-            self.steering_um[0],
-            self.steering_um[1]
-        );
-        for (psd, covered) in FACETS.into_iter().zip(self.covered) {
-            let _ = writeln!(
-                page,
-                "<tr><td>spots of the range among readings, PSD {psd}</td><td>{:.1} %</td></tr>",
-                100.0 * covered
-            );
-        }
-        page += "</table>\n<h2>Rows that were dropped</h2>\n";
-        if self.dropped.is_empty() {
-            page += "<p>None.</p>\n";
-        }
-        for DroppedRow { file, line, reason } in &self.dropped {
-            let _ = writeln!(page, "<p>{}:{line}: {}.</p>", escaped(file), escaped(reason));
-        }
-        page += "<h2>Parameters</h2>\n<p>Differences from the nominal head. Many combinations of them have the same \
-                 effect, so that they are not known singly; poses are.</p>\n<table><tr><th>parameter</th><th>unit</th>\
-                 <th>value</th><th>tolerance</th><th>standard uncertainty</th><th>determined by</th></tr>\n";
-        for p in &self.parameters {
-            let _ = writeln!(
-                page,
-                "<tr><td>{}</td><td>{}</td><td>{:.3e}</td><td>{:.1e}</td><td>{:.1e}</td><td>{}</td></tr>",
-                p.name, p.unit, p.value, p.prior, p.posterior, p.determined_by
-            );
-        }
-        page += "</table>\n<h2>Files</h2>\n<table><tr><th>file</th><th>kind</th><th>rows</th><th>SHA-256</th></tr>\n";
-        for file in &self.inputs {
-            let path = escaped(&file.path.display().to_string());
-            let InputFile { kind, rows, sha256, .. } = file;
-            let _ = writeln!(
-                page,
-                "<tr><td>{path}</td><td>{kind}</td><td>{rows}</td><td><small>{sha256}</small></td></tr>"
-            );
-        }
-        page + "</table>\n</body></html>\n"
+fn held_out_pose(measured: &Measured, error: &PoseError) -> HeldOutPose {
+    let (point, line) = (&measured.points[error.point], measured.lines[error.point]);
+    HeldOutPose {
+        file: measured.files[line.file].path.display().to_string(),
+        line: line.line,
+        reference: point.reference_values().map(|x| x * 1e6),
+        error: error.pose.map(|x| x * 1e6),
+        spots_mm: point.spots.map(|x| x * 1e3),
+        spot_errors_um: error.spots.map(|x| x * 1e6),
+    }
+}
+
+/// Spots of rows that were dropped do not count.
+fn coverage(measured: &Measured, fitted: &Fitted, psd: usize) -> Coverage {
+    let layout = &fitted.calibration.layout;
+    let (lattice, half) = (&layout.lattices[psd], layout.half_sizes[psd]);
+    let cells = (half / lattice.knots()).ceil() as i32;
+    let all = (-cells..cells).flat_map(|j| (-cells..cells).map(move |i| [i, j]));
+    let middle = |cell: &[i32; 2]| cell.map(|i| (f64::from(i) + 0.5) * lattice.knots());
+    let covered = all.filter(|cell| lattice.covers(middle(cell)));
+    let spots = |from: usize, to: usize| {
+        let used = (from..to).filter(|k| fitted.chi2[*k].is_some()).map(|k| &measured.points[k].spots);
+        used.map(|spots| [spots[2 * psd] * 1e3, spots[2 * psd + 1] * 1e3]).collect()
+    };
+    Coverage {
+        half_side_mm: half * 1e3,
+        cell_mm: lattice.knots() * 1e3,
+        covered_mm: covered.map(|cell| cell.map(|i| f64::from(i) * lattice.knots() * 1e3)).collect(),
+        points_mm: spots(0, measured.scans),
+        scans_mm: spots(measured.scans, measured.points.len()),
     }
 }
 

@@ -4,6 +4,7 @@ use serde::Serialize;
 use trifacet_optics::FACETS;
 use trifacet_optics::calibration::fit::{Dropped, Fitted};
 use trifacet_optics::calibration::point::Point;
+use trifacet_optics::calibration::pointing::Pointing;
 use trifacet_optics::calibration::result::RangeUncertainty;
 
 /// What a calibration must reach.
@@ -106,6 +107,11 @@ pub fn verdict(
             100.0 * MOST_DROPPED
         ));
     }
+    if let Some(pointing) = &fitted.pointing {
+        // Beside a refusal it is the likely cause of it.
+        let list = if refused(&verdict, fitted) { &mut verdict.refusals } else { &mut verdict.warnings };
+        list.push(pointing_advice(pointing));
+    }
     cost(fitted, &mut verdict);
     held_out(fitted, &mut verdict);
     match range {
@@ -119,9 +125,28 @@ pub fn verdict(
     verdict
 }
 
+/// What a residual of the steering beyond the stated one means, and what helps.
+pub fn pointing_advice(pointing: &Pointing) -> String {
+    let (residual, stated) = (pointing.residual * 1e6, pointing.stated * 1e6);
+    format!(
+        "the beam is {residual:.2} um off the readback of the steering (one standard deviation), where {stated:.2} um \
+         is stated: the direction of the laser drifted during the measurement, or the readback is noisier than \
+         stated. State the drift with --readback-um {residual:.1}, or for each point in the columns std_stage_x_m and \
+         std_stage_y_m"
+    )
+}
+
+/// Whether too many points do not fit, or those that remain do not fit well.
+fn refused(verdict: &Verdict, fitted: &Fitted) -> bool {
+    !verdict.refusals.is_empty() || fitted.cost_per_row() > HIGHEST_COST
+}
+
+/// Largest cost per row of a fit that is not refused.
+const HIGHEST_COST: f64 = 1.2;
+
 fn cost(fitted: &Fitted, verdict: &mut Verdict) {
     let per_row = fitted.cost_per_row();
-    if per_row > 1.2 {
+    if per_row > HIGHEST_COST {
         verdict.refusals.push(format!(
             "chi-square per row is {per_row:.2}, allowed is up to 1.2: the stated standard uncertainties of the \
              points are too small, the reference drifted, or the error of a PSD has ripple finer than {:.2} mm. \

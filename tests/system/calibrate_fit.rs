@@ -85,7 +85,28 @@ fn a_fit_writes_a_configuration_that_gives_the_true_poses() {
     assert!(report["verdict"].as_str().unwrap().starts_with("calibrated: "));
     assert!(report["before"]["um"][0].as_f64().unwrap() > 10.0 * report["after"]["um"][0].as_f64().unwrap());
     let page = fs::read_to_string(out.join("report.html")).unwrap();
-    assert!(page.contains("Rows that were dropped"));
+    assert!(page.contains("Rows that were dropped") && !page.contains("<script"));
+    // Nine pictures of errors, three of coverage; a bar for each parameter.
+    assert_eq!(page.matches("<figure>").count(), 12);
+    assert_eq!(page.matches("class=\"bar\"").count(), report["parameters"].as_array().unwrap().len());
+    let determined = |name: &str| {
+        let parameters = report["parameters"].as_array().unwrap();
+        let own = parameters.iter().find(|p| p["name"] == name).unwrap();
+        own["determined_by"].as_str().unwrap().to_owned()
+    };
+    assert_eq!(determined("psd_b.ln_power_gain"), "data");
+    assert_eq!(determined("psd_a.rotation_normal"), "convention");
+    for parameter in report["parameters"].as_array().unwrap() {
+        let parts = parameter["shares"].as_object().unwrap().values().map(|part| part.as_f64().unwrap());
+        assert!((parts.sum::<f64>() - 1.0).abs() < 1e-9, "{parameter}");
+    }
+    let held_out = report["held_out_poses"].as_array().unwrap();
+    assert_eq!(held_out.len() as u64, report["held_out"]["poses"].as_u64().unwrap());
+    assert!(held_out.len() > 40 && held_out.iter().all(|pose| pose["line"].as_u64().unwrap() >= 2));
+    // The errors along each axis are those of the table.
+    let squares = held_out.iter().map(|pose| pose["error"][0].as_f64().unwrap().powi(2));
+    let rms = (squares.sum::<f64>() / held_out.len() as f64).sqrt();
+    assert!((rms / report["after"]["um"][0].as_f64().unwrap() - 1.0).abs() < 1e-9, "{rms}");
 
     // Nothing is written over: refused before anything is read.
     let again = fit(&folder, Path::new("absent.csv"), &[]);
@@ -156,6 +177,71 @@ fn plain_mistakes_are_refused_by_name() {
         &[],
         "PSDs B and C are exchanged",
     );
+}
+
+#[test]
+fn a_laser_that_drifts_more_than_the_readback_states_is_named() {
+    // The direction of the laser wanders by 20 um at the apex, slowly.
+    let drift = |header: &[String], fields: &mut Vec<String>, row: f64| {
+        for (name, phase) in [("stage_x_m", 0.0), ("stage_y_m", 1.0)] {
+            let i = header.iter().position(|h| h == name).unwrap();
+            let moved = fields[i].parse::<f64>().unwrap() + 20e-6 * (row / 40.0 + phase).sin();
+            fields[i] = moved.to_string();
+        }
+    };
+    let row = std::cell::Cell::new(0.0);
+    let drifting = |header: &[String], fields: &mut Vec<String>| {
+        row.set(row.get() + 1.0);
+        drift(header, fields, row.get());
+    };
+    assert_refused(drifting, &[], "the direction of the laser drifted during the measurement");
+}
+
+#[test]
+fn several_tables_have_one_zero_unless_they_state_another() {
+    let folder = Folder::new();
+    let text = fs::read_to_string(reference("mild.points.csv")).unwrap();
+    let (header, rows) = text.split_once('\n').unwrap();
+    let rows: Vec<&str> = rows.lines().collect();
+    let (first, second) = rows.split_at(rows.len() / 2);
+    // The reference was set to zero again, 30 um beside, before the second half.
+    let column = header.split(',').position(|name| name == "ref_tx_m").unwrap();
+    let moved = |row: &&str| {
+        let mut fields: Vec<String> = row.split(',').map(str::to_owned).collect();
+        fields[column] = (fields[column].parse::<f64>().unwrap() + 30e-6).to_string();
+        fields.join(",")
+    };
+    let save = |name: &str, header: &str, rows: Vec<String>| {
+        let path = folder.path(name);
+        fs::write(&path, format!("{header}\n{}\n", rows.join("\n"))).unwrap();
+        path
+    };
+    let plain = |rows: &[&str]| rows.iter().map(|row| (*row).to_owned()).collect::<Vec<_>>();
+    let first = save("first.csv", header, plain(first));
+    let same = save("same.csv", header, plain(second));
+    let other = save("other.csv", header, second.iter().map(moved).collect());
+    let named = second.iter().map(|row| moved(row) + ",after lunch").collect();
+    let named = save("named.csv", &format!("{header},run"), named);
+
+    let fit = |second: &Path, options: &[&str], out: &str| {
+        let mut command = trifacet(&["calibrate", "fit", "--out"]);
+        let config = folder.path("in.toml");
+        fs::write(&config, "").unwrap();
+        command.arg(folder.path(out)).arg("--config").arg(config).arg("--points").arg(&first);
+        command.arg("--points").arg(second).args(options).output().unwrap()
+    };
+    let common = fit(&same, &[], "common");
+    assert!(common.status.success(), "{}", said(&common));
+    let shifted = fit(&other, &[], "shifted");
+    assert_eq!(shifted.status.code(), Some(65), "{}", said(&shifted));
+    for (second, options, out) in [(&other, &["--own-zero"][..], "own"), (&named, &[], "named")] {
+        let output = fit(second, options, out);
+        assert!(output.status.success(), "{out}: {}", said(&output));
+        let report = fs::read_to_string(folder.path(out).join("report.json")).unwrap();
+        let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+        assert_eq!(report["inputs"].as_array().unwrap().len(), 2);
+        assert_eq!(report["dropped"], serde_json::json!([]));
+    }
 }
 
 #[test]

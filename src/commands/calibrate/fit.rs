@@ -12,7 +12,7 @@ use trifacet::clock::utc::Utc;
 use trifacet::config::{self, Config, FORMAT, Model, RecordHeader, Tables, edit, fingerprint};
 use trifacet::exit::{self, Failure};
 use trifacet_core::time::Clock as _;
-use trifacet_optics::calibration::fit::{Fitted, Job, Progress, Stage, fields, fit as fit_points};
+use trifacet_optics::calibration::fit::{FitError, Fitted, Job, Progress, Stage, fields, fit as fit_points};
 use trifacet_optics::calibration::mistakes;
 use trifacet_optics::calibration::parameters::Tolerances;
 use trifacet_optics::calibration::result::RangeUncertainty;
@@ -105,7 +105,7 @@ pub(crate) fn fit(args: &FitArgs) -> anyhow::Result<()> {
     let tolerances = tolerances(args, own.iter().all(|p| p.reference.iter().all(Option::is_none)))?;
     let fields = fields();
     let job = Job { nominal: &nominal, tolerances: &tolerances, points: &measured.points, fields: &fields };
-    let fitted = fit_points(job, show).map_err(|e| refused(&e.to_string()))?;
+    let fitted = fit_points(job, show).map_err(|e| refused(&unfitted(&e)))?;
     let range =
         fitted.calibration.range_uncertainty(args.range_mm * 1e-3, args.range_mrad * 1e-3, RANGE_POSES);
     let verdict = calibration::verdict(&fitted, &measured.points, range.as_ref(), &wanted);
@@ -128,6 +128,18 @@ const RANGE_POSES: usize = 200;
 
 fn refused(why: &str) -> Failure {
     Failure::new(exit::DATA, format!("no calibration, nothing was written: {why}"))
+}
+
+/// Why there is no fit, with the more likely cause first.
+fn unfitted(error: &FitError) -> String {
+    match error {
+        FitError::NotConverged { pointing: Some(pointing), steps } => format!(
+            "the fit does not converge within {steps} steps: {}. If that is not the cause, the head is too far from \
+             its tolerances",
+            calibration::pointing_advice(pointing)
+        ),
+        _ => error.to_string(),
+    }
 }
 
 fn refuse_existing(folder: &Path) -> Result<(), Failure> {

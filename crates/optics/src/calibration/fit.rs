@@ -5,6 +5,7 @@ use super::held_out::HeldOut;
 use super::map::Field;
 use super::parameters::{Nominal, Tolerances};
 use super::point::Point;
+use super::pointing::Pointing;
 use super::result::Calibration;
 use super::session::Session;
 
@@ -82,8 +83,13 @@ pub enum FitError {
     )]
     Singular,
     /// The steps do not converge.
-    #[error("the fit does not converge within {0} steps: the head is too far from its tolerances")]
-    NotConverged(usize),
+    #[error("the fit does not converge within {steps} steps: the head is too far from its tolerances")]
+    NotConverged {
+        /// Number of steps.
+        steps: usize,
+        /// The residual of the steering after them, if it is larger than stated: the more likely cause.
+        pointing: Option<Pointing>,
+    },
 }
 
 /// Why a point has no part in the fit.
@@ -119,6 +125,8 @@ pub struct Fitted {
     pub held_out: HeldOut,
     /// Residuals of the steering position of each point, x and y, metres; `None`: dropped or not measured.
     pub steering: Vec<Option<[f64; 2]>>,
+    /// The residual of the steering before points were dropped, if it is larger than stated.
+    pub pointing: Option<Pointing>,
 }
 
 impl Fitted {
@@ -141,6 +149,7 @@ pub fn fit(job: Job<'_>, mut progress: impl FnMut(Progress)) -> Result<Fitted, F
     let mut theta = Vector::zeros(session.layout.parameters());
     session.steps(&mut theta, Stage::First, &mut progress)?;
     let robust = session.steps(&mut theta, Stage::Robust, &mut progress)?;
+    let pointing = robust.pointing(&job);
     let dropped = session.drop_gross(&robust);
     let mut likelihoods = Vec::new();
     if job.fields.len() > 1 {
@@ -149,7 +158,8 @@ pub fn fit(job: Job<'_>, mut progress: impl FnMut(Progress)) -> Result<Fitted, F
     session.steps(&mut theta, Stage::Last, &mut progress)?;
     let held_out = session.held_out(&theta)?;
     let last = session.assess(&theta, false).ok_or(FitError::Singular)?;
-    session.result(&theta, &last, (dropped, likelihoods, held_out))
+    let fitted = session.result(&theta, &last, (dropped, likelihoods, held_out))?;
+    Ok(Fitted { pointing, ..fitted })
 }
 
 /// The probability that chi-square with `d` degrees of freedom exceeds `x`.

@@ -9,7 +9,7 @@ use super::session::{Session, solve};
 use super::{Matrix, Vector};
 
 /// How well a fit without every tenth point predicts these points.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct HeldOut {
     /// Number of points.
     pub points: usize,
@@ -21,6 +21,20 @@ pub struct HeldOut {
     pub poses: usize,
     /// Rms of the errors of their poses: metres, radians; NaN without poses.
     pub rms: [f64; 6],
+    /// The errors of these poses; not part of the summary.
+    #[serde(skip)]
+    pub errors: Vec<PoseError>,
+}
+
+/// The error of a pose that was held out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseError {
+    /// Index of its point.
+    pub point: usize,
+    /// Predicted pose less reference, metres and radians.
+    pub pose: [f64; 6],
+    /// The displacements of the spots that would cause it, metres: u and v of A, B, C.
+    pub spots: [f64; 6],
 }
 
 impl HeldOut {
@@ -75,6 +89,11 @@ impl Session<'_> {
                 let raw = response.errors + &response.jacobian * &own_step;
                 for (sum, error) in squares.iter_mut().zip(raw.iter()) {
                     *sum += error * error;
+                }
+                let pose = raw.fixed_rows::<6>(0).into_owned();
+                let by_spots = response.by_signals.fixed_view::<6, 6>(0, 0).into_owned();
+                if let Some(spots) = by_spots.lu().solve(&pose) {
+                    sums.errors.push(PoseError { point: k, pose: pose.into(), spots: spots.into() });
                 }
             }
         }

@@ -9,15 +9,18 @@
 //! - [`plan`]: poses that cover the PSDs evenly.
 //! - [`point`]: what is measured.
 //! - [`parameters`]: the unknown numbers and their tolerances.
+//! - [`pointing`]: whether the steering follows its readback.
 //! - `instrument`: the forward model, with an elliptical beam.
 //! - [`map`]: the error of a PSD as a function of its reading.
 //! - [`fit`]: the estimator.
+//! - [`gauge`]: what no measurement can tell.
 //! - [`held_out`]: the test of a fit on points that it has not seen.
 //! - [`mistakes`]: signs, axes and units that are plainly wrong.
 //! - [`result`]: the calibrated head, and the covariance of its poses.
 
 pub mod cholesky;
 pub mod fit;
+pub mod gauge;
 pub mod held_out;
 mod instrument;
 pub mod linearised;
@@ -27,6 +30,7 @@ mod normal;
 pub mod parameters;
 pub mod plan;
 pub mod point;
+pub mod pointing;
 pub mod result;
 mod session;
 

@@ -234,7 +234,7 @@ impl Calibration {
 }
 
 impl Raw {
-    fn point(&self) -> Point {
+    pub(super) fn point(&self) -> Point {
         Point {
             spots: self.spots,
             spot_deviations: [1.0; 6],
@@ -256,7 +256,7 @@ struct Seen {
 }
 
 /// The `k`th number of the van der Corput sequence: evenly spread over 0 to 1.
-fn radical_inverse(mut k: usize, base: usize) -> f64 {
+pub(super) fn radical_inverse(mut k: usize, base: usize) -> f64 {
     let (mut value, mut digit) = (0.0, 1.0);
     while k > 0 {
         digit /= base as f64;

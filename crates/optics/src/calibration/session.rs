@@ -13,6 +13,7 @@ use super::map::{Field, Lattice};
 use super::normal::{Normal, Prior};
 use super::parameters::GEOMETRY;
 use super::point::Point;
+use super::pointing::Pointing;
 use super::result::Calibration;
 use super::{Matrix, Vector};
 
@@ -50,6 +51,11 @@ pub(super) struct Assessment {
 }
 
 impl Assessment {
+    /// The residual of the steering, if it is larger than stated.
+    pub fn pointing(&self, job: &Job<'_>) -> Option<Pointing> {
+        Pointing::judge(job.points, &self.steering)
+    }
+
     fn rows(&self) -> usize {
         self.chi2.iter().flatten().map(|(_, rows)| rows).sum()
     }
@@ -160,6 +166,7 @@ impl<'a> Session<'a> {
         };
         let sums = self.assess(theta, robust).ok_or(FitError::Singular)?;
         let mut before = cost(self, theta, &sums)?;
+        let mut pointing = sums.pointing(&self.job);
         let mut damping = 0.0;
         for step in 1..=MAX_STEPS {
             let mut candidate = &*theta + self.step(theta, damping)?;
@@ -175,6 +182,7 @@ impl<'a> Session<'a> {
             *theta = candidate;
             damping *= 0.7;
             let sums = next.unwrap_or_default();
+            pointing = sums.pointing(&self.job);
             progress(Progress::Step { stage, step, cost: after / sums.rows() as f64 });
             let enough = if robust { SETTLED.max(ROUGHLY_SETTLED * before) } else { SETTLED };
             let settled = (before - after).abs() < enough;
@@ -183,7 +191,7 @@ impl<'a> Session<'a> {
                 return Ok(sums);
             }
         }
-        Err(FitError::NotConverged(MAX_STEPS))
+        Err(FitError::NotConverged { steps: MAX_STEPS, pointing })
     }
 
     fn step(&self, theta: &Vector, damping: f64) -> Result<Vector, FitError> {
@@ -288,8 +296,8 @@ impl<'a> Session<'a> {
             factor,
         };
         let chi2 = sums.chi2.iter().map(|own| own.map(|(chi2, _)| chi2)).collect();
-        let steering = sums.steering.clone();
-        Ok(Fitted { calibration, dropped, chi2, cost, rows: sums.rows(), likelihoods, held_out, steering })
+        let (rows, steering) = (sums.rows(), sums.steering.clone());
+        Ok(Fitted { calibration, dropped, chi2, cost, rows, likelihoods, held_out, steering, pointing: None })
     }
 }
 
