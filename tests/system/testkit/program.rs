@@ -4,6 +4,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 /// The result of a command.
+#[derive(Debug)]
 pub(crate) struct Done {
     pub(crate) code: i32,
     pub(crate) out: String,
