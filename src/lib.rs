@@ -27,6 +27,7 @@
 //! are used only in the configuration, where every key carries its unit, and in output for the operator.
 
 pub mod acquisition;
+pub mod board_link;
 pub mod board_test;
 pub mod budget;
 pub mod calibration;

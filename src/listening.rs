@@ -2,10 +2,13 @@
 //! after every error: too few file descriptors, a network that is down, a connection that ended before it was
 //! accepted.
 
-use std::io;
 use std::net::{SocketAddr, UdpSocket};
 use std::os::fd::{AsFd, OwnedFd};
+use std::os::unix::fs::FileTypeExt;
+use std::os::unix::net::UnixStream;
+use std::path::Path;
 use std::time::Duration;
+use std::{fs, io};
 
 use rustix::net::sockopt::{set_ip_freebind, set_ipv6_freebind};
 use rustix::net::{AddressFamily, SocketFlags, SocketType, bind, socket_with};
@@ -39,6 +42,25 @@ pub fn open_udp(address: SocketAddr) -> io::Result<UdpSocket> {
     let socket: OwnedFd = socket_with(family, SocketType::DGRAM, flags, None)?;
     bound_early(&socket, address, || Ok(bind(&socket, &address)?))?;
     Ok(socket.into())
+}
+
+/// Removes the file of a Unix socket at which no process listens, so that it can be opened again. Other files stay, and
+/// make opening fail.
+///
+/// # Errors
+/// `AddrInUse` if a process listens there.
+pub fn clear_unix(path: &Path) -> io::Result<()> {
+    if !fs::symlink_metadata(path).is_ok_and(|file| file.file_type().is_socket()) {
+        return Ok(());
+    }
+    match UnixStream::connect(path) {
+        Ok(_) => Err(io::ErrorKind::AddrInUse.into()),
+        Err(e) if e.kind() == io::ErrorKind::ConnectionRefused => {
+            let _ = fs::remove_file(path); // if this fails, so does opening
+            Ok(())
+        }
+        Err(_) => Ok(()),
+    }
 }
 
 /// Binds a socket. If no interface has the address, as before the network is up, it is bound nevertheless:

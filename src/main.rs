@@ -31,7 +31,7 @@ enum Command {
     Ctl(commands::CtlArgs),
     /// Explain a configuration, or list its errors
     Check(commands::CheckArgs),
-    /// Emulate an acquisition board on a pseudo-terminal
+    /// Emulate an acquisition board on a pseudo-terminal, over TCP or on a Unix socket
     Emulate(commands::EmulateArgs),
     /// Put an acquisition board through the rules of the board protocol
     BoardTest(commands::BoardTestArgs),

@@ -108,7 +108,7 @@ fn holders(rdev: u64) -> Option<String> {
     };
     let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
     let pids = processes.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
-    let found: Vec<_> = pids.filter(holds).map(describe).collect();
+    let found: Vec<_> = pids.filter(holds).map(process).collect();
     (!found.is_empty()).then(|| found.join(", "))
 }
 
@@ -123,10 +123,11 @@ fn lock_owner(file: &fs::Metadata) -> Option<String> {
     let wanted = format!("{major:02x}:{minor:02x}:{}", file.ino());
     let locks = fs::read_to_string("/proc/locks").ok()?;
     let line = locks.lines().find(|line| line.split_whitespace().any(|field| field == wanted))?;
-    line.split_whitespace().nth(4)?.parse().ok().map(describe)
+    line.split_whitespace().nth(4)?.parse().ok().map(process)
 }
 
-fn describe(pid: u32) -> String {
+/// Id and name of a process.
+pub fn process(pid: u32) -> String {
     let name = fs::read_to_string(format!("/proc/{pid}/comm")).unwrap_or_default();
     format!("process {pid} ({})", name.trim())
 }

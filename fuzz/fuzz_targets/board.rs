@@ -59,7 +59,7 @@ fn understand<T: Debug + PartialEq>(
 
 /// A host receives the line in pieces while time passes.
 fn converse(line: &[u8]) {
-    let settings = Settings { rate_hz: 1000.0, baud: 921_600, latency_ns: 0, park: [0.0; 2], silence: Duration::from_millis(20), most_in_flight: 3 };
+    let settings = Settings { rate_hz: 1000.0, baud: Some(921_600), latency_ns: 0, park: [0.0; 2], silence: Duration::from_millis(20), most_in_flight: 3 };
     let mut session = Session::new(settings, Arc::<Counters>::default());
     let mut now = Mono(1_000_000_000_000);
     session.connected(now);

@@ -1,4 +1,4 @@
-//! The trait of a source of scans: the twin, or a board on a serial port.
+//! The trait of a source of scans: the twin, or a board.
 
 use std::future::Future;
 
@@ -7,26 +7,33 @@ use trifacet_core::time::Mono;
 use trifacet_wire::actuator::{Ack, OutputCommand};
 
 use super::board::Foreign;
-use crate::serial_port::PortError;
 
 /// Reasons why there are no scans.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SourceError {
-    /// The port cannot be opened.
+    /// The link cannot be opened.
     #[error("cannot open {port}: {reason}")]
     Open {
-        /// Path of the port.
+        /// The port, the address or the socket.
         port: String,
-        /// Error message of the system.
+        /// What is wrong.
         reason: String,
     },
     /// The connection is lost: unplugged, or closed by the other side.
     #[error("{port} was disconnected: {reason}")]
     Unplugged {
-        /// Path of the port.
+        /// The port, the address or the socket.
         port: String,
         /// Error message of the system.
         reason: String,
+    },
+    /// The board serves another host, and has closed the connection.
+    #[error("{port} is in use by {host}: a board serves one host at a time")]
+    InUse {
+        /// The address or the socket.
+        port: String,
+        /// The other host, as the board names it.
+        host: String,
     },
     /// The board does not answer a request in time.
     #[error("no answer to {step} within {timeout_ms} ms; {line}")]
@@ -52,13 +59,6 @@ pub enum SourceError {
         /// Time since the last scan, milliseconds.
         silence_ms: u32,
     },
-}
-
-impl From<PortError> for SourceError {
-    fn from(error: PortError) -> Self {
-        let (PortError::InUse { port, .. } | PortError::Other { port, .. }) = &error;
-        Self::Open { port: port.display().to_string(), reason: error.reason() }
-    }
 }
 
 /// Events of a source.

@@ -36,6 +36,9 @@ const EARLY_NS: f64 = 10e6;
 const ARRIVAL_ONLY: f64 = 0.288_675_134_594_812_9;
 /// Drift beyond which the clock of the board is at fault. RC oscillators have 1 %, crystals 100 ppm.
 const LARGE_DRIFT: f64 = 1e-3;
+/// Time by the clock of the board after which the arrivals say how late the scans are, nanoseconds. Before, all of them
+/// may have been delayed together, in a first block: then only the time of the start bounds the delay.
+const FIRST_NS: f64 = 1e9;
 /// Time after which the filter knows a large drift, nanoseconds of the board's clock.
 const DRIFT_KNOWN_NS: f64 = 2e9;
 
@@ -59,8 +62,12 @@ pub struct Timebase {
     latency_ns: i64,
     /// Longest delay from scan to arrival, nanoseconds.
     max_delay_ns: i64,
+    /// Among the arrivals of this time is a fast one, nanoseconds.
+    burst_ns: f64,
     /// No earlier time is returned.
     floor: Option<Mono>,
+    /// When the board was asked to start.
+    asked: Option<Mono>,
     state: Option<State>,
 }
 
@@ -71,6 +78,8 @@ struct State {
     origin: Mono,
     /// Time since the first scan by the clock of the board, nanoseconds.
     device_ns: f64,
+    /// The same, also across corrections of the origin.
+    elapsed_ns: f64,
     filter: Filter,
     block: Block,
     /// How early the fastest arrival of this block was relative to the prediction, nanoseconds: zero or
@@ -87,7 +96,17 @@ impl Timebase {
     /// part of the delay from the scan to its arrival. No time before `floor` (the time of the last scan
     /// before a reconnect) is returned.
     pub fn new(tick_hz: u32, rate_hz: f64, latency_ns: i64, floor: Option<Mono>) -> Self {
-        Self { tick_hz, tick_bits: 32, rate_hz, latency_ns, max_delay_ns: MAX_DELAY_NS, floor, state: None }
+        Self {
+            tick_hz,
+            tick_bits: 32,
+            rate_hz,
+            latency_ns,
+            max_delay_ns: MAX_DELAY_NS,
+            burst_ns: 0.0,
+            floor,
+            asked: None,
+            state: None,
+        }
     }
 
     /// The same for a tick of this width, 32 or 64 bits, instead of 32.
@@ -99,12 +118,20 @@ impl Timebase {
     /// The same for scans that arrive in bursts, at intervals of at most `interval`.
     #[must_use]
     pub fn with_bursts(self, interval: Duration) -> Self {
-        Self { max_delay_ns: MAX_DELAY_NS.max(interval.as_nanos() as i64), ..self }
+        let interval_ns = interval.as_nanos() as i64;
+        let burst_ns = interval_ns.min(NS_PER_S) as f64;
+        Self { max_delay_ns: MAX_DELAY_NS.max(interval_ns), burst_ns, ..self }
+    }
+
+    /// The same for a board that was asked to start at `asked`: it has taken none of its scans before.
+    #[must_use]
+    pub fn started(self, asked: Mono) -> Self {
+        Self { asked: Some(asked), ..self }
     }
 
     /// Time of the scan with these counters that arrived at `arrival`. Arrivals must be in order.
     pub fn moment(&mut self, counters: ScanCounters, arrival: Mono) -> Moment {
-        let Self { tick_hz, tick_bits, rate_hz, max_delay_ns, .. } = *self;
+        let Self { tick_hz, tick_bits, rate_hz, max_delay_ns, burst_ns, asked, .. } = *self;
         let state = match &mut self.state {
             Some(state) => state,
             None => self.state.insert(State::new(
@@ -112,7 +139,7 @@ impl Timebase {
                 arrival,
             )),
         };
-        let (sigma_ns, fault) = state.advance(counters, arrival, max_delay_ns);
+        let (sigma_ns, fault) = state.advance(counters, arrival, max_delay_ns, burst_ns);
         let (possible, excluded_ns) = state.bounded(arrival, max_delay_ns);
         let estimate = possible + -self.latency_ns;
         let time =
@@ -121,7 +148,9 @@ impl Timebase {
         let held_back = (time - estimate) as f64;
         let tick_ns = state.clock.tick_ns();
         let known = state.filter.variance[0].max(tick_ns * tick_ns / 12.0).sqrt();
-        let known = known.max(state.filter.doubt_ns);
+        let period_ns = NS_PER_S as f64 / rate_hz;
+        let late_ns = asked.map_or(0.0, |asked| state.possibly_late_ns(possible, asked, period_ns));
+        let known = known.max(state.filter.doubt_ns).max(late_ns * ARRIVAL_ONLY);
         let sigma_ns =
             known.max(sigma_ns.unwrap_or(max_delay_ns as f64 * ARRIVAL_ONLY)).max(held_back).max(excluded_ns);
         Moment { time, sigma_ns, fault }
@@ -140,6 +169,7 @@ impl State {
             clock,
             origin: arrival,
             device_ns: 0.0,
+            elapsed_ns: 0.0,
             filter: Filter::default(),
             block: Block::default(),
             early_ns: 0.0,
@@ -154,6 +184,7 @@ impl State {
         counters: ScanCounters,
         arrival: Mono,
         max_delay_ns: i64,
+        burst_ns: f64,
     ) -> (Option<f64>, Option<TickFault>) {
         if self.given.is_none() {
             self.block.add(0.0, 0.0); // the first arrival is the origin
@@ -167,6 +198,7 @@ impl State {
             (-early_ns..=max_delay_ns as f64).contains(&delay_ns)
         };
         let step = self.clock.step(counters, arrival, possible);
+        self.elapsed_ns += step.ns;
         if step.decided {
             self.filter.drift = 0.0; // that of another counter
             self.anchor(arrival);
@@ -184,7 +216,7 @@ impl State {
         self.early_ns = self.early_ns.min(residual_ns);
         self.block.add(residual_ns, step.ns);
         let mut fault = step.fault;
-        if let Some((late_ns, sigma_ns)) = self.block.close(self.device_ns) {
+        if let Some((late_ns, sigma_ns)) = self.block.close(self.device_ns, burst_ns) {
             self.filter.update(late_ns, sigma_ns);
             self.early_ns = 0.0;
             fault = fault.or(self.large_drift());
@@ -217,6 +249,13 @@ impl State {
         let news = large && !std::mem::replace(&mut self.drifts, large);
         let declared_hz = NS_PER_S as f64 / self.clock.tick_ns();
         news.then_some(TickFault::Rate { measured_hz: declared_hz * (1.0 + drift), declared_hz })
+    }
+
+    /// By how many nanoseconds a time may be too late because all arrivals so far were delayed: the scans were taken
+    /// after the board was asked to start.
+    fn possibly_late_ns(&self, time: Mono, asked: Mono, period_ns: f64) -> f64 {
+        let early = self.elapsed_ns < FIRST_NS;
+        if early { ((time - asked) as f64 - self.elapsed_ns - period_ns).max(0.0) } else { 0.0 }
     }
 
     /// Host time of the newest scan, as if the delay were zero, within what its arrival allows; and by how

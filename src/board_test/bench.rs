@@ -35,7 +35,7 @@ impl Bench {
     /// The port cannot be opened, no board answers, or the amplitude does not suit it.
     pub fn open(options: Options) -> Result<Self, TestError> {
         let mut line = Line::open(&options)?;
-        let identity = line.first_identity(options.baud)?;
+        let identity = line.first_identity(&options.place)?;
         let mut bench = Self { line, options, identity, ids: 0, moved: false };
         if bench.identity.extensible
             && let Some(Answer::Identity(identity)) = bench.ask(Request::Identify { minor: MINOR })?
@@ -92,8 +92,8 @@ impl Bench {
             // Scans of the highest version must find room on the line.
             let at_1_khz =
                 required_baud(self.identity.roles.len(), 1e3, ScanFormat::Long { wide_tick: true });
-            let of_line = (1e6 * f64::from(self.options.baud) / f64::from(at_1_khz)) as u32;
-            USUAL_MHZ.min(of_line)
+            let of_line = |baud| (1e6 * f64::from(baud) / f64::from(at_1_khz)) as u32;
+            self.options.place.baud().map_or(USUAL_MHZ, |baud| USUAL_MHZ.min(of_line(baud)))
         });
         wished.min(fastest).max(slowest).max(1)
     }

@@ -2,16 +2,16 @@
 
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read, Write};
-use std::path::PathBuf;
 use std::time::Duration;
 
-use serialport::{SerialPort, TTYPort};
 use trifacet_core::time::{Clock, Mono};
 use trifacet_wire::board::{Answer, BoardIdentity, Corrupted, Deframer, Request};
 
 use super::bench::ANSWER;
+use crate::board_link::{self, Link, LinkError};
 use crate::clock::SystemClock;
-use crate::serial_port::{self, PortError};
+use crate::config::BoardPlace;
+use crate::serial_port::Identity;
 
 /// Shortest wait for bytes, nanoseconds.
 const SHORTEST_NS: i64 = 1_000_000;
@@ -24,24 +24,30 @@ pub(super) fn within(wait: Duration) -> Mono {
 /// Why a test cannot be carried out.
 #[derive(Debug, thiserror::Error)]
 pub enum TestError {
-    /// The port cannot be opened.
+    /// The link cannot be opened.
     #[error(transparent)]
-    Port(#[from] PortError),
-    /// The port fails.
+    Link(#[from] LinkError),
+    /// The board serves another host.
+    #[error("{port} is in use by {host}")]
+    Busy {
+        /// The address or the socket.
+        port: String,
+        /// The other host, as the board names it.
+        host: String,
+    },
+    /// The link fails.
     #[error("{port}: {error}")]
     Io {
-        /// Path of the port.
+        /// The port, the address or the socket.
         port: String,
         /// The error of the system.
         error: io::Error,
     },
     /// No board answers.
-    #[error("no board answers on {port} at {baud} baud: IDENTIFY was sent five times; {heard}")]
+    #[error("no board answers on {place}: IDENTIFY was sent five times; {heard}")]
     NoBoard {
-        /// Path of the port.
-        port: String,
-        /// Baud rate.
-        baud: u32,
+        /// The port with its baud rate, the address or the socket.
+        place: String,
         /// What came instead.
         heard: String,
     },
@@ -62,10 +68,8 @@ pub enum TestError {
 /// How to test.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// The port.
-    pub port: PathBuf,
-    /// Baud rate.
-    pub baud: u32,
+    /// Where the board is.
+    pub place: BoardPlace,
     /// Rate of the scans, scans per 1000 seconds; `None`: 1 kHz, or the nearest that board and line allow.
     pub rate_mhz: Option<u32>,
     /// Positions up to this code are commanded; `None`: the stage is not moved.
@@ -102,23 +106,23 @@ impl Received {
     }
 }
 
-/// The open port.
+/// The open link.
 pub(super) struct Line {
-    path: String,
-    port: TTYPort,
+    name: String,
+    link: Link,
     deframer: Deframer,
     inbox: VecDeque<Received>,
 }
 
 impl Line {
-    /// Opens the port, and terminates an incomplete frame in the board's buffer.
+    /// Opens the link, and terminates an incomplete frame in the board's buffer.
     ///
     /// # Errors
-    /// The port cannot be opened.
+    /// The link cannot be opened.
     pub(super) fn open(options: &Options) -> Result<Self, TestError> {
-        let port = serial_port::open(&options.port, options.baud, &serial_port::Identity::default())?.tty;
-        let path = options.port.display().to_string();
-        let mut line = Self { path, port, deframer: Deframer::default(), inbox: VecDeque::new() };
+        let link = board_link::open(&options.place, &mut Identity::default())?;
+        let name = options.place.to_string();
+        let mut line = Self { name, link, deframer: Deframer::default(), inbox: VecDeque::new() };
         line.send(&[0])?;
         Ok(line)
     }
@@ -132,7 +136,7 @@ impl Line {
     ///
     /// # Errors
     /// No board answers, or the port fails.
-    pub(super) fn first_identity(&mut self, baud: u32) -> Result<BoardIdentity, TestError> {
+    pub(super) fn first_identity(&mut self, place: &BoardPlace) -> Result<BoardIdentity, TestError> {
         let mut others = 0;
         for _ in 0..5 {
             self.request(Request::Identify { minor: 0 })?;
@@ -141,17 +145,24 @@ impl Line {
                 match received.answer() {
                     Some(Answer::Identity(identity)) => return Ok(identity),
                     Some(Answer::Scan(_)) => {}
+                    Some(Answer::Busy { host }) => {
+                        let host = host.escape_debug().to_string();
+                        return Err(TestError::Busy { port: self.name.clone(), host });
+                    }
                     _ => others += 1,
                 }
             }
         }
-        let port = self.path.clone();
+        let place = match place.baud() {
+            Some(baud) => format!("{place} at {baud} baud"),
+            None => place.to_string(),
+        };
         let heard = if others > 0 { format!("{others} other frames came") } else { "nothing came".into() };
-        Err(TestError::NoBoard { port, baud, heard })
+        Err(TestError::NoBoard { place, heard })
     }
 
     fn failed(&self, error: io::Error) -> TestError {
-        TestError::Io { port: self.path.clone(), error }
+        TestError::Io { port: self.name.clone(), error }
     }
 
     /// Sends bytes.
@@ -159,10 +170,9 @@ impl Line {
     /// # Errors
     /// The port fails.
     pub(super) fn send(&mut self, bytes: &[u8]) -> Result<(), TestError> {
-        self.port
+        self.link
             .set_timeout(ANSWER)
-            .map_err(io::Error::from)
-            .and_then(|()| self.port.write_all(bytes))
+            .and_then(|()| self.link.write_all(bytes))
             .map_err(|error| self.failed(error))
     }
 
@@ -197,11 +207,16 @@ impl Line {
     /// Reads once; false if nothing comes.
     fn read(&mut self, wait: Duration) -> Result<bool, TestError> {
         let mut buffer = [0; 4096];
-        let read =
-            self.port.set_timeout(wait).map_err(io::Error::from).and_then(|()| self.port.read(&mut buffer));
+        let read = self.link.set_timeout(wait).and_then(|()| self.link.read(&mut buffer));
         let mut bytes = match read {
             Ok(read) => &buffer[..read],
-            Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => {
+            // A serial port times out, a socket would block.
+            Err(error)
+                if matches!(
+                    error.kind(),
+                    ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted
+                ) =>
+            {
                 return Ok(false);
             }
             Err(error) => return Err(self.failed(error)),

@@ -1,14 +1,13 @@
 //! `trifacet board-test`: puts a board through the rules of the board protocol.
 
 use std::io::{self, Write};
-use std::path::PathBuf;
 
 use clap::Args;
 use trifacet::board_test::bench::Bench;
 use trifacet::board_test::verdict::{Outcome, Verdict};
 use trifacet::board_test::{Options, TestError, run};
+use trifacet::config::BoardPlace;
 use trifacet::exit::{self, Failure};
-use trifacet::serial_port::PortError;
 
 use super::written;
 
@@ -16,16 +15,16 @@ use super::written;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Prints a verdict on each rule of docs/board-protocol.md: PASS; FAIL, with what was seen and what the document requires; or SKIP, with the
-reason. Exit code 0 if no rule fails, 65 if one does, 69 if no board answers, 75 if another process uses the port.
+reason. Exit code 0 if no rule fails, 65 if one does, 69 if no board answers, 75 if another process or host uses the board.
 
 Without --move no command is sent that the board may accept, so that its outputs keep their values; only a lease that still runs may end.
 With --move the outputs are commanded to positions up to CODES from code 0, are held or parked there for up to 2 s, and are sent to code 0 at
 the end. Codes just beyond the range are sent too: a board that wrongly accepts them moves the stage to its limit. Detach the stage if that
 is not safe.")]
 pub(crate) struct BoardTestArgs {
-    /// Port of the board
-    port: PathBuf,
-    /// Baud rate
+    /// Port of the board, or its address HOST:PORT, or unix:PATH of its socket
+    port: String,
+    /// Baud rate of a serial port
     #[arg(long, default_value_t = 921_600, value_parser = clap::value_parser!(u32).range(300..=20_000_000))]
     baud: u32,
     /// Rate of the scans; by default 1000, or the nearest that board and baud rate allow
@@ -49,13 +48,14 @@ fn rate_mhz(text: &str) -> Result<u32, String> {
 
 /// Tests the board.
 pub(crate) fn board_test(args: &BoardTestArgs) -> anyhow::Result<()> {
-    let options =
-        Options { port: args.port.clone(), baud: args.baud, rate_mhz: args.rate, amplitude: args.amplitude };
+    let place = BoardPlace::parse(&args.port, args.baud)
+        .map_err(|error| Failure::new(exit::USAGE, format!("{}: {error}", args.port)))?;
+    let options = Options { place, rate_mhz: args.rate, amplitude: args.amplitude };
     let mut bench = Bench::open(options).map_err(|error| failure(&error))?;
     let name = bench.identity.name.clone();
     let mut printed = Ok(());
     if !args.json {
-        written(writeln!(io::stdout(), "{name} on {}, {} mHz", args.port.display(), bench.rate_mhz()))?;
+        written(writeln!(io::stdout(), "{name} on {}, {} mHz", args.port, bench.rate_mhz()))?;
     }
     let outcomes = run(&mut bench, |outcome| {
         if !args.json && printed.is_ok() {
@@ -91,8 +91,9 @@ fn summarise(args: &BoardTestArgs, name: &str, outcomes: &[Outcome], failed: &[&
 /// The failure with its exit code.
 fn failure(error: &TestError) -> Failure {
     let code = match error {
-        TestError::Port(PortError::InUse { .. }) => exit::IN_USE,
-        TestError::Port(PortError::Other { .. }) | TestError::NoBoard { .. } => exit::UNAVAILABLE,
+        TestError::Busy { .. } => exit::IN_USE,
+        TestError::Link(error) if error.is_in_use() => exit::IN_USE,
+        TestError::Link(_) | TestError::NoBoard { .. } => exit::UNAVAILABLE,
         TestError::Io { .. } => exit::IO,
         TestError::Amplitude { .. } => exit::USAGE,
     };

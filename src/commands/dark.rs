@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use tokio::time::{Instant, timeout_at};
-use trifacet::acquisition::{SerialSource, Source, SourceEvent};
+use trifacet::acquisition::{BoardSource, Source, SourceEvent};
 use trifacet::clock::SystemClock;
 use trifacet::config::edit::{self, Edit};
 use trifacet::config::{Config, FaultKind, SourceKind};
@@ -54,8 +54,8 @@ fn measure(config: &Config, samples: u32) -> anyhow::Result<DarkOffsets> {
     let counters = Arc::new(Counters::default());
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     match config.acquisition.source {
-        SourceKind::Serial => {
-            let source = SerialSource::open(config, SystemClock, counters)?;
+        SourceKind::Board | SourceKind::Serial => {
+            let source = BoardSource::open(config, SystemClock, counters)?;
             eprintln!("averaging {samples} scans of the board: the laser must be off");
             runtime.block_on(average(source, config, samples))
         }

@@ -1,37 +1,45 @@
-//! `trifacet emulate`: an acquisition board on a pseudo-terminal, backed by the digital twin.
+//! `trifacet emulate`: an acquisition board on a pseudo-terminal or on a network, backed by the digital twin.
 
 mod command;
 mod link;
+mod outlet;
 
 use std::io::{self, BufRead, Write};
 use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::Context;
 use command::EmulatorCommand;
-use link::Link;
+use outlet::{Outlet, Port};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
 use tokio::task::yield_now;
 use tokio::time::{Instant, sleep_until};
 use trifacet::clock::SystemClock;
 use trifacet::clock::pace::Pace;
+use trifacet::config::Network;
 use trifacet::core::time::Clock;
 use trifacet::exit::{CONFIG, Failure};
-use trifacet::twin::{Emulator, Pty};
+use trifacet::twin::{Emulator, ListenAt};
 
 use super::{ConfigArg, written};
 
 /// Most samples taken at once: far fewer than the buffer of the board holds.
 const PORTION: u64 = 16;
 
-/// Emulate an acquisition board on a pseudo-terminal, backed by the digital twin.
+/// Emulate an acquisition board on a pseudo-terminal or on a network, backed by the digital twin.
 #[derive(Debug, clap::Args)]
 #[command(after_help = command::HELP)]
 pub(crate) struct EmulateArgs {
     /// Create PATH as a symbolic link to the port, and remove it at the end
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
+    /// Listen for a host at this address or Unix socket, instead of a pseudo-terminal; port 0 stands for any free port
+    #[arg(long, value_name = "ADDRESS|unix:PATH", conflicts_with = "link")]
+    listen: Option<ListenAt>,
+    /// Accept hosts from this network or address; by default only those of this machine. Required to listen at another
+    /// address than a loopback one
+    #[arg(long, value_name = "NETWORK", requires = "listen")]
+    allow: Vec<Network>,
     /// Version of the board protocol
     #[arg(long, value_name = "VERSION", value_parser = ["1.0", "1.1"], default_value = "1.1")]
     protocol: String,
@@ -48,6 +56,7 @@ impl EmulateArgs {
 
 /// Runs the board until SIGTERM, SIGINT or a failure.
 pub(crate) fn emulate(args: &EmulateArgs) -> anyhow::Result<()> {
+    let outlet = Outlet::new(args.listen.clone(), args.link.clone(), &args.allow)?;
     let config = args.config.load()?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
@@ -55,7 +64,7 @@ pub(crate) fn emulate(args: &EmulateArgs) -> anyhow::Result<()> {
         let board = Emulator::new(&config, pace.schedule().time(0))
             .map_err(|error| Failure::new(CONFIG, error.to_string()))?
             .with_minor(args.minor());
-        let bench = Bench { board, pace, port: None, link: args.link.clone(), plug_in: Some(Instant::now()) };
+        let bench = Bench { board, pace, port: None, outlet, plug_in: Some(Instant::now()) };
         bench.run().await
     })
 }
@@ -64,8 +73,8 @@ pub(crate) fn emulate(args: &EmulateArgs) -> anyhow::Result<()> {
 struct Bench {
     board: Emulator,
     pace: Pace<SystemClock>,
-    port: Option<(Pty, Option<Link>)>,
-    link: Option<PathBuf>,
+    port: Option<Port>,
+    outlet: Outlet,
     /// Time at which the cable is plugged in again. `None` while it is plugged in.
     plug_in: Option<Instant>,
 }
@@ -88,7 +97,7 @@ impl Bench {
                         due -= 1;
                     }
                 }
-                carried = carry(&mut self.port, &mut self.board) => carried.context("the pseudo-terminal failed")?,
+                carried = carry(&mut self.port, &mut self.board) => carried?,
                 Some(line) = orders.recv() => self.obey(&line)?,
                 () = until(self.plug_in) => self.plug_in()?,
                 () = any(&mut ends) => return Ok(()),
@@ -96,12 +105,11 @@ impl Bench {
         }
     }
 
-    /// Creates a pseudo-terminal, prints its path, and links to it.
+    /// Opens the port, and prints where it is.
     fn plug_in(&mut self) -> anyhow::Result<()> {
-        let pty = Pty::open().context("cannot create a pseudo-terminal")?;
-        let link = self.link.as_deref().map(|link| Link::new(link, pty.path())).transpose()?;
-        say(&pty.path().display().to_string())?;
-        self.port = Some((pty, link));
+        let (port, place) = self.outlet.open()?;
+        say(&place)?;
+        self.port = Some(port);
         self.plug_in = None;
         Ok(())
     }
@@ -130,11 +138,15 @@ impl Bench {
 }
 
 /// Carries bytes while the cable is plugged in.
-async fn carry(port: &mut Option<(Pty, Option<Link>)>, board: &mut Emulator) -> io::Result<()> {
-    match port {
-        Some((pty, _)) => pty.exchange(board, &SystemClock).await,
+async fn carry(port: &mut Option<Port>, board: &mut Emulator) -> anyhow::Result<()> {
+    let refused = match port {
+        Some(port) => port.exchange(board, &SystemClock).await?,
         None => std::future::pending().await,
+    };
+    if let Some(refused) = refused {
+        refuse(&refused.to_string());
     }
+    Ok(())
 }
 
 async fn until(moment: Option<Instant>) {

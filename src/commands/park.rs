@@ -6,7 +6,7 @@ use std::time::Duration;
 use clap::Args;
 use tokio::sync::watch;
 use tokio::time::timeout;
-use trifacet::acquisition::{SerialSource, Source, SourceEvent};
+use trifacet::acquisition::{BoardSource, Source, SourceEvent};
 use trifacet::clock::SystemClock;
 use trifacet::config::{Config, SourceKind};
 use trifacet::control;
@@ -52,7 +52,9 @@ pub(crate) fn park(args: &ParkArgs) -> anyhow::Result<()> {
     // can start in that time.
     let counters = Arc::new(Counters::default());
     let source = match config.acquisition.source {
-        SourceKind::Serial => Some(SerialSource::open(&config, SystemClock, Arc::clone(&counters))?),
+        SourceKind::Board | SourceKind::Serial => {
+            Some(BoardSource::open(&config, SystemClock, Arc::clone(&counters))?)
+        }
         SourceKind::Twin | SourceKind::Replay => None,
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;

@@ -15,7 +15,7 @@ use show::Show;
 use tokio::sync::{mpsc, watch};
 use tokio::task::LocalSet;
 use tokio_util::sync::CancellationToken;
-use trifacet::acquisition::{SerialSource, Source};
+use trifacet::acquisition::{BoardSource, Source};
 use trifacet::clock::SystemClock;
 use trifacet::config::{Config, SourceKind, edit};
 use trifacet::exit::{self, Failure};
@@ -141,8 +141,8 @@ fn measure(config: &Config, args: &TuneArgs) -> anyhow::Result<Option<Recording>
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     realtime::apply(&config.realtime);
     match config.acquisition.source {
-        SourceKind::Serial => {
-            let source = SerialSource::open(config, SystemClock, Arc::clone(&counters))?;
+        SourceKind::Board | SourceKind::Serial => {
+            let source = BoardSource::open(config, SystemClock, Arc::clone(&counters))?;
             LocalSet::new().block_on(&runtime, with(|| Ok(source), config, args, counters))
         }
         SourceKind::Replay => {

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Deserializer, Serialize, de};
 
+use super::board_place::LONGEST_SOCKET;
 use super::check::Checker;
 use super::places::{self, AUTO};
 use super::text::or_off;
@@ -28,14 +29,11 @@ impl Default for ControlConfig {
     }
 }
 
-/// Longest path of a Unix socket that the kernel accepts, without the terminating zero.
-const LONGEST: usize = 107;
-
 impl ControlConfig {
     pub(super) fn check(&self, mut at: Checker<'_>) {
         if let Some(path) = &self.socket {
-            let fine = path.is_absolute() && path.as_os_str().len() <= LONGEST;
-            let allowed = format!("\"auto\", \"off\", or an absolute path of at most {LONGEST} bytes");
+            let fine = path.is_absolute() && path.as_os_str().len() <= LONGEST_SOCKET;
+            let allowed = format!("\"auto\", \"off\", or an absolute path of at most {LONGEST_SOCKET} bytes");
             at.demand(fine, "socket", format!("{:?}", path.display().to_string()), allowed);
         }
         let fine = self.mode & !0o777 == 0 && self.mode & 0o600 == 0o600;

@@ -9,7 +9,9 @@ use trifacet_wire::board::{ScanFormat, required_baud};
 use trifacet_wire::channel::SIGNALS;
 
 use super::check::Checker;
-use super::{CenteringConfig, Config, Model, RecordingMode, SourceKind, SteeringKind};
+use super::{
+    BoardPlace, CenteringConfig, Config, Destination, Host, Model, RecordingMode, SourceKind, SteeringKind,
+};
 
 /// Gain margin: gains are refused if the loop would be unstable with gains that are larger by this factor.
 const MARGIN: f64 = 1.2;
@@ -19,7 +21,7 @@ pub(super) fn check(config: &Config, at: &mut Checker<'_>) {
     light_at_rest(config, at);
     match config.acquisition.source {
         SourceKind::Twin => twin_signals(config, at),
-        SourceKind::Serial => serial_speed(config, at),
+        SourceKind::Board | SourceKind::Serial => board_speed(config, at),
         SourceKind::Replay => replay(config, at),
     }
     ports(config, at);
@@ -105,38 +107,27 @@ fn twin_signals(config: &Config, at: &mut Checker<'_>) {
     );
 }
 
-/// The link has the bandwidth for the data of the board. The number of channels is known only to the board,
+/// The serial line has the bandwidth for the data of the board. The number of channels is known only to the board,
 /// and the daemon queries it later. Nine is the minimum.
-fn serial_speed(config: &Config, at: &mut Checker<'_>) {
+fn board_speed(config: &Config, at: &mut Checker<'_>) {
     let acquisition = &config.acquisition;
+    let Some(baud) = acquisition.board().and_then(|place| place.baud()) else { return };
+    let [_, key] = acquisition.board_keys();
     let needed = required_baud(SIGNALS.len(), acquisition.rate_hz, ScanFormat::Short);
     at.agree(
-        acquisition.serial.baud >= needed,
-        "acquisition.serial.baud",
+        baud >= needed,
+        &format!("acquisition.{key}"),
         &["acquisition.rate_hz"],
-        acquisition.serial.baud,
+        baud,
         format_args!("{needed} or more, for nine channels at {} Hz", acquisition.rate_hz),
     );
 }
 
-/// The board and the stage are at different serial ports, also if these have several names, and the servers listen at
-/// different addresses.
+/// Board and stage are at different places, also if a device has several names; the board is not where this daemon
+/// listens; and the servers listen at different addresses.
 fn ports(config: &Config, at: &mut Checker<'_>) {
-    let board = &config.acquisition.serial.port;
-    let stage = config.steering.gcs.port.as_ref();
-    let used = config.acquisition.source == SourceKind::Serial && config.steering.kind == SteeringKind::Gcs;
-    if let Some(stage) = stage.filter(|stage| used && is_same_device(stage, board)) {
-        at.agree(
-            false,
-            "steering.gcs.port",
-            &["acquisition.serial.port"],
-            format!("{:?}", stage.display().to_string()),
-            format_args!(
-                "another device than acquisition.serial.port = {:?}: the board and the controller of the stage cannot \
-                 share a port",
-                board.display().to_string()
-            ),
-        );
+    if let Some(board) = config.acquisition.board() {
+        board_apart(&board, config, at);
     }
     if let (Some(tcp), Some(monitor)) = (config.publishing.tcp, config.monitor.listen) {
         at.agree(
@@ -146,6 +137,72 @@ fn ports(config: &Config, at: &mut Checker<'_>) {
             format!("\"{monitor}\""),
             format_args!("another port than publishing.tcp = \"{tcp}\": only one server can listen at it"),
         );
+    }
+}
+
+/// Nothing else of the configuration is at the place of the board.
+fn board_apart(board: &BoardPlace, config: &Config, at: &mut Checker<'_>) {
+    let [key, _] = config.acquisition.board_keys();
+    let own = format!("acquisition.{key}");
+    let stage = (config.steering.kind == SteeringKind::Gcs).then_some(&config.steering.gcs);
+    let clash = match board {
+        BoardPlace::Serial { port, .. } => stage
+            .and_then(|stage| stage.port.as_ref())
+            .filter(|stage| is_same_device(stage, port))
+            .map(|stage| ("steering.gcs.port", stage.display().to_string(), "another device than")),
+        BoardPlace::Tcp(address) => stage
+            .and_then(|stage| stage.address.as_ref())
+            .filter(|stage| **stage == address.to_string())
+            .map(|stage| ("steering.gcs.address", stage.clone(), "another address than")),
+        BoardPlace::Unix(_) => None,
+    };
+    if let Some((stage, found, another)) = clash {
+        let place = match board {
+            BoardPlace::Serial { .. } => "a port",
+            BoardPlace::Tcp(_) | BoardPlace::Unix(_) => "an address",
+        };
+        at.agree(
+            false,
+            stage,
+            &[&own],
+            format!("{found:?}"),
+            format_args!(
+                "{another} {own} = {:?}: the board and the controller of the stage cannot share {place}",
+                board.to_string()
+            ),
+        );
+    }
+    let mine = own_listener(board, config);
+    at.agree(
+        mine.is_none(),
+        &own,
+        &[mine.unwrap_or_default()],
+        format!("{:?}", board.to_string()),
+        format_args!(
+            "the place of a board: at this one the daemon listens itself ({})",
+            mine.unwrap_or_default()
+        ),
+    );
+}
+
+/// The key of a server of this daemon that listens at this place.
+fn own_listener(board: &BoardPlace, config: &Config) -> Option<&'static str> {
+    match board {
+        BoardPlace::Serial { .. } => None,
+        BoardPlace::Tcp(Destination { host, port }) => {
+            let servers =
+                [("publishing.tcp", config.publishing.tcp), ("monitor.listen", config.monitor.listen)];
+            let here = |listens: SocketAddr| match host {
+                Host::Address(ip) => {
+                    let same = *ip == listens.ip() || (ip.is_loopback() && listens.ip().is_unspecified());
+                    same && listens.port() == *port
+                }
+                Host::Name(name) => name == "localhost" && listens.port() == *port,
+                Host::Zoned(..) => false,
+            };
+            servers.into_iter().find(|(_, listens)| listens.is_some_and(here)).map(|(key, _)| key)
+        }
+        BoardPlace::Unix(path) => (config.control.socket.as_ref() == Some(path)).then_some("control.socket"),
     }
 }
 

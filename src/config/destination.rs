@@ -1,12 +1,13 @@
-//! Where a target's datagrams go: an address, an address with a zone, or the name of a host.
+//! Host and port on the network: an address, an address with a zone, or the name of a host.
 
 use std::fmt;
 use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 use std::str::FromStr;
 
-use serde::{Serialize, Serializer};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Host and port of a target.
+/// Host and port.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Destination {
     /// The host.
@@ -96,6 +97,12 @@ impl fmt::Display for Destination {
 impl Serialize for Destination {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         to.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for Destination {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        String::deserialize(from)?.parse().map_err(D::Error::custom)
     }
 }
 

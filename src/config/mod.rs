@@ -9,6 +9,7 @@
 
 mod acquisition;
 mod assembly;
+mod board_place;
 mod calibration;
 mod calibration_context;
 mod centering;
@@ -50,6 +51,7 @@ mod uncertainty;
 
 pub use acquisition::{AcquisitionConfig, SerialConfig, SourceKind};
 pub use assembly::AssemblyError;
+pub use board_place::BoardPlace;
 pub use calibration::{
     CalibrationConfig, CalibrationState, FORMAT, RecordError, RecordHeader, Standing, fingerprint,
 };

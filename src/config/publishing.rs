@@ -127,7 +127,6 @@ pub(super) fn address_or_off<'de, D: Deserializer<'de>>(from: D) -> Result<Optio
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Table {
-    #[serde(deserialize_with = "destination")]
     address: Destination,
     #[serde(default = "one")]
     divider: u32,
@@ -165,8 +164,4 @@ impl<'de> Deserialize<'de> for UdpTarget {
         }
         from.deserialize_any(Either)
     }
-}
-
-fn destination<'de, D: Deserializer<'de>>(from: D) -> Result<Destination, D::Error> {
-    String::deserialize(from)?.parse().map_err(D::Error::custom)
 }

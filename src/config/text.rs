@@ -41,7 +41,7 @@ mod tests {
                 files += 1;
             }
         }
-        assert_eq!(files, 4);
+        assert_eq!(files, 5);
     }
 
     #[test]

@@ -80,7 +80,7 @@ pub struct RunningConfig {
 /// Executes a command. Returns the answer, a JSON object; it contains `error` if the command failed, also in
 /// part.
 pub async fn obey(live: &Mutex<RunningConfig>, command: Command) -> Value {
-    execute(live, command).await.unwrap_or_else(|failure| error(&failure))
+    Box::pin(execute(live, command)).await.unwrap_or_else(|failure| error(&failure))
 }
 
 pub(super) async fn execute(live: &Mutex<RunningConfig>, command: Command) -> Result<Value, Failure> {

@@ -56,7 +56,7 @@ pub async fn run_periodically(live: &Mutex<RunningConfig>) {
         tokio::select! {
             changed = config.changed() => if changed.is_err() { return },
             () = due => {
-                let result = execute(live, Command::SelfCheck).await;
+                let result = Box::pin(execute(live, Command::SelfCheck)).await;
                 last = Instant::now();
                 let fails = result.err().filter(|failure| failure.code != exit::DATA);
                 match (&fails, failing) {

@@ -1,9 +1,9 @@
 //! Server of the control socket: one line in, one line of JSON out.
 
 use std::net::SocketAddr;
-use std::os::unix::fs::{DirBuilderExt, FileTypeExt};
+use std::os::unix::fs::DirBuilderExt as _;
 use std::os::unix::net as blocking;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 use std::{fs, io};
@@ -23,7 +23,7 @@ use super::live::{error, obey};
 use super::{Command, RunningConfig};
 use crate::config::{ControlConfig, places};
 use crate::exit::{self, Failure};
-use crate::listening::Accepting;
+use crate::listening::{Accepting, clear_unix};
 
 /// Longest line in bytes, including its end.
 const LINE: u64 = 256;
@@ -51,7 +51,13 @@ impl Socket {
     /// [`exit::IN_USE`] if another daemon listens there, [`exit::IO`] if it cannot be opened.
     pub fn open(config: &ControlConfig) -> Result<Option<Self>, Failure> {
         let Some(path) = config.socket.clone() else { return Ok(None) };
-        clear(&path)?;
+        if clear_unix(&path).is_err() {
+            let why = format!(
+                "the control socket {} is in use by another daemon: stop it, or set another control.socket",
+                path.display()
+            );
+            return Err(Failure::new(exit::IN_USE, why));
+        }
         if let Some(folder) = path.parent().filter(|_| places::is_own(&path)) {
             // If this fails, so does opening, with the path in its message.
             let _ = fs::DirBuilder::new().mode(FOLDER_MODE).create(folder);
@@ -90,28 +96,6 @@ impl Socket {
 impl Drop for Socket {
     fn drop(&mut self) {
         let _ = fs::remove_file(&self.path); // if this fails, the next daemon replaces it
-    }
-}
-
-/// Removes a socket file without a listener. Other files stay.
-fn clear(path: &Path) -> Result<(), Failure> {
-    let is_socket = fs::symlink_metadata(path).is_ok_and(|file| file.file_type().is_socket());
-    if !is_socket {
-        return Ok(()); // another kind of file makes opening fail
-    }
-    match blocking::UnixStream::connect(path) {
-        Ok(_) => {
-            let why = format!(
-                "the control socket {} is in use by another daemon: stop it, or set another control.socket",
-                path.display()
-            );
-            Err(Failure::new(exit::IN_USE, why))
-        }
-        Err(e) if e.kind() == io::ErrorKind::ConnectionRefused => {
-            let _ = fs::remove_file(path); // if this fails, so does opening
-            Ok(())
-        }
-        Err(_) => Ok(()),
     }
 }
 

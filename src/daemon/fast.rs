@@ -16,7 +16,7 @@ use trifacet_core::telemetry::heartbeat::{Heartbeats, Task, counted};
 use trifacet_core::telemetry::{CommandGauge, Counters, LatestStatus};
 use trifacet_wire::stream::Descriptor;
 
-use crate::acquisition::{SerialSource, Source, SourceError};
+use crate::acquisition::{BoardSource, Source, SourceError};
 use crate::clock::SystemClock;
 use crate::config::{CalibrationContext, Config, RealtimeConfig, SourceKind};
 use crate::control::FastLink;
@@ -79,8 +79,8 @@ pub(super) fn start(parts: Parts) -> anyhow::Result<Fast> {
             start_fast(parts.config.realtime.clone(), || fast(parts, source))
         }
         SourceKind::Replay => start_fast(parts.config.realtime.clone(), || replayed(parts)),
-        SourceKind::Serial => {
-            let source = SerialSource::open(&parts.config, SystemClock, counters)?;
+        SourceKind::Board | SourceKind::Serial => {
+            let source = BoardSource::open(&parts.config, SystemClock, counters)?;
             start_fast(parts.config.realtime.clone(), || fast(parts, |_| Ok(source)))
         }
     }
@@ -97,7 +97,11 @@ fn start_fast<F: Future<Output = anyhow::Result<()>>>(
             .enable_all()
             .build()
             .context("cannot start the fast runtime")
-            .and_then(|runtime| LocalSet::new().block_on(&runtime, tasks()));
+            .and_then(|runtime| {
+                let result = LocalSet::new().block_on(&runtime, tasks());
+                runtime.shutdown_background(); // do not wait for the attempt to connect to a board
+                result
+            });
         // The receiver is gone if the main thread has given up waiting.
         let _ = end.send(result);
     });

@@ -1,4 +1,4 @@
-//! A serial board with the twin behind it: the board side of `docs/board-protocol.md`, without the port.
+//! A board with the twin behind it: the board side of `docs/board-protocol.md`, without its link.
 
 use std::hash::{BuildHasher, RandomState};
 

@@ -12,9 +12,10 @@
 //! - [`temperature`]: the temperature of the head, and what it changes.
 //! - [`electronics`]: from light to codes.
 //! - [`faults`]: injected faults.
-//! - [`emulator`], [`pty`]: a serial board with the twin behind it.
+//! - [`emulator`]: a board with the twin behind it; [`pty`], [`board_socket`]: its serial line, and its socket on a network.
 
 pub mod applied;
+pub mod board_socket;
 pub mod board_state;
 pub mod distortion;
 pub mod electronics;
@@ -31,6 +32,7 @@ pub mod stage;
 pub mod temperature;
 pub mod trajectory;
 
+pub use board_socket::{BoardSocket, ListenAt};
 use electronics::{Electronics, Noise};
 pub use emulator::Emulator;
 pub use faults::Fate;

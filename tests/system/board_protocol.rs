@@ -77,6 +77,8 @@ fn the_examples_of_the_board_decode_and_encode() {
         extensible: false,
         extension: None,
     };
+    let busy = Answer::Busy { host: "192.168.1.5:50312".into() };
+    check("0x87 BUSY", &busy, Answer::decode, Answer::encode);
     check("0x81 IDENTITY", &Answer::Identity(identity), Answer::decode, Answer::encode);
     let reply = Reply { start: true, result: StartResult::Done, rate_mhz: 1_000_000 };
     check("0x82 REPLY", &Answer::Reply(reply), Answer::decode, Answer::encode);

@@ -40,7 +40,7 @@ const BAD: &[(&str, &[&str])] = &[
     ("[centering]\nsetpoint_um = [0, 0, 0]\n", &["lab.toml:2:15: centering.setpoint_um has 3 values: allowed are 2"]),
     ("[head]\nbeam_direction = [0, 0, -1, 7]\n", &["lab.toml:2:18: head.beam_direction has 4 values: allowed are 3"]),
     ("[channels.b]\ngain = [1, 'x', 1]\n", &["lab.toml:2:12: channels.b.gain[1] = 'x'", "-100 to 100"]),
-    ("[acquisition]\nsource = 'usb'\n", &["lab.toml:2:10: acquisition.source = 'usb'", "one of `twin`, `serial`, `replay`"]),
+    ("[acquisition]\nsource = 'usb'\n", &["lab.toml:2:10: acquisition.source = 'usb'", "one of `twin`, `board`, `serial`, `replay`"]),
     ("[estimation]\nmodel = 'Gaussian'\n", &["lab.toml:2:9: estimation.model", "`ray` or `gaussian`"]),
     ("[publishing]\ntcp = 'localhost'\n", &["lab.toml:2:7: publishing.tcp = 'localhost'", "127.0.0.1:7361", "\"off\""]),
     ("[publishing]\nudp = ['127.0.0.1:1', 'b']\n", &["lab.toml:2:23: publishing.udp[1] = 'b'", "127.0.0.1:7361"]),
@@ -95,6 +95,17 @@ const BAD: &[(&str, &[&str])] = &[
     ("[frames.base]\nrotation_deg = [0, 400, 0]\n", &["lab.toml:2:20: frames.base.rotation_deg[1] = 400: allowed is -360 to 360"]),
     ("[frames.tip]\n", &["lab.toml:1:9: frames.tip is not a key", "base, tool, tare"]),
     ("[centering]\nmode = 'dark'\n", &["lab.toml:2:8: centering.mode = 'dark'", "`on`, `off`, `shadow`"]),
+    ("[acquisition]\nsource = 'board'\n", &["lab.toml:2:10: acquisition.port = absent: allowed is the path of a serial port, or acquisition.address or acquisition.socket instead", "needs one of them"]),
+    ("[acquisition]\nsource = 'board'\nport = '/dev/ttyACM0'\naddress = 'daq.lan:7365'\n", &["lab.toml:4:11: acquisition.address = 'daq.lan:7365': allowed is absent, because acquisition.port is set"]),
+    ("[acquisition]\naddress = 'daq.lan:7365'\nsocket = '/run/board.sock'\n", &["lab.toml:3:10: acquisition.socket = '/run/board.sock': allowed is absent, because acquisition.address is set"]),
+    ("[acquisition]\nsource = 'board'\naddress = 'daq.lan'\n", &["lab.toml:3:11: acquisition.address = 'daq.lan': allowed is an address and a port"]),
+    ("[acquisition]\nsource = 'board'\naddress = '239.1.2.3:7365'\n", &["lab.toml:3:11: acquisition.address = '239.1.2.3:7365': allowed is a host and its TCP port"]),
+    ("[acquisition]\nsource = 'board'\nsocket = 'board.sock'\n", &["lab.toml:3:10: acquisition.socket = 'board.sock': allowed is an absolute path"]),
+    ("[acquisition]\nsource = 'board'\nport = ' '\n", &["lab.toml:3:8: acquisition.port = ' ': allowed is the path of a serial port"]),
+    ("[acquisition]\nsource = 'board'\nport = '/dev/ttyACM0'\nbaud = 115200\n", &["lab.toml:4:8: acquisition.baud = 115200: allowed is ", "or more", "at 1000 Hz"]),
+    ("[acquisition]\nsource = 'board'\naddress = '127.0.0.1:7361'\n", &["lab.toml:3:11: acquisition.address = '127.0.0.1:7361': allowed is the place of a board: at this one the daemon listens itself (publishing.tcp)"]),
+    ("[acquisition]\nsource = 'board'\nsocket = '/run/x'\n[control]\nsocket = '/run/x'\n", &["lab.toml:3:10: acquisition.socket = '/run/x'", "(control.socket)"]),
+    ("[acquisition]\nsource = 'board'\naddress = 'lab:5000'\n[steering]\nkind = 'gcs'\ngcs.address = 'lab:5000'\n", &["lab.toml:6:15: steering.gcs.address = 'lab:5000': allowed is another address than acquisition.address"]),
     ("[acquisition.serial]\nport = ''\n", &["lab.toml:2:8: acquisition.serial.port = '': allowed is the path of a serial port"]),
     ("[publishing]\nudp = ['1.2.3.4:0']\n", &["lab.toml:2:8: publishing.udp[0] = '1.2.3.4:0': allowed is a port from 1 to 65535"]),
     ("[publishing]\nallow = ['127.0.0.1', 'lab']\n", &["lab.toml:2:23: publishing.allow[1] = 'lab'", "192.168.1.0/24"]),
@@ -187,6 +198,11 @@ fn valid_files_set_the_configured_values() {
     )
     .unwrap();
     assert_eq!(config.acquisition.source, SourceKind::Serial);
+    assert_eq!(config.acquisition.board().unwrap().to_string(), "/dev/ttyACM0");
+    let board = |text: &str| parse(text, None).unwrap().acquisition.board().unwrap().to_string();
+    assert_eq!(board("acquisition = {source = 'board', address = 'daq:1'}"), "daq:1");
+    assert_eq!(board("acquisition = {source = 'board', socket = '/run/b'}"), "unix:/run/b");
+    assert_eq!(board("acquisition = {source = 'board', port = '/dev/b', serial.port = '/dev/c'}"), "/dev/b");
     assert_eq!(config.publishing.tcp, None);
     assert!(config.publishing.udp.is_empty() && config.twin.motion.is_empty());
     assert_eq!(config.twin.steering.readback_noise_um, None);

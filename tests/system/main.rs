@@ -9,6 +9,7 @@
 
 mod testkit;
 
+mod board_network;
 mod board_protocol;
 mod budget;
 mod calibrate_fit;

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use trifacet::acquisition::{SerialSource, Source, SourceError, SourceEvent};
+use trifacet::acquisition::{BoardSource, Source, SourceError, SourceEvent};
 use trifacet::clock::SystemClock;
 use trifacet::config::{self, Config};
 use trifacet::core::signals::Scan;
@@ -15,7 +15,7 @@ use crate::testkit::{Board, PATIENCE, Socket};
 
 /// A host on the same link.
 struct Host {
-    source: SerialSource<SystemClock>,
+    source: BoardSource<SystemClock>,
     counters: Arc<Counters>,
     last: Option<Scan>,
 }
@@ -29,7 +29,7 @@ fn config(port: &Path) -> Config {
 impl Host {
     fn new(port: &Path) -> Self {
         let counters = Arc::<Counters>::default();
-        let source = SerialSource::open(&config(port), SystemClock, Arc::clone(&counters)).unwrap();
+        let source = BoardSource::open(&config(port), SystemClock, Arc::clone(&counters)).unwrap();
         Self { source, counters, last: None }
     }
 
@@ -219,7 +219,7 @@ async fn a_second_host_learns_the_owner_of_the_port_and_the_first_continues() {
     let board = Board::start("");
     let mut host = Host::new(&board.link());
     host.scans(10).await;
-    let refused = SerialSource::open(&config(&board.link()), SystemClock, Arc::default()).unwrap_err();
+    let refused = BoardSource::open(&config(&board.link()), SystemClock, Arc::default()).unwrap_err();
     assert_eq!(refused.code, exit::IN_USE);
     assert!(refused.message.contains(&format!("process {} (", std::process::id())), "{refused}");
     host.scans(100).await;

@@ -36,7 +36,12 @@ fn every_shipped_configuration_is_valid() {
 fn the_default_file_has_the_defaults_and_the_board_example_uses_a_board() {
     assert_eq!(load(Some(&root("config/default.toml"))).unwrap(), Config::default());
     let board = load(Some(&root("config/serial-board.toml"))).unwrap();
-    assert_eq!(board.acquisition.source, SourceKind::Serial);
+    assert_eq!(board.acquisition.source, SourceKind::Board);
+    let places = ["serial-board", "network-board"].map(|name| {
+        let config = load(Some(&root(&format!("config/{name}.toml")))).unwrap();
+        config.acquisition.board().unwrap().to_string()
+    });
+    assert_eq!(places, ["/dev/ttyACM0", "192.168.1.20:7365"]);
 }
 
 /// The documentation of a key.

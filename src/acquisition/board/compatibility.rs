@@ -61,7 +61,9 @@ pub enum CompatibilityError {
         rate_hz: f64,
     },
     /// The link is too slow for the samples of the board.
-    #[error("its {channels} channels at {rate_hz} Hz need {needed} baud; acquisition.serial.baud is {baud}")]
+    #[error(
+        "its {channels} channels at {rate_hz} Hz need {needed} baud; the configured rate of the line is {baud} baud"
+    )]
     Baud {
         /// Number of channels of the board.
         channels: usize,
@@ -69,7 +71,7 @@ pub enum CompatibilityError {
         rate_hz: f64,
         /// Lowest speed of the link that is sufficient, baud.
         needed: u32,
-        /// `acquisition.serial.baud`.
+        /// The configured one.
         baud: u32,
     },
 }
@@ -118,18 +120,18 @@ fn check_rate(board: &BoardIdentity, settings: &Settings) -> Result<(), Compatib
     }
     let (channels, needed) =
         (board.roles.len(), required_baud(board.roles.len(), rate_hz, ScanFormat::Short));
-    if baud < needed {
-        return Err(CompatibilityError::Baud { channels, rate_hz, needed, baud });
+    match baud {
+        Some(baud) if baud < needed => Err(CompatibilityError::Baud { channels, rate_hz, needed, baud }),
+        _ => Ok(()),
     }
-    Ok(())
 }
 
 /// The scans that the board is asked for: those of version 1.1 if it speaks that version and the line has room.
 pub fn scan_format(board: &BoardIdentity, settings: &Settings) -> ScanFormat {
     let Some(extension) = &board.extension else { return ScanFormat::Short };
-    let (format, baud) = (extension.scan_format(), settings.baud);
+    let format = extension.scan_format();
     let needed = required_baud(board.roles.len(), settings.rate_hz, format);
-    if baud < needed {
+    if let Some(baud) = settings.baud.filter(|baud| *baud < needed) {
         tracing::info!(baud, needed, "the line is too slow for scans of version 1.1; those of 1.0 are used");
         return ScanFormat::Short;
     }

@@ -29,13 +29,13 @@ pub struct Foreign {
     /// Number of bytes when this kind was first described.
     bytes: u64,
     example: Vec<u8>,
-    baud: u32,
+    baud: Option<u32>,
 }
 
 /// The bytes since the port was opened or the last undamaged frame arrived.
 #[derive(Debug)]
 pub(super) struct ForeignBytes {
-    baud: u32,
+    baud: Option<u32>,
     total: u64,
     /// Bytes that have not been counted yet.
     uncounted: u64,
@@ -48,7 +48,7 @@ pub(super) struct ForeignBytes {
 }
 
 impl ForeignBytes {
-    pub(super) fn new(baud: u32) -> Self {
+    pub(super) fn new(baud: Option<u32>) -> Self {
         Self {
             baud,
             total: 0,
@@ -148,22 +148,29 @@ impl fmt::Display for Foreign {
                 write!(f, "other frames of a board arrive: does it receive what the daemon sends?")
             }
             Kind::Echo => {
-                write!(f, "the requests of the daemon come back: are RX and TX connected to each other?")
+                let why =
+                    baud.map_or("does a service echo them", |_| "are RX and TX connected to each other");
+                write!(f, "the requests of the daemon come back: {why}?")
             }
-            Kind::OneValue(value) => write!(
-                f,
-                "only bytes 0x{value:02x} arrive ({bytes}): is the line broken or its wiring wrong?"
-            ),
+            Kind::OneValue(value) => {
+                let why =
+                    baud.map_or("is this another service", |_| "is the line broken or its wiring wrong");
+                write!(f, "only bytes 0x{value:02x} arrive ({bytes}): {why}?")
+            }
             Kind::Text => write!(
                 f,
-                "text arrives at {baud} baud instead of frames, for example \"{}\": is this the port of another \
-                 device, or a console?",
-                example.escape_ascii()
+                "text arrives{} instead of frames, for example \"{}\": is this the port of another {}?",
+                baud.map_or(String::new(), |baud| format!(" at {baud} baud")),
+                example.escape_ascii(),
+                baud.map_or("service", |_| "device, or a console")
             ),
             Kind::Unknown => {
                 write!(f, "{bytes} bytes arrive that are not frames of a board, for example")?;
                 example.iter().take(12).try_for_each(|byte| write!(f, " {byte:02x}"))?;
-                write!(f, ": another protocol, or another baud rate than {baud}?")
+                match baud {
+                    Some(baud) => write!(f, ": another protocol, or another baud rate than {baud}?"),
+                    None => write!(f, ": another protocol?"),
+                }
             }
         }
     }
@@ -174,7 +181,7 @@ mod tests {
     use super::*;
 
     fn told(line: &[u8]) -> String {
-        let mut bytes = ForeignBytes::new(9600);
+        let mut bytes = ForeignBytes::new(Some(9600));
         bytes.bytes(line);
         bytes.describe().to_string()
     }
@@ -198,7 +205,7 @@ mod tests {
 
     #[test]
     fn the_description_is_stable_and_follows_what_arrives_now() {
-        let mut bytes = ForeignBytes::new(9600);
+        let mut bytes = ForeignBytes::new(Some(9600));
         bytes.bytes(b"a banner of a boot loader\r\n");
         let first = bytes.describe();
         bytes.bytes(b"a second line of it\r\n");

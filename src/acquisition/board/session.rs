@@ -38,7 +38,7 @@ enum State {
     /// IDENTIFY has been sent. `minor`: the version that it states.
     Identifying { minor: u8, until: Mono },
     /// START has been sent.
-    Starting { board: BoardIdentity, format: ScanFormat, until: Mono },
+    Starting { board: BoardIdentity, format: ScanFormat, asked: Mono, until: Mono },
     /// Scans are arriving.
     Running(Running),
     /// Pause after a fault. If scans have only stalled, scans that arrive in the meantime are accepted.
@@ -81,6 +81,8 @@ pub struct Session {
     /// What arrives while the board does not answer.
     foreign: ForeignBytes,
     boot: BootWatch,
+    /// The other host that has the board, as the board states.
+    busy: Option<String>,
 }
 
 impl Session {
@@ -101,6 +103,7 @@ impl Session {
             out: Vec::new(),
             command: None,
             boot: BootWatch::default(),
+            busy: None,
         }
     }
 
@@ -108,6 +111,7 @@ impl Session {
     pub fn connected(&mut self, now: Mono) {
         self.deframer = Deframer::default();
         self.foreign.opened();
+        self.busy = None;
         self.identify(now);
     }
 
@@ -115,6 +119,10 @@ impl Session {
     pub fn disconnected(&mut self, reason: SourceError) {
         self.state = State::Unlinked;
         self.out.clear();
+        let reason = match (reason, self.busy.take()) {
+            (SourceError::Unplugged { port, .. }, Some(host)) => SourceError::InUse { port, host },
+            (reason, _) => reason,
+        };
         self.down(reason);
     }
 
@@ -268,6 +276,7 @@ impl Session {
             (Answer::Error { reason: ErrorReason::Version, .. }, State::Identifying { .. }) => {
                 self.unfit("it does not support version 1 of the protocol".into(), now);
             }
+            (Answer::Busy { host }, _) => self.busy = Some(host.escape_debug().to_string()),
             (Answer::Error { .. }, _) => self.tally.count(LinkFault::BoardError),
             // Scans from before START, and answers after their time limit.
             (Answer::Scan(_) | Answer::Ack { .. } | Answer::Identity(_) | Answer::Reply(_), _) => {}
@@ -292,11 +301,13 @@ impl Session {
         let park = compatibility::output_codes(&board, self.settings.park);
         let rate_mhz = (self.settings.rate_hz * 1e3).round() as u32;
         Request::Start { rate_mhz, park, minor }.encode(&mut self.out);
-        self.state = State::Starting { board, format, until: now + i64::from(ANSWER_MS) * MS };
+        let until = now + i64::from(ANSWER_MS) * MS;
+        self.state = State::Starting { board, format, asked: now, until };
     }
 
     fn started(&mut self, reply: Reply, now: Mono) {
-        let State::Starting { board, format, .. } = std::mem::replace(&mut self.state, State::Unlinked)
+        let State::Starting { board, format, asked, .. } =
+            std::mem::replace(&mut self.state, State::Unlinked)
         else {
             return;
         };
@@ -314,7 +325,8 @@ impl Session {
             format,
             timebase: Timebase::new(board.tick_hz, rate_hz, self.settings.latency_ns, self.last)
                 .with_tick_bits(format.tick_bits())
-                .with_bursts(self.settings.silence),
+                .with_bursts(self.settings.silence)
+                .started(asked),
             patience_ns: SilenceTimes::new(rate_hz, self.settings.silence).first.as_nanos() as i64,
             last_arrival: now,
             last_sequence: None,

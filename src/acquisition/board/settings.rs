@@ -10,8 +10,8 @@ use crate::config::{Config, SteeringKind};
 pub struct Settings {
     /// Scans per second.
     pub rate_hz: f64,
-    /// Baud rate of the port.
-    pub baud: u32,
+    /// Baud rate of the serial port; `None` on a network, which has none.
+    pub baud: Option<u32>,
     /// Constant delay from a scan to its arrival, nanoseconds.
     pub latency_ns: i64,
     /// Time without scans after which they have stalled; at least five periods.
@@ -24,11 +24,10 @@ pub struct Settings {
 
 impl From<&Config> for Settings {
     fn from(config: &Config) -> Self {
-        let serial = &config.acquisition.serial;
         Self {
             rate_hz: config.acquisition.rate_hz,
-            baud: serial.baud,
-            latency_ns: (serial.latency_us * 1e3).round() as i64,
+            baud: config.acquisition.board().and_then(|place| place.baud()),
+            latency_ns: (config.acquisition.board_latency_us() * 1e3).round() as i64,
             silence: config.acquisition.silence(),
             most_in_flight: most_in_flight(config),
             park: match config.steering.kind {

@@ -1,5 +1,7 @@
 //! Boards whose counters are wrong: every time is right within its stated uncertainty, or is flagged.
 
+use std::time::Duration;
+
 use proptest::prelude::*;
 use rand::SeedableRng;
 use rand_distr::{Distribution, Exp1};
@@ -287,5 +289,27 @@ proptest! {
             count += 1;
             last = moment.time;
         }
+    }
+}
+
+/// As through a converter that delivers blocks, or a network that pauses: no scan comes alone.
+#[test]
+fn scans_in_blocks_have_their_times_or_are_flagged_from_the_first_one_on() {
+    for block in [10_u64, 100] {
+        let mut timebase =
+            Timebase::new(1_000_000, 1000.0, 0, None).with_bursts(Duration::from_millis(250)).started(START);
+        let mut flagged = 0;
+        for k in 0..5000 {
+            // The last scan of each block arrives when it is taken.
+            let arrival = START + ((k / block + 1) * block - 1) as i64 * 1_000_000;
+            let moment = timebase.moment(ScanCounters { tick: k * 1000, periods: 1 }, arrival);
+            let error_ns = (moment.time - START) as f64 - k as f64 * 1e6;
+            assert!(error_ns.abs() <= 5.0 * moment.sigma_ns, "{block}, {k}: {error_ns} ns, {moment:?}");
+            assert!(moment.fault.is_none(), "{block}, {k}: {moment:?}");
+            flagged += u64::from(moment.sigma_ns > FLAGGED_NS);
+            let settled = k < 1000 || error_ns.abs() < 1e5 && moment.sigma_ns < 1e6;
+            assert!(settled, "{block}, {k}: {error_ns} ns, {moment:?}");
+        }
+        assert!(flagged < 300, "{block}: {flagged} scans are flagged");
     }
 }

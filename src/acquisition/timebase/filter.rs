@@ -114,8 +114,10 @@ impl Block {
     /// Delay of the fastest arrival and its standard uncertainty, nanoseconds, once the block is complete.
     /// The fastest of n arrivals is delayed by about 1/n of their mean delay, whether the delay is
     /// distributed exponentially or uniformly.
-    pub fn close(&mut self, age_ns: f64) -> Option<(f64, f64)> {
-        if self.arrivals < BLOCK_ARRIVALS || self.duration_ns < BLOCK_NS.min(age_ns * BLOCK_PART) {
+    /// `burst_ns`: the block lasts at least this time, so that it contains the end of a burst.
+    pub fn close(&mut self, age_ns: f64, burst_ns: f64) -> Option<(f64, f64)> {
+        let shortest_ns = BLOCK_NS.min(age_ns * BLOCK_PART).max(burst_ns);
+        if self.arrivals < BLOCK_ARRIVALS || self.duration_ns < shortest_ns {
             return None;
         }
         let n = f64::from(self.arrivals);

@@ -9,8 +9,8 @@ use std::io::Write as _;
 use jiff::Timestamp;
 use trifacet::config::CalibrationState;
 use trifacet::config::{
-    CalibrationContext, Config, Destination, FacetConfig, FramesConfig, Host, LogFormat, SourceKind,
-    SteeringKind, TransformConfig, TwinConfig,
+    AcquisitionConfig, BoardPlace, CalibrationContext, Config, Destination, FacetConfig, FramesConfig, Host,
+    LogFormat, SourceKind, SteeringKind, TransformConfig, TwinConfig,
 };
 use trifacet::exit::{self, Failure};
 use trifacet::publishing::columns::rfc3339;
@@ -134,15 +134,22 @@ fn source(config: &Config, lines: &mut Lines) {
                 config.replay.speed,
                 if config.replay.repeat { ", repeated" } else { "" }
             ),
-            SourceKind::Serial => format!(
-                "serial board at {}, {} baud, {rate} Hz",
-                acquisition.serial.port.display(),
-                acquisition.serial.baud
-            ),
+            SourceKind::Board | SourceKind::Serial => board(acquisition),
         },
     );
     if acquisition.source == SourceKind::Twin {
         twin(&config.twin, lines);
+    }
+}
+
+fn board(acquisition: &AcquisitionConfig) -> String {
+    let rate = acquisition.rate_hz;
+    match acquisition.board() {
+        Some(place @ BoardPlace::Serial { baud, .. }) => {
+            format!("serial board at {place}, {baud} baud, {rate} Hz")
+        }
+        Some(place) => format!("board at {place}, {rate} Hz"),
+        None => "a board without a place".into(), // no such configuration is valid
     }
 }
 

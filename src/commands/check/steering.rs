@@ -78,7 +78,7 @@ pub(super) fn stage(config: &Config, lines: &mut Lines) {
             let full_scale_um = steering.full_scale_um;
             let source = match config.acquisition.source {
                 SourceKind::Twin => "the twin's own stage",
-                SourceKind::Serial => "the two outputs of the board",
+                SourceKind::Board | SourceKind::Serial => "the two outputs of the board",
                 SourceKind::Replay => return,
             };
             lines.say("steering", format!("{source}, full scale +-{full_scale_um} um, {limits}"));

@@ -8,7 +8,7 @@ use trifacet::twin::moves::DEFAULT_S;
 
 /// The commands, as `--help` lists them.
 pub(super) const HELP: &str = "\
-Prints the path of the port and runs until SIGTERM or SIGINT. Commands are read from standard input, one per line.
+Prints the path of the port, or the address or socket at which it listens, and runs until SIGTERM or SIGINT. Commands are read from standard input, one per line.
 S is a duration in seconds; without S, a fault is permanent:
   beam-blocked [S]          no light at all
   psd-dark 0..2 [S]         a PSD sees no light

@@ -286,7 +286,7 @@ fn a_host_counts_what_is_stated() {
         let silence = Duration::from_millis(20);
         let settings = Settings {
             rate_hz: 1000.0,
-            baud: 921_600,
+            baud: Some(921_600),
             latency_ns: 0,
             silence,
             park: [0.0; 2],

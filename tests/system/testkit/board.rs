@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{ChildStdin, Stdio};
 use std::sync::mpsc;
 
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
 use super::{Folder, Killed, PATIENCE, now_ns, trifacet, wait_for};
@@ -28,6 +29,8 @@ pub(crate) struct Board {
     child: Killed,
     orders: ChildStdin,
     lines: mpsc::Receiver<String>,
+    /// Where a host finds it.
+    place: String,
     socket: Socket,
     /// Limit of the steering outputs, micrometres.
     limit_um: f64,
@@ -46,19 +49,35 @@ impl Board {
 
     /// A board with this configuration, behind this link.
     pub(crate) fn plug_into(socket: Socket, config: &str) -> Self {
-        Self::launch(socket, config, &[])
+        let link = socket.link();
+        Self::launch(socket, config, &["--link", link.to_str().unwrap()])
+    }
+
+    /// A board with this configuration that listens at an address, or at a Unix socket (`unix:PATH`).
+    pub(crate) fn listening(at: &str, config: &str) -> Self {
+        Self::launch(Socket::new(), config, &["--listen", at])
+    }
+
+    /// A board with these options of `trifacet emulate`, among them `--listen`.
+    pub(crate) fn with_options(options: &[&str], config: &str) -> Self {
+        Self::launch(Socket::new(), config, options)
+    }
+
+    /// Another board at the same address or Unix socket.
+    pub(crate) fn another_listening(&self, config: &str) -> Self {
+        Self::listening(&self.place, config)
     }
 
     /// A board that speaks this version of the protocol.
     pub(crate) fn of_version(version: &str, config: &str) -> Self {
-        Self::launch(Socket::new(), config, &["--protocol", version])
+        let socket = Socket::new();
+        let link = socket.link();
+        Self::launch(socket, config, &["--link", link.to_str().unwrap(), "--protocol", version])
     }
 
     fn launch(socket: Socket, config: &str, options: &[&str]) -> Self {
         let file = socket.0.write("emulate.toml", config);
-        let mut child = trifacet(&["emulate", "--link"])
-            .arg(socket.link())
-            .arg("--config")
+        let mut child = trifacet(&["emulate", "--config"])
             .arg(&file)
             .args(options)
             .stdin(Stdio::piped())
@@ -71,9 +90,9 @@ impl Board {
         std::thread::spawn(move || {
             BufReader::new(out).lines().map_while(Result::ok).try_for_each(|line| sender.send(line))
         });
-        let board = Self { child: Killed(child), orders, lines, socket, limit_um: 400.0 };
-        assert!(board.line().starts_with("/dev/pts/"));
-        board
+        let place = lines.recv_timeout(PATIENCE).unwrap();
+        assert_eq!(place.starts_with("/dev/pts/"), options.contains(&"--link"), "{place}");
+        Self { child: Killed(child), orders, lines, place, socket, limit_um: 400.0 }
     }
 
     /// Expects the steering within these limits instead of the default ones.
@@ -84,6 +103,15 @@ impl Board {
 
     pub(crate) fn link(&self) -> PathBuf {
         self.socket.link()
+    }
+
+    /// The address or the Unix socket at which it listens.
+    pub(crate) fn place(&self) -> &str {
+        &self.place
+    }
+
+    pub(crate) fn signal(&self, signal: Signal) {
+        kill_process(Pid::from_child(&self.child.0), signal).unwrap();
     }
 
     pub(crate) fn pid(&self) -> u32 {
@@ -115,7 +143,8 @@ impl Board {
                 }
                 return status;
             }
-            assert!(Path::new(&line).starts_with("/dev/pts"), "{line}"); // connected again
+            // Connected again.
+            assert!(line == self.place || Path::new(&line).starts_with("/dev/pts"), "{line}");
         }
     }
 

@@ -9,6 +9,7 @@ use super::turn::Turn;
 pub(crate) const NO_SESSION: &str = "/nonexistent";
 
 /// The result of a command.
+#[derive(Debug)]
 pub(crate) struct Done {
     pub(crate) code: i32,
     pub(crate) out: String,

@@ -154,6 +154,6 @@ impl BoardIdentity {
 }
 
 /// The name, shortened to the maximum length.
-fn shortened(name: &str) -> &str {
+pub(super) fn shortened(name: &str) -> &str {
     &name[..name.floor_char_boundary(MAX_NAME)]
 }

@@ -2,11 +2,13 @@
 //!
 //! Every message starts with its type and the version of the protocol. All numbers are little-endian.
 
+use alloc::borrow::ToOwned;
+use alloc::string::String;
 use alloc::vec::Vec;
 
 use super::error::{MINOR, MessageError};
 use super::fields::{Reader, Writer};
-use super::identity::BoardIdentity;
+use super::identity::{BoardIdentity, shortened};
 use super::scan::{BoardScan, ScanFormat};
 use crate::actuator::{Ack, LeaseAction, OutputCommand};
 
@@ -21,6 +23,7 @@ mod kind {
     pub(super) const SCAN: u8 = 0x84;
     pub(super) const ERROR: u8 = 0x85;
     pub(super) const LONG_SCAN: u8 = 0x86;
+    pub(super) const BUSY: u8 = 0x87;
 }
 
 /// From host to board.
@@ -68,6 +71,11 @@ pub enum Answer {
         reason: ErrorReason,
         /// Type of that message; 0 if the frame was corrupted.
         kind: u8,
+    },
+    /// Only on a network: another host has the board, which closes this connection.
+    Busy {
+        /// The other host, in readable form; at most [`MAX_NAME`](super::identity::MAX_NAME) bytes.
+        host: String,
     },
 }
 
@@ -217,6 +225,10 @@ impl Answer {
                 ScanFormat::Long { .. } => kind::LONG_SCAN,
             })),
             Self::Error { reason, kind } => Writer::new(kind::ERROR).u8(*reason as u8).u8(*kind),
+            Self::Busy { host } => {
+                let host = shortened(host);
+                Writer::new(kind::BUSY).u8(host.len() as u8).bytes(host.as_bytes())
+            }
         };
         message.frame(out);
     }
@@ -248,6 +260,11 @@ impl Answer {
                 reason: ErrorReason::from_number(body.u8()?).ok_or_else(|| body.meaningless("reason"))?,
                 kind: body.u8()?,
             },
+            kind::BUSY => {
+                let length = usize::from(body.u8()?);
+                let host = String::from_utf8_lossy(body.bytes(length)?);
+                Self::Busy { host: shortened(&host).to_owned() }
+            }
             unknown => return Err(MessageError::Type(unknown)),
         };
         body.end(answer)

@@ -36,7 +36,7 @@ impl Bench {
         let counters = Arc::new(Counters::default());
         let settings = Settings {
             rate_hz: 1000.0,
-            baud: 921_600,
+            baud: Some(921_600),
             latency_ns: 0,
             park: [0.2, -0.2],
             silence: Duration::from_millis(20),
@@ -194,7 +194,7 @@ fn a_board_of_version_1_1_sends_long_scans_and_others_are_dropped() {
 #[test]
 fn a_line_without_room_for_long_scans_carries_short_ones() {
     let mut bench = Bench::new();
-    bench.session.settings.baud = 610_000;
+    bench.session.settings.baud = Some(610_000);
     bench.session.connected(bench.now);
     bench.requests();
     bench.answer(&Answer::Identity(newer_board(1)));
@@ -379,7 +379,7 @@ fn a_board_of_another_version_is_reported() {
 #[test]
 fn a_wire_too_slow_for_the_rate_is_refused() {
     let mut bench = Bench::new();
-    bench.session.settings.baud = 115_200;
+    bench.session.settings.baud = Some(115_200);
     bench.session.connected(bench.now);
     bench.start(&board());
     let Some(SourceEvent::Down(SourceError::Unfit { reason, .. })) = bench.session.event() else {
