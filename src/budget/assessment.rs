@@ -5,11 +5,10 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use trifacet_budget::validation::tolerance;
 use trifacet_budget::{Budget, BudgetError, Input, MonteCarlo, Sampler, SamplerError, Stop, Validation};
+use trifacet_core::uncertainty::{Effect, Instrument, InstrumentError, Measurement, Moment};
 use trifacet_optics::{Pose, Rigid};
 
-use super::components::{Components, NotCovered};
-use super::instrument::{Instrument, InstrumentError, Measurement};
-use super::quantity::{Effect, Group, Moment, Unit};
+use crate::config::{Components, Group, NotCovered, Unit};
 
 /// Names and units of the measurands.
 pub const MEASURANDS: [(&str, Unit); 6] = [
@@ -136,7 +135,7 @@ impl Basis<'_> {
         let count = inputs.len();
         let mut sensitivities = DMatrix::zeros(6, count);
         for (i, (input, effect)) in inputs.iter().enumerate() {
-            sensitivities.set_column(i, &nalgebra::Vector6::from(slope(measurement, *effect, input.std)?));
+            sensitivities.set_column(i, &nalgebra::Vector6::from(measurement.slope(*effect, input.std)?));
         }
         let inputs = inputs.into_iter().map(|(input, _)| input).collect();
         let configured =
@@ -252,16 +251,6 @@ fn candidates([metres, radians]: [f64; 2]) -> Vec<Pose> {
         poses.push(scaled(std::array::from_fn(|_| 2.0 * rng.random::<f64>() - 1.0)));
     }
     poses
-}
-
-/// The derivative of the pose with respect to a quantity, over plus and minus its standard uncertainty (JCGM 100,
-/// 5.1.3, note 2).
-fn slope(measurement: &Measurement<'_>, effect: Effect, std: f64) -> Result<[f64; 6], InstrumentError> {
-    // A quantity without uncertainty has a derivative all the same.
-    let step = if std > 0.0 { std } else { 1e-8 };
-    let moved = |by: f64| measurement.pose(std::iter::once((effect, by)));
-    let (high, low) = (moved(step)?, moved(-step)?);
-    Ok(std::array::from_fn(|j| (high[j] - low[j]) / (2.0 * step)))
 }
 
 impl Assessment {

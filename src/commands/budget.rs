@@ -3,12 +3,11 @@
 use std::io::{self, Write};
 
 use trifacet::budget::assessment::{AssessmentError, Basis, PoseCovariance};
-use trifacet::budget::components::Components;
 use trifacet::budget::formats::{Range, Report};
-use trifacet::budget::instrument::{Instrument, InstrumentError};
 use trifacet::budget::record::Recorded;
-use trifacet::config::CalibrationContext;
+use trifacet::config::{CalibrationContext, Components};
 use trifacet::exit::{self, Failure};
+use trifacet_core::uncertainty::InstrumentError;
 use trifacet_optics::Pose;
 
 use super::{ConfigArg, within, written};
@@ -93,7 +92,8 @@ pub(crate) fn budget(args: &BudgetArgs) -> anyhow::Result<()> {
     let config = &context.config;
     let average = args.average.unwrap_or(config.estimation.average.into());
     let recorded = recorded(&context)?;
-    let mut instrument = Instrument::new(config).map_err(|error| failure(&error.into()))?;
+    let mut instrument =
+        config.instrument().map_err(|error| Failure::new(exit::CONFIG, error.to_string()))?;
     let table = recorded.as_ref().ok().map(PoseCovariance::table);
     if let Some(table) = table {
         instrument = instrument.calibrated_at(table);
@@ -154,7 +154,7 @@ fn recorded(context: &CalibrationContext) -> Result<Result<Recorded, String>, Fa
 /// A pose outside the range is wrong data; a head that does not exist is a wrong configuration.
 fn failure(error: &AssessmentError) -> Failure {
     let code = match error {
-        AssessmentError::Instrument(InstrumentError::Head(_) | InstrumentError::Tare(_)) => exit::CONFIG,
+        AssessmentError::Instrument(InstrumentError::Tare(_)) => exit::CONFIG,
         AssessmentError::Instrument(_) | AssessmentError::Calibration => exit::DATA,
         AssessmentError::Budget(_) | AssessmentError::Sampler(_) => exit::SOFTWARE,
     };

@@ -12,11 +12,15 @@ use trifacet_core::estimation::integrity::Readback;
 use trifacet_core::estimation::{Estimation, Frames, Settings};
 use trifacet_core::pipeline::{Mapping, Measurement, Pipeline};
 use trifacet_core::steering::{BeamMap, BeamOffset, BeamPoint, StagePosition};
+use trifacet_core::uncertainty::Instrument;
 use trifacet_optics::{Estimator, FACETS, HeadError, Optics};
 use trifacet_wire::Status;
 
 use super::correction::{CorrectionFileError, parse_correction};
-use super::{CalibrationContext, CenteringConfig, Config, FramesConfig, SteeringConfig, TableError, Tables};
+use super::{
+    CalibrationContext, CenteringConfig, Config, FramesConfig, SteeringConfig, TableError, Tables,
+    TransformConfig,
+};
 use crate::config::RecordError;
 use crate::exit::{self, Failure};
 
@@ -149,6 +153,18 @@ impl Config {
         let channels = self.channels(&context.tables)?;
         let settings = self.estimation_settings(context.calibrated(), context.id())?;
         Ok(Measurement { mapping: Mapping::new(channels), estimation: Estimation::new(settings) })
+    }
+
+    /// The instrument of which the uncertainty is computed.
+    ///
+    /// # Errors
+    /// Fails if the geometry does not describe a sensor head.
+    pub fn instrument(&self) -> Result<Instrument, HeadError> {
+        let [base, tare, tool] = [self.frames.base, self.frames.tare, self.frames.tool].map(|t| t.build());
+        let tared = self.frames.tare != TransformConfig::default();
+        // pose = tare^-1 * base * sensor * tool is the identity at the tare.
+        let tare = tared.then(|| base.inverse() * tare * tool.inverse());
+        Ok(Instrument::new(self.head.build()?, self.estimation.model.into(), tool, tare))
     }
 
     /// The whole pipeline in its initial state, without a source of samples.

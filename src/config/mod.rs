@@ -80,7 +80,7 @@ pub use steering::{NO_TILT, POINTING_UM, SteeringConfig, SteeringKind, SteeringK
 pub use tune::TuneConfig;
 pub use twin::{TwinConfig, TwinSteering};
 pub use twin_head::{TwinBeam, TwinPsd, TwinPsds, TwinStage, TwinTemperature, TwinTolerances};
-pub use uncertainty::UncertaintyConfig;
+pub use uncertainty::{Components, Group, NotCovered, UncertaintyConfig, Unit};
 
 /// The whole configuration.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

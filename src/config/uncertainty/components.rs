@@ -4,9 +4,10 @@ use std::fmt;
 
 use trifacet_budget::{Distribution, Evaluation, Input};
 use trifacet_core::channels::Amplifier;
+use trifacet_core::uncertainty::{Effect, Moment};
 use trifacet_optics::{FACETS, Rigid};
 
-use super::quantity::{Effect, Group, Moment, Unit};
+use super::quantity::{Group, Unit};
 use crate::config::{Config, Model, SourceKind};
 
 /// An effect that the budget does not cover.

@@ -1,6 +1,12 @@
 //! `[uncertainty]`: what the readings do not tell about the uncertainty of a pose relative to the tare. Read by
 //! `trifacet budget`. An absent key means that nothing is stated: the budget then names what it does not cover.
+//! [`Components`] are the quantities that the whole configuration states.
 
+mod components;
+mod quantity;
+
+pub use components::{Components, NotCovered};
+pub use quantity::{Group, Unit};
 use serde::{Deserialize, Serialize};
 
 use super::check::{Checker, above_zero};

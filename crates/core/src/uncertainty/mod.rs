@@ -1,0 +1,9 @@
+//! The uncertainty of a pose relative to the tare: what acts on it, and how much.
+//!
+//! - [`effect`]: the input quantities. [`instrument`]: the published pose as a function of all of them.
+
+pub mod effect;
+pub mod instrument;
+
+pub use effect::{Effect, Moment};
+pub use instrument::{Instrument, InstrumentError, Measurement};
