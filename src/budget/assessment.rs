@@ -229,7 +229,11 @@ fn candidates([metres, radians]: [f64; 2]) -> Vec<Pose> {
 
 /// The derivative of the pose with respect to a quantity, over plus and minus its standard uncertainty (JCGM 100,
 /// 5.1.3, note 2).
-fn slope(measurement: &Measurement<'_>, effect: Effect, std: f64) -> Result<[f64; 6], InstrumentError> {
+pub(super) fn slope(
+    measurement: &Measurement<'_>,
+    effect: Effect,
+    std: f64,
+) -> Result<[f64; 6], InstrumentError> {
     // A quantity without uncertainty has a derivative all the same.
     let step = if std > 0.0 { std } else { 1e-8 };
     let moved = |by: f64| measurement.pose(std::iter::once((effect, by)));

@@ -3,6 +3,7 @@
 //! - [`components`]: the quantities that the configuration states, and what it does not state.
 //! - [`instrument`]: the measurement model: from deviations of these quantities to the pose that is published.
 //! - [`assessment`]: sensitivities and budget at a pose, the Monte Carlo method beside it, the worst pose of a range.
+//! - [`stated`]: what the frames of the daemon state of it.
 //! - [`formats`]: the budget as text, HTML, CSV, JSON, and for two other programs.
 //!
 //! The rules of JCGM 100 and JCGM 101 are in [`trifacet_budget`], which knows no instrument.
@@ -11,3 +12,4 @@ pub mod assessment;
 pub mod components;
 pub mod formats;
 pub mod instrument;
+pub mod stated;

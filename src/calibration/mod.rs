@@ -2,7 +2,7 @@
 //! to.
 //!
 //! A record is a file `calibration.json` beside the configuration (`calibration.record`). Its header is small and is
-//! read at every start; the rest, from which uncertainties are computed, is read only by the commands that need it.
+//! read at every start, as is the covariance for the frames; the rest is read only by the commands that need it.
 //!
 //! - [`effort`]: how many samples a point needs. [`pose_list`]: the file of the planned poses.
 //! - [`bench`](mod@bench): the source, the loop and the stage during the measurement. [`measure`](mod@measure): a point, by
@@ -22,6 +22,7 @@ mod record;
 mod record_file;
 pub mod report;
 pub mod rest;
+mod spread;
 mod standing;
 mod tables;
 mod verdict;
@@ -31,6 +32,7 @@ pub use fingerprint::fingerprint;
 pub use points::{Defaults, InputFile, Line, Measured};
 pub use record::{FORMAT, RecordError, RecordHeader};
 pub use record_file::{ParameterReport, Record, parameter_reports};
+pub use spread::SharedSpread;
 pub use standing::{CalibrationState, Standing};
 pub use tables::table;
 pub use verdict::{Verdict, Wanted, before, verdict};

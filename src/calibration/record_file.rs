@@ -11,6 +11,7 @@ use trifacet_optics::calibration::map::{Field, Lattice};
 use trifacet_optics::calibration::parameters::{Nominal, Tolerances, parameters};
 use trifacet_optics::calibration::result::Calibration;
 
+use super::spread::bytes;
 use super::{RecordError, RecordHeader};
 
 /// A record: the header, and the parameters with their covariance.
@@ -38,6 +39,9 @@ pub struct Record {
     factor: String,
     /// Diagonal of S.
     scale: String,
+    /// What the frames need, see [`super::SharedSpread`]: base64.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    spread: Option<String>,
 }
 
 /// A geometric parameter before and after the fit.
@@ -97,6 +101,7 @@ impl Record {
             theta: encode(calibration.theta.iter().copied()),
             factor: encode(calibration.factor.packed()),
             scale: encode(calibration.factor.scale().iter().copied()),
+            spread: calibration.spread().map(|spread| STANDARD.encode(bytes(&spread))),
         }
     }
 

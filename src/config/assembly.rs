@@ -3,11 +3,13 @@
 //! The units of the file are converted to SI units here.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use trifacet_core::centering::controller::Controller;
 use trifacet_core::centering::lock::LockLimits;
 use trifacet_core::centering::{Centering, LoopParams};
 use trifacet_core::channels::{Channels, MissingSignal, PsdChannels};
+use trifacet_core::estimation::by_pose::ByPose;
 use trifacet_core::estimation::integrity::Readback;
 use trifacet_core::estimation::{Estimation, Frames, Settings};
 use trifacet_core::pipeline::{Mapping, Measurement, Pipeline};
@@ -17,7 +19,8 @@ use trifacet_wire::Status;
 
 use super::correction::{CorrectionFileError, parse_correction};
 use super::{CalibrationContext, CenteringConfig, Config, FramesConfig, SteeringConfig, TableError, Tables};
-use crate::calibration::RecordError;
+use crate::budget::stated::stated;
+use crate::calibration::{CalibrationState, RecordError};
 use crate::exit::{self, Failure};
 
 /// Why the parameters cannot be built from a configuration.
@@ -147,7 +150,8 @@ impl Config {
     /// Fails if the geometry does not describe a sensor head, or if a correction table is not valid.
     pub fn measurement(&self, context: &CalibrationContext) -> Result<Measurement, AssemblyError> {
         let channels = self.channels(&context.tables)?;
-        let settings = self.estimation_settings(context.calibrated(), context.id())?;
+        let mut settings = self.estimation_settings(context.calibrated(), context.id())?;
+        settings.by_pose = self.by_pose(&settings, &context.calibration);
         Ok(Measurement { mapping: Mapping::new(channels), estimation: Estimation::new(settings) })
     }
 
@@ -160,8 +164,15 @@ impl Config {
         Ok(Pipeline::new(self.measurement(context)?, self.centering_loop()?, silence))
     }
 
-    /// The parameters of estimation, in SI units. `calibrated`: a valid calibration record belongs to the
-    /// configuration. `id`: the fingerprint of the configuration, see [`Config::id`].
+    /// The systematic uncertainty that depends on the pose, with the frames and the head of `settings`.
+    pub fn by_pose(&self, settings: &Settings, calibration: &CalibrationState) -> Option<Arc<ByPose>> {
+        let spread = calibration.spread.as_ref().map(|spread| Arc::clone(&spread.0));
+        let stated = stated(self, spread.is_some());
+        ByPose::new(spread, stated, settings.estimator.optics(), &settings.frames).map(Arc::new)
+    }
+
+    /// The parameters of estimation, in SI units, without [`Config::by_pose`]. `calibrated`: a valid calibration record
+    /// belongs to the configuration. `id`: the fingerprint of the configuration, see [`Config::id`].
     ///
     /// # Errors
     /// Fails if the geometry does not describe a sensor head.
@@ -176,6 +187,7 @@ impl Config {
             spot_noise: estimation.spot_noise_um * 1e-6,
             power_noise: estimation.power_noise,
             systematic: estimation.systematic(),
+            by_pose: None,
             amplifiers: self.channels.psds().map(|psd| psd.amplifier),
             readback: Readback::new(self.steering.beam_map(), self.steering.beam_sigma_um() * 1e-6),
             fuse: estimation.fuse_steering,

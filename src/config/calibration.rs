@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use super::check::{Checker, above_zero};
-use crate::calibration::{RecordError, RecordHeader};
+use crate::calibration::{RecordError, RecordHeader, SharedSpread};
 
 /// Settings of `[calibration]`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -32,6 +32,14 @@ impl CalibrationConfig {
     pub fn read(&self) -> Result<Option<RecordHeader>, RecordError> {
         let read = |path| RecordHeader::read(BufReader::new(File::open(path)?));
         self.record.as_ref().map(read).transpose()
+    }
+
+    /// Reads what the calibration leaves unknown of poses. Blocks.
+    ///
+    /// # Errors
+    /// Fails if the record cannot be read or used.
+    pub fn read_spread(&self) -> Result<Option<SharedSpread>, RecordError> {
+        self.record.as_ref().map_or(Ok(None), |path| SharedSpread::read(File::open(path)?))
     }
 
     /// Checks that the record can be read. Blocks.

@@ -234,6 +234,8 @@ impl RunningConfig {
             || next.steering != self.running.steering
             || next.laser != self.running.laser
             || next.calibration != self.running.calibration
+            || next.uncertainty != self.running.uncertainty
+            || next.centering.lock_limit_um != self.running.centering.lock_limit_um
             || channels.is_some()
             || calibration.is_some()
         {
@@ -272,9 +274,10 @@ impl RunningConfig {
         let calibration = facts.calibration.clone();
         let context = Arc::new(CalibrationContext { config: next.clone(), tables, calibration });
         facts.id.config = context.id();
-        let settings = next
+        let mut settings = next
             .estimation_settings(facts.calibration.is_valid(), facts.id.config)
             .map_err(|e| Failure::new(exit::SOFTWARE, format!("the head cannot be built: {e}")))?;
+        settings.by_pose = next.by_pose(&settings, &facts.calibration);
         let tables = context.tables.clone();
         ask(&self.fast.changes, FAST_SIDE_TIMEOUT, |done| SettingsChange {
             channels,

@@ -277,16 +277,19 @@ pub struct Config {
     pub toml: String,
     /// Contents of the correction tables of PSD A, B and C; empty: no table.
     pub tables: (Vec<u8>, Vec<u8>, Vec<u8>),
-    /// The calibration in force, in JSON; empty in recordings of versions without calibration records. It must remain
-    /// the last field: their messages end before it.
+    /// The calibration in force, in JSON; empty in recordings of versions without calibration records. This and the next
+    /// field must remain the last, in this order: the messages of earlier versions end before them.
     #[serde(deserialize_with = "if_recorded")]
     pub calibration: String,
+    /// What the calibration leaves unknown of poses; empty: nothing is known of it.
+    #[serde(deserialize_with = "if_recorded")]
+    pub spread: Vec<u8>,
 }
 
-/// The text; empty where the message ends before it.
+/// The value; empty where the message ends before it.
 #[expect(clippy::unnecessary_wraps, reason = "the signature that serde expects")]
-fn if_recorded<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error> {
-    Ok(String::deserialize(from).unwrap_or_default())
+fn if_recorded<'de, D: Deserializer<'de>, T: Deserialize<'de> + Default>(from: D) -> Result<T, D::Error> {
+    Ok(T::deserialize(from).unwrap_or_default())
 }
 
 /// `/trifacet/source`.

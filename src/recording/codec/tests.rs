@@ -228,7 +228,7 @@ fn the_calibration_is_recorded_and_that_of_earlier_versions_is_known() {
         std_urad: [0.3; 3],
         expires: None,
     };
-    let calibration = CalibrationState { record: Some(record), standing: Standing::Expired };
+    let calibration = CalibrationState { record: Some(record), standing: Standing::Expired, spread: None };
     let table = || Some(b"table".to_vec());
     for (first, standing) in [(table(), Standing::Valid), (None, Standing::Absent)] {
         let tables = Tables([first, table(), Some(b"the last one".to_vec())]);
@@ -242,7 +242,7 @@ fn the_calibration_is_recorded_and_that_of_earlier_versions_is_known() {
         let end = data.windows(12).position(|bytes| bytes == b"the last one").unwrap() + 12;
         data.truncate(end);
         let Entry::Keyframe(back) = decode(&mut Decoder::default(), &messages) else { panic!("no keyframe") };
-        assert_eq!(back.context.calibration, CalibrationState { record: None, standing });
+        assert_eq!(back.context.calibration, CalibrationState { record: None, standing, spread: None });
     }
 }
 
