@@ -54,6 +54,7 @@ pub struct Bench<S, C> {
     /// Number of frames so far.
     frames: u64,
     stop: CancellationToken,
+    simulated: bool,
     /// The stop was noticed, and the stage is parked.
     ending: bool,
     /// Position that the stage reports beside the samples.
@@ -79,6 +80,8 @@ pub struct Links<S, C> {
     pub records: RecordSender,
     /// Interrupts the measurement.
     pub stop: CancellationToken,
+    /// The clock is simulated: time passes only while the bench takes samples.
+    pub simulated: bool,
 }
 
 impl<S: Source, C: Clock> Bench<S, C> {
@@ -87,7 +90,7 @@ impl<S: Source, C: Clock> Bench<S, C> {
     /// # Errors
     /// [`exit::CONFIG`] if the configuration does not describe a head.
     pub fn new(config: &Config, links: Links<S, C>) -> Result<Self, Failure> {
-        let Links { source, clock, stage: (driver, outputs), records, stop } = links;
+        let Links { source, clock, stage: (driver, outputs), records, stop, simulated } = links;
         let wrong = |e: &dyn std::fmt::Display| Failure::new(exit::CONFIG, e.to_string());
         let mut config = config.clone();
         config.centering.mode = LoopMode::On;
@@ -114,6 +117,7 @@ impl<S: Source, C: Clock> Bench<S, C> {
             records,
             frames: 0,
             stop,
+            simulated,
             ending: false,
             reported: None,
             last_ack: None,
@@ -130,6 +134,9 @@ impl<S: Source, C: Clock> Bench<S, C> {
     /// [`exit::INTERRUPTED`] after a stop, [`exit::UNAVAILABLE`] if no samples arrive, [`exit::CONFIG`] if the
     /// source does not measure the nine signals.
     pub async fn next(&mut self) -> Result<RawSample, Failure> {
+        if self.simulated {
+            self.deadline = Instant::now() + SILENCE; // it may have stood still
+        }
         loop {
             self.events = self.events.wrapping_add(1);
             if self.events.is_multiple_of(BATCH) {
@@ -159,10 +166,18 @@ impl<S: Source, C: Clock> Bench<S, C> {
         }
     }
 
-    /// Waits until the recorder has room, in a simulation that runs faster than it writes.
-    pub async fn wait_for_recorder(&self) {
-        while self.records.room().is_some_and(|room| room < ROOM) {
-            sleep(RECORDER_WAIT).await;
+    /// Waits for something outside. The loop goes on; a simulation stands still.
+    ///
+    /// # Errors
+    /// As [`Bench::next`].
+    pub async fn wait_for<T>(&mut self, outside: impl Future<Output = T>) -> Result<T, Failure> {
+        if !self.simulated {
+            return self.run_until(outside).await;
+        }
+        tokio::select! {
+            biased;
+            () = self.stop.cancelled() => Err(Failure::new(exit::INTERRUPTED, "interrupted")),
+            done = outside => Ok(done),
         }
     }
 
@@ -170,7 +185,7 @@ impl<S: Source, C: Clock> Bench<S, C> {
     ///
     /// # Errors
     /// As [`Bench::next`].
-    pub async fn until<T>(&mut self, other: impl Future<Output = T>) -> Result<T, Failure> {
+    pub async fn run_until<T>(&mut self, other: impl Future<Output = T>) -> Result<T, Failure> {
         tokio::pin!(other);
         loop {
             tokio::select! {
@@ -178,6 +193,13 @@ impl<S: Source, C: Clock> Bench<S, C> {
                 done = &mut other => return Ok(done),
                 sample = self.next() => drop(sample?),
             }
+        }
+    }
+
+    /// In a simulation, which runs faster than the recorder writes, waits until the recorder has room.
+    pub async fn wait_for_recorder(&self) {
+        while self.simulated && self.records.room().is_some_and(|room| room < ROOM) {
+            sleep(RECORDER_WAIT).await;
         }
     }
 

@@ -51,6 +51,7 @@ pub fn edits(calibration: &Calibration, config: &Config) -> Vec<Edit> {
         set(section, "gain", [u, v, 1.0 / gain].into_iter().collect());
         set(section, "correction", name.into());
     }
+    set(&["calibration"], "record", "calibration.json".into());
     let (matrix, origin) = calibration.steering();
     let rows = [0, 1].map(|i| [matrix[(i, 0)], matrix[(i, 1)]].into_iter().collect::<Value>());
     set(&["steering"], "matrix", rows.into_iter().collect());

@@ -62,7 +62,9 @@ pub async fn measure<S: Source, C: Clock>(
     goal: Goal,
     optics: &Optics,
 ) -> Result<Reading, NoReading> {
-    let fewest = rest::FEWEST.max((REST_S * bench.rate_hz()) as usize);
+    // In a scan the mirror has been at rest before, and only the stage moves.
+    let rest_s = if goal.manual { 0.0 } else { REST_S };
+    let fewest = rest::FEWEST.max((rest_s * bench.rate_hz()) as usize);
     let mut samples = Samples { taken: Vec::new(), left_out: 0, size: fewest, motion: None, flaw: None };
     let mut since = None;
     loop {
@@ -104,8 +106,9 @@ impl Samples {
     ) -> Option<Reading> {
         self.flaw = None;
         let spots: Vec<[f64; 6]> = self.taken.iter().map(|sample| sample.spots).collect();
-        self.motion = rest::motion(&spots, &bench.steps().spots);
-        if self.motion.is_some() {
+        let motion = rest::motion(&spots, &bench.steps().spots);
+        if motion.is_some() {
+            self.motion = motion;
             let keep = fewest - fewest / STRIDE;
             self.taken.drain(..self.taken.len() - keep);
             (self.size, self.left_out) = (fewest, 0);
@@ -129,7 +132,10 @@ impl Samples {
             return format!("no reading within {seconds} s: {flaw}{stage}");
         }
         let Some(motion) = self.motion else {
-            return format!("no reading within {seconds} s: too few samples arrive");
+            let (taken, noise) = (self.taken.len(), goal.noise * 1e6);
+            return format!(
+                "no reading within {seconds} s: {taken} samples have more noise than {noise:.3} um"
+            );
         };
         let mut text = format!("the mirror is not at rest after {seconds} s: {motion}");
         if let Some((axis, rms)) = self.moving_axis(optics) {

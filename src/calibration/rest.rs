@@ -12,7 +12,7 @@ pub const FEWEST: usize = 64;
 /// A drift counts as motion beyond this number of its standard uncertainties: once in a million windows.
 const DRIFT_SIGMAS: f64 = 5.0;
 /// A scatter counts as motion if it exceeds the noise by this factor.
-const SCATTER: f64 = 1.5;
+const SCATTER: f64 = 1.4;
 
 /// The motion of a spot coordinate.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -51,16 +51,21 @@ pub(crate) trait Conversion {
         Ok(())
     }
 
-    /// Converts a row, counted from 1.
-    fn row(&mut self, number: u64, numbers: Numbers) -> Row;
+    /// Number of rows that are converted together. A row is written when these have been read.
+    fn batch(&self) -> usize {
+        1
+    }
+
+    /// Converts rows, each with its number, counted from 1.
+    fn rows(&mut self, rows: Vec<(u64, Numbers)>) -> Vec<Row>;
 }
 
 /// A conversion of each row by itself.
 struct EachRow<F>(F);
 
 impl<F: Fn(Numbers) -> Row> Conversion for EachRow<F> {
-    fn row(&mut self, _number: u64, numbers: Numbers) -> Row {
-        self.0(numbers)
+    fn rows(&mut self, rows: Vec<(u64, Numbers)>) -> Vec<Row> {
+        rows.into_iter().map(|(_, numbers)| self.0(numbers)).collect()
     }
 }
 
@@ -78,13 +83,6 @@ pub(crate) fn convert(
     convert_with(input, columns, header, EachRow(work))
 }
 
-/// A row that was read, with its place in the file.
-struct Taken {
-    number: u64,
-    line: u64,
-    numbers: Numbers,
-}
-
 /// As [`convert`], with a conversion that may need one row before all others. The rows before this one wait for it.
 ///
 /// # Errors
@@ -100,28 +98,24 @@ pub(crate) fn convert_with(
     let mut table = open(input, columns, output.clone())?;
     let name = table.name().to_owned();
     output.write(header)?;
-    let (mut rows, mut bad) = (0_u64, 0_u64);
-    let mut waiting = Vec::new();
+    let mut rows = 0_u64;
+    let mut queue = Queue { name: name.clone(), output: output.clone(), waiting: Vec::new(), bad: 0 };
     while let Some(read) = table.next_row().or_else(|error| output.failed().map_or(Err(error.into()), Err))? {
         rows += 1;
-        let taken = Taken { number: rows, line: read.line(), numbers: numbers(&read, columns) };
+        let numbers = numbers(&read, columns);
         if conversion.needs() == Some(rows) {
-            conversion.prepare(&taken.numbers).map_err(|why| read.wrong(why))?;
+            conversion.prepare(&numbers).map_err(|why| read.wrong(why))?;
         }
-        waiting.push(taken);
-        if conversion.needs().is_some_and(|needed| rows < needed) {
-            continue;
-        }
-        for Taken { number, line, numbers } in waiting.drain(..) {
-            let row = conversion.row(number, numbers);
-            output.write(&row.cells)?;
-            if let Some(problem) = row.problem {
-                bad += 1;
-                // Standard error may be closed. The exit code still reports the error.
-                let _ = writeln!(io::stderr(), "trifacet: {name}:{line}: {problem}");
-            }
+        queue.waiting.push((read.line(), (rows, numbers)));
+        let known = conversion.needs().is_none_or(|needed| rows >= needed);
+        if known && queue.waiting.len() >= conversion.batch() {
+            queue.convert(&mut conversion)?;
         }
     }
+    if conversion.needs().is_none_or(|needed| rows >= needed) {
+        queue.convert(&mut conversion)?;
+    }
+    let bad = queue.bad;
     output.flush()?;
     if let Some(needed) = conversion.needs().filter(|needed| *needed > rows) {
         let message = format!("{name}: row {needed} is needed, but the table has only {rows} data rows");
@@ -132,6 +126,30 @@ pub(crate) fn convert_with(
         return Err(Failure::new(exit::DATA, message).into());
     }
     Ok(())
+}
+
+/// Rows that were read and are not yet converted, each with its line.
+struct Queue {
+    name: String,
+    output: Output,
+    waiting: Vec<(u64, (u64, Numbers))>,
+    bad: u64,
+}
+
+impl Queue {
+    /// Converts the rows and writes them. Bad rows are reported and counted.
+    fn convert(&mut self, conversion: &mut impl Conversion) -> anyhow::Result<()> {
+        let (lines, rows): (Vec<_>, Vec<_>) = self.waiting.drain(..).unzip();
+        for (line, row) in lines.into_iter().zip(conversion.rows(rows)) {
+            self.output.write(&row.cells)?;
+            if let Some(problem) = row.problem {
+                self.bad += 1;
+                // Standard error may be closed. The exit code still reports the error.
+                let _ = writeln!(io::stderr(), "trifacet: {}:{line}: {problem}", self.name);
+            }
+        }
+        Ok(())
+    }
 }
 
 fn wrote(result: csv::Result<()>) -> anyhow::Result<()> {

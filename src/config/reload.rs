@@ -199,6 +199,16 @@ mod tests {
     }
 
     #[test]
+    fn a_section_of_the_twin_that_is_added_or_removed_requires_a_restart() {
+        let (without, with) = (config(""), config("[twin.tolerances]\nseed = 2\n"));
+        for (old, new) in [(&without, &with), (&with, &without)] {
+            let reload = reload(old, old, new).unwrap();
+            assert_eq!(reload.refused, ["twin.tolerances"]);
+            assert_eq!(&reload.running, old);
+        }
+    }
+
+    #[test]
     fn every_reloadable_key_is_applied() {
         let old = config("");
         let file = config(

@@ -41,22 +41,16 @@ pub struct TwinConfig {
     /// Bow of the PSDs: error of the reading at the middle of an edge, micrometres.
     pub bow_um: f64,
     /// The true geometry; `None`: that of `[head]`, unless another of these sections gives the twin a head of its own.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub head: Option<HeadConfig>,
     /// The true PSDs. `None`: their gains are those of `[channels]`, unless the twin has a head of its own.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub psd: Option<TwinPsds>,
     /// The true shape of the beam. `None`: round.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub beam: Option<TwinBeam>,
     /// The stage that carries the mirror. `None`: its axes are those of the head, its origin is the apex.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub stage: Option<TwinStage>,
     /// Random errors of the head. `None`: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerances: Option<TwinTolerances>,
     /// The temperature of the head. `None`: constant.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub temperature: Option<TwinTemperature>,
     /// The steering stage.
     pub steering: TwinSteering,

@@ -236,8 +236,9 @@ fn every_command_has_a_valid_man_page_and_there_are_completions() {
     assert!(output.status.success(), "{output:?}");
     let mut wanted = vec!["trifacet".to_owned()];
     for command in commands(&["--help"]) {
-        if command == "ctl" {
-            wanted.extend(commands(&["ctl", "--help"]).iter().map(|order| format!("trifacet-ctl-{order}")));
+        if ["calibrate", "ctl"].contains(&command.as_str()) {
+            let own = commands(&[&command, "--help"]);
+            wanted.extend(own.iter().map(|sub| format!("trifacet-{command}-{sub}")));
         }
         wanted.push(format!("trifacet-{command}"));
     }

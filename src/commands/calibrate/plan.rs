@@ -70,7 +70,7 @@ pub(crate) fn plan(args: &PlanArgs) -> anyhow::Result<()> {
     let plan = chosen(args, &config)?;
     cannot_write(pose_list::write(&plan.poses, BufWriter::new(file.writer()?)), &args.out)?;
     file.keep()?;
-    written(write!(io::stdout(), "{}written to {}\n", summary(args, &config, &plan), args.out.display()))
+    written(writeln!(io::stdout(), "{}written to {}", summary(args, &config, &plan), args.out.display()))
 }
 
 fn chosen(args: &PlanArgs, config: &Config) -> anyhow::Result<Plan> {

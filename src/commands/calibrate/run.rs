@@ -25,9 +25,9 @@ use trifacet::acquisition::{SerialSource, Source};
 use trifacet::calibration::bench::{Bench, Links};
 use trifacet::calibration::pose_list;
 use trifacet::clock::SystemClock;
-use trifacet::clock::pace::Waiting;
 use trifacet::clock::simulated::SimulatedClock;
 use trifacet::config::{self, Config, SourceKind};
+use trifacet::core::time::Clock;
 use trifacet::exit::{self, Failure};
 use trifacet::realtime;
 use trifacet::recording::{self, RecordSender};
@@ -97,7 +97,8 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<()> {
     let plan = pose_list::read(&args.plan)?;
     let new = !args.out.exists();
     let claim = crate::commands::experiment::claimed(&args.out)?;
-    let done = RunFolder::open(args, &config).and_then(|folder| measured(args, &config, &plan, kind, folder));
+    let done =
+        RunFolder::open(args, &config).and_then(|folder| measured(args, &config, &plan, &kind, folder));
     drop(claim);
     if new && done.is_err() {
         let _ = std::fs::remove_dir(&args.out); // succeeds only if the folder is empty
@@ -135,7 +136,7 @@ fn measured(
     args: &RunArgs,
     config: &Config,
     plan: &[Planned],
-    kind: ReferenceKind,
+    kind: &ReferenceKind,
     folder: RunFolder,
 ) -> anyhow::Result<Outcome> {
     let counters = Arc::<Counters>::default();
@@ -147,30 +148,21 @@ fn measured(
         recording::recorder::start(&recording, &counters).context("cannot start the recorder")?;
     realtime::apply(&config.realtime);
     let job = Job { args, config, plan, folder, records, counters: Arc::clone(&counters) };
-    let silence = config.acquisition.silence_times();
-    let result = match (config.acquisition.source, &kind) {
-        (SourceKind::Twin, ReferenceKind::Twin) => {
-            let (moves, requests) = mpsc::channel(MOVES);
-            let twin = Twin::new(config)?;
-            let clock = SimulatedClock::starting_now();
-            let counted = Arc::clone(&counters);
-            let at = clock.clone();
-            let source =
-                move || Ok(TwinSource::new(twin, at, counted, silence)?.with_moves(Moves::new(requests)));
-            let reference = Reference::twin(moves, config.twin.seed, args.noise.noise());
-            LocalSet::new().block_on(&runtime, job.run(source, clock, reference))
-        }
-        (SourceKind::Twin, _) => {
-            let twin = Twin::new(config)?;
-            let counted = Arc::clone(&counters);
-            let source = move || TwinSource::new(twin, SystemClock, counted, silence);
-            LocalSet::new().block_on(&runtime, job.run(source, SystemClock, Reference::of(args, &kind)?))
-        }
-        _ => {
-            let source = SerialSource::open(config, SystemClock, Arc::clone(&counters))?;
-            LocalSet::new()
-                .block_on(&runtime, job.run(|| Ok(source), SystemClock, Reference::of(args, &kind)?))
-        }
+    let result = if config.acquisition.source == SourceKind::Twin {
+        // In simulated time: as fast as the machine computes, and with the same result each time.
+        let (clock, silence) = (SimulatedClock::starting_now(), config.acquisition.silence_times());
+        let (moves, requests) = mpsc::channel(MOVES);
+        let source = TwinSource::new(Twin::new(config)?, clock.clone(), Arc::clone(&counters), silence);
+        let source = source.context("cannot start the source")?.with_moves(Moves::new(requests));
+        let seed = config.twin.seed + job.folder.done.len() as u64;
+        let reference = match kind {
+            ReferenceKind::Twin => Reference::twin(moves, seed, args.noise.noise()),
+            other => Reference::of(args, other)?,
+        };
+        LocalSet::new().block_on(&runtime, job.run(source, clock, reference))
+    } else {
+        let source = SerialSource::open(config, SystemClock, Arc::clone(&counters))?;
+        LocalSet::new().block_on(&runtime, job.run(source, SystemClock, Reference::of(args, kind)?))
     };
     recorder.join();
     let lost = counters.recording_overflows.get() + counters.recording_lost.get();
@@ -195,9 +187,9 @@ struct Job<'a> {
 
 impl Job<'_> {
     /// Runs the session. The stage is parked in every case.
-    async fn run<S: Source, C: Waiting + Clone>(
+    async fn run<S: Source, C: Clock>(
         self,
-        source: impl FnOnce() -> io::Result<S>,
+        source: S,
         clock: C,
         reference: Reference,
     ) -> anyhow::Result<Outcome> {
@@ -208,8 +200,9 @@ impl Job<'_> {
         if let Some(task) = task {
             tokio::task::spawn_local(async move { task.run(&counters).await });
         }
-        let source = source().context("cannot start the source")?;
-        let links = Links { source, clock, stage: (driver, outputs), records, stop: interrupted()? };
+        let simulated = config.acquisition.source == SourceKind::Twin;
+        let links =
+            Links { source, clock, stage: (driver, outputs), records, stop: interrupted()?, simulated };
         let mut session = Session::new(args, config, plan, Bench::new(config, links)?, reference, folder)?;
         let done = session.all().await;
         let (outcome, bench) = session.into_parts();

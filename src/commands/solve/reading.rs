@@ -3,6 +3,7 @@
 use nalgebra::Matrix2;
 use trifacet::config::{AssemblyError, Config};
 use trifacet_core::channels::PsdChannels;
+use trifacet_optics::calibration::result::Raw;
 use trifacet_optics::{FACETS, Model, Noise, Sensitivity, Signals};
 use trifacet_wire::layout::{self, SPOTS};
 
@@ -34,6 +35,8 @@ pub(super) struct Reading {
     pub(super) noise: Noise,
     /// Derivatives of the true spots with respect to the readings, and of the powers.
     pub(super) slopes: Slopes,
+    /// The signals as they are in the row.
+    pub(super) raw: Raw,
     /// Spots that are outside the calibrated area.
     pub(super) warning: Option<String>,
 }
@@ -91,9 +94,10 @@ impl Readings {
             spots: std::array::from_fn(|i| read(&spots, i)),
             powers: std::array::from_fn(|i| read(&powers, i)),
         };
+        let raw = Raw { spots: signals.spots, powers: signals.powers };
         let noise = self.noise(&signals, &std_spots, &std_powers)?;
         let (slopes, warning) = self.correct(&mut signals);
-        Ok(Reading { signals, noise, slopes, warning })
+        Ok(Reading { signals, noise, slopes, raw, warning })
     }
 
     /// The stated standard uncertainties; the configured ones where a column is absent.
@@ -151,7 +155,7 @@ fn slope(psd: &PsdChannels, [u, v]: [f64; 2]) -> Matrix2<f64> {
 }
 
 /// The sensitivity to the readings, from that to the true signals.
-pub(super) fn before_tables(true_signals: Sensitivity, slopes: &Slopes) -> Sensitivity {
+pub(super) fn before_tables(true_signals: &Sensitivity, slopes: &Slopes) -> Sensitivity {
     let mut matrix = true_signals.0;
     for i in 0..3 {
         let spot = matrix.fixed_columns::<2>(2 * i) * slopes.spots[i];

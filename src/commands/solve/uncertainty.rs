@@ -14,6 +14,16 @@ pub(super) const SYS_STD: [&str; 6] = [
     "sys_std_pitch_rad",
     "sys_std_yaw_rad",
 ];
+/// Columns of the share of the calibration, a part of the systematic part.
+pub(super) const CAL_STD: [&str; 6] = [
+    "cal_std_tx_m",
+    "cal_std_ty_m",
+    "cal_std_tz_m",
+    "cal_std_roll_rad",
+    "cal_std_pitch_rad",
+    "cal_std_yaw_rad",
+];
+
 /// Covariances of a pose: tx, ty, tz in metres, roll, pitch, yaw in radians.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Covariances {
@@ -21,11 +31,19 @@ pub(super) struct Covariances {
     pub(super) random: Matrix6<f64>,
     /// By what averaging does not reduce.
     pub(super) systematic: Matrix6<f64>,
+    /// The share of the calibration in it.
+    pub(super) calibration: Matrix6<f64>,
 }
 
 impl Covariances {
     pub(super) fn total(&self) -> Matrix6<f64> {
         self.random + self.systematic
+    }
+
+    /// Adds the share of the calibration.
+    pub(super) fn add_calibration(&mut self, share: &Matrix6<f64>) {
+        self.systematic += share;
+        self.calibration = *share;
     }
 
     /// Of a pose relative to another one. Both have noise of their own. The systematic part is the stated one of a pose
@@ -35,6 +53,7 @@ impl Covariances {
         Self {
             random: seen(by_pose, &self.random) + seen(by_zero, &zero.random),
             systematic: seen(by_pose, &self.systematic),
+            calibration: Matrix6::zeros(),
         }
     }
 }

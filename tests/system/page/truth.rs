@@ -167,6 +167,18 @@ fn a_task_that_stalls_is_named_before_the_daemon_ends() {
 }
 
 #[test]
+fn the_page_states_that_the_twin_has_a_head_of_its_own() {
+    for (config, said) in [
+        ("[twin.beam]\nellipse = [0.01, 0.0]\n", "digital twin with a head of its own, "),
+        ("", "digital twin, "),
+    ] {
+        let (_daemon, _stream, at) = daemon(config);
+        let mut page = page(at);
+        page.until(&format!("document.querySelector('#device').textContent.startsWith('{said}')"));
+    }
+}
+
+#[test]
 fn without_a_daemon_the_page_turns_grey_and_a_new_daemon_revives_it() {
     let (first, _stream, at) = daemon("");
     let mut page = page(at);

@@ -8,7 +8,16 @@ use rand_pcg::Pcg64;
 use trifacet_optics::{Pose, Rigid};
 
 use super::{POSE, POWERS, SPOTS, columns, stderr, trifacet};
-use crate::testkit::Folder;
+use crate::testkit::{Daemon, Folder};
+
+const CAL_STD: [&str; 6] = [
+    "cal_std_tx_m",
+    "cal_std_ty_m",
+    "cal_std_tz_m",
+    "cal_std_roll_rad",
+    "cal_std_pitch_rad",
+    "cal_std_yaw_rad",
+];
 
 const STD: [&str; 6] = ["std_tx_m", "std_ty_m", "std_tz_m", "std_roll_rad", "std_pitch_rad", "std_yaw_rad"];
 
@@ -280,11 +289,110 @@ fn the_systematic_part_is_that_of_the_configuration_and_the_total_contains_it() 
     let output = trifacet(&["solve", "--sigma"], input.as_bytes());
     assert!(!columns(&output.stdout).contains_key("cal_std_tx_m"));
     assert!(
-        stderr(&output).contains("no columns cal_std_tx_m to cal_std_yaw_rad: without a calibration record")
+        stderr(&output).contains("no columns cal_std_tx_m to cal_std_yaw_rad: the configuration names no")
     );
     let negative = input.replacen("power_c", "power_c,std_u_a_m", 1).replace('\n', ",-1\n") + ",-1";
     let negative = negative.replacen("std_u_a_m,-1", "std_u_a_m", 1);
     let output = trifacet(&["solve", "--sigma"], negative.as_bytes());
     assert_eq!(output.status.code(), Some(65));
     assert!(stderr(&output).contains("std_u_a_m is -1: allowed is at least 0"), "{}", stderr(&output));
+}
+
+/// Points of a stage over a small range, with the noise that they state, for `calibrate fit`.
+fn points(random: &mut Pcg64) -> String {
+    const REF_STD: [f64; 6] = [0.1e-6, 0.1e-6, 0.1e-6, 0.5e-6, 0.5e-6, 0.5e-6];
+    let span = [0.1e-3, 0.1e-3, 0.1e-3, 0.5e-3, 0.5e-3, 0.5e-3];
+    let poses: Vec<[f64; 6]> = (0..80).map(|_| span.map(|most| random.random_range(-most..most))).collect();
+    let names = [&SPOTS[..], &POWERS].concat();
+    let mut text = names.join(",");
+    text += &names.iter().map(|name| format!(",std_{name}")).collect::<String>();
+    text += &POSE.map(|name| format!(",ref_{name}")).concat();
+    text += &POSE.map(|name| format!(",ref_std_{name}")).concat();
+    text += ",stage_x_m,stage_y_m";
+    for (signals, pose) in traced(&poses).iter().zip(&poses) {
+        let std = std::array::from_fn(|i| if i < 6 { 0.108e-6 } else { 1e-4 * signals[i] });
+        let seen = noisy(signals, &std, random);
+        let reference: [f64; 6] =
+            std::array::from_fn(|i| pose[i] + REF_STD[i] * random.sample::<f64, _>(StandardNormal));
+        // The beam is on the apex.
+        let stage = [0, 1].map(|i| pose[i] + 0.1e-6 * random.sample::<f64, _>(StandardNormal));
+        let cells = seen.iter().chain(&std).chain(&reference).chain(&REF_STD).chain(&stage);
+        text.push('\n');
+        text += &cells.map(|x| format!("{x:e}")).collect::<Vec<_>>().join(",");
+    }
+    text + "\n"
+}
+
+#[test]
+fn the_share_of_the_calibration_is_stated_if_its_record_belongs_to_the_configuration() {
+    let folder = Folder::new();
+    let mut random = Pcg64::seed_from_u64(15);
+    folder.write("in.toml", "");
+    folder.write("points.csv", points(&mut random));
+    let path = |name: &str| folder.path(name).display().to_string();
+    let fit = trifacet(
+        &[
+            "calibrate",
+            "fit",
+            "--config",
+            &path("in.toml"),
+            "--points",
+            &path("points.csv"),
+            "--out",
+            &path("out"),
+        ],
+        b"",
+    );
+    assert!(fit.status.success(), "{}", stderr(&fit));
+    let config = path("out/trifacet.toml");
+
+    // The daemon counts as calibrated with what the fit has written.
+    let frames = Daemon::start(
+        &std::fs::read_to_string(&config)
+            .unwrap()
+            .replace("\"psd-", &format!("\"{}/psd-", path("out")))
+            .replace("\"calibration.json\"", &format!("\"{}\"", path("out/calibration.json"))),
+    )
+    .client()
+    .take(10);
+    assert!(frames.iter().all(|frame| !frame.has(trifacet_wire::Status::UNCALIBRATED)));
+
+    let places =
+        [[0.0; 6], [50e-6, -40e-6, 30e-6, 2e-4, -3e-4, 1e-4], [-80e-6, 0.0, 60e-6, 0.0, 3e-4, -4e-4]];
+    let input = signals(&traced(&places), None);
+    let options = ["--readings", "--frames", "--tare-row", "1", "--sigma"];
+    let with =
+        |config: &str| trifacet(&[&["solve", "--config", config], &options[..]].concat(), input.as_bytes());
+    let output = with(&config);
+    assert!(output.status.success() && output.stderr.is_empty(), "{}", stderr(&output));
+    let [cal, total] = [&CAL_STD, &STD].map(|names| rows(&output.stdout, names));
+    assert_eq!((&*cal[0], &*total[0]), (&[0.0; 6][..], &[0.0; 6][..]));
+    let (truth, solved) = (&places, poses(&output.stdout));
+    for row in 1..3 {
+        for i in 0..6 {
+            let unit = if i < 3 { 1e-6 } else { 3e-6 };
+            assert!(cal[row][i] > 1e-3 * unit && cal[row][i] < 0.3 * unit, "{row} {i}: {}", cal[row][i]);
+            assert!(total[row][i] > cal[row][i]);
+            let error = solved[row].to_array()[i] - truth[row][i];
+            assert!(error.abs() < 5.0 * cal[row][i], "{row} {i}: {error} of {}", cal[row][i]);
+        }
+    }
+
+    // Other frames, and another head: the share is not known, and the reason is said.
+    let text = std::fs::read_to_string(&config).unwrap();
+    let without = |name: &str, text: &str, why: &str| {
+        folder.write(&format!("out/{name}"), text);
+        let output = with(&path(&format!("out/{name}")));
+        assert!(output.status.success(), "{}", stderr(&output));
+        assert!(!columns(&output.stdout).contains_key("cal_std_tx_m"), "{name}");
+        assert!(stderr(&output).contains(why), "{}", stderr(&output));
+    };
+    let moved = text.replacen(
+        "[frames.tool]\ntranslation_mm = [",
+        "[frames.tool]\ntranslation_mm = [0.9, 0, 0] # [",
+        1,
+    );
+    without("frames.toml", &moved, "frames.base and frames.tool are not those of the calibration");
+    let other = text.replacen("beam_diameter_mm = 0.4", "beam_diameter_mm = 0.40", 1);
+    without("head.toml", &other, "belongs to another configuration");
 }

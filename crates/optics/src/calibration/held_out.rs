@@ -46,7 +46,7 @@ impl Session<'_> {
         self.states.clone_from(&all);
         rest?;
         let mut matrix = self.normal.matrix.clone();
-        self.prior()?.add_to(&mut matrix);
+        self.prior()?.add_to(&mut matrix, 1.0);
         let factor = Factor::new(matrix).ok_or(FitError::Singular)?;
         let step = solve(&factor, &-(&self.normal.gradient + self.prior()?.times(theta)));
         let instruments = Neighbours::new(self.job.nominal, theta.as_slice());

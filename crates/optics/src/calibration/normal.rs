@@ -96,16 +96,16 @@ impl Prior {
         Some(Self { diagonal, shear, splines, starts, ln_determinant })
     }
 
-    /// Adds the prior to the lower triangle of a matrix.
-    pub fn add_to(&self, matrix: &mut Matrix) {
+    /// Adds a multiple of the prior to the lower triangle of a matrix.
+    pub fn add_to(&self, matrix: &mut Matrix, weight: f64) {
         for (i, q) in self.diagonal.iter().enumerate() {
-            matrix[(i, i)] += q;
+            matrix[(i, i)] += weight * q;
         }
-        matrix[(place::MATRIX + 2, place::MATRIX + 1)] += self.shear;
+        matrix[(place::MATRIX + 2, place::MATRIX + 1)] += weight * self.shear;
         for (psd, from) in &self.starts {
             let q = &self.splines[*psd];
             let mut target = matrix.view_mut((*from, *from), q.shape());
-            target += q;
+            target.zip_apply(q, |sum, q| *sum += weight * q);
         }
     }
 

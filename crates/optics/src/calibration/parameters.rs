@@ -96,7 +96,7 @@ impl Tolerances {
         ];
         let all = singles.into_iter().chain(self.psd_error_um.map(|um| ("psd_error_um", um)));
         // False for a NaN.
-        let usable = |x: f64| x >= 1e-9 && x <= 1e6;
+        let usable = |x: f64| (1e-9..=1e6).contains(&x);
         let (name, value) = all.into_iter().find(|(_, value)| !usable(*value))?;
         Some(format!("{name} is {value}: allowed is 1e-9 to 1e6"))
     }
@@ -224,11 +224,17 @@ impl Nominal {
 
     /// Frame of the reference in the sensor's world, and mirror in the frame of the reference's table.
     pub fn frames(&self, theta: &[f64]) -> [Rigid; 2] {
-        [(self.stage, place::STAGE), (self.table, place::TABLE)].map(|(nominal, at)| {
+        let part = |nominal: &Rigid, at: usize| {
             let p = &theta[at..at + 6];
-            let translation = nominal.translation + Vec3::new(p[3], p[4], p[5]);
-            Rigid { rotation: turn(p) * nominal.rotation, translation }
-        })
+            (turn(p) * nominal.rotation, Vec3::new(p[3], p[4], p[5]))
+        };
+        // The shift of the reference is along its own axes, as the pose in its frame: with a shift in the world's
+        // axes, shift and rotation would multiply, and the steps of a fit would be too long.
+        let (rotation, shift) = part(&self.stage, place::STAGE);
+        let translation = rotation * (self.stage.rotation.transpose() * self.stage.translation + shift);
+        let stage = Rigid { rotation, translation };
+        let (rotation, shift) = part(&self.table, place::TABLE);
+        [stage, Rigid { rotation, translation: self.table.translation + shift }]
     }
 
     /// Power gains relative to A.

@@ -1,5 +1,7 @@
 //! The steps of a fit: the points, their solutions and the normal equations.
 
+use nalgebra::{Matrix6, Vector6};
+
 use super::cholesky::Factor;
 use super::fit::{
     Dropped, FIRST_FIELD, FitError, Fitted, IMPROBABLE, Job, Likelihoods, Progress, Stage, tail,
@@ -14,10 +16,15 @@ use super::point::Point;
 use super::result::Calibration;
 use super::{Matrix, Vector};
 
-/// The steps end when the cost changes by less.
+/// The steps end when the cost changes by less,
 const SETTLED: f64 = 0.01;
+/// or, of those that only find gross errors, by this part of the cost.
+const ROUGHLY_SETTLED: f64 = 1e-4;
+/// A step may raise the cost by this part of it: the weights of the rows change with the parameters, so that the
+/// steps do not end exactly at the smallest cost.
+const TOLERATED: f64 = 1e-3;
 /// Largest number of steps.
-const MAX_STEPS: usize = 20;
+const MAX_STEPS: usize = 40;
 
 /// The state of a fit.
 pub(super) struct Session<'a> {
@@ -112,6 +119,34 @@ impl<'a> Session<'a> {
         Some((response, rows))
     }
 
+    /// Moves the zeros of the runs to where the errors of each run are smallest. A long step along a curved path
+    /// would displace whole runs by more than their noise.
+    fn centre_zeros(&mut self, theta: &mut Vector) {
+        if self.layout.runs == 0 {
+            return;
+        }
+        let instruments = Neighbours::new(self.job.nominal, theta.as_slice());
+        let mut sums = vec![(Matrix6::<f64>::zeros(), Vector6::<f64>::zeros()); self.layout.runs];
+        for (k, point) in self.job.points.iter().enumerate() {
+            let (Some(run), Some(start)) = (point.run, &self.states[k]) else { continue };
+            if !point.reference.iter().all(Option::is_some) {
+                continue;
+            }
+            let Some((response, _)) = self.linearise(&instruments, theta, k, start) else { continue };
+            let covariance =
+                response.covariance(&instruments.centre, point).fixed_view::<6, 6>(0, 0).into_owned();
+            let Some(weight) = covariance.try_inverse() else { continue };
+            sums[run].0 += weight;
+            sums[run].1 += weight * response.errors.fixed_rows::<6>(0);
+        }
+        for (run, (weight, errors)) in sums.into_iter().enumerate() {
+            if let Some(mean) = weight.try_inverse().map(|inverse| inverse * errors) {
+                let mut zero = theta.fixed_rows_mut::<6>(Layout::zero(run));
+                zero += mean;
+            }
+        }
+    }
+
     /// Gauss-Newton steps until the cost stands. Where a step raises the cost, it is damped.
     pub fn steps(
         &mut self,
@@ -127,20 +162,22 @@ impl<'a> Session<'a> {
         let mut before = cost(self, theta, &sums)?;
         let mut damping = 0.0;
         for step in 1..=MAX_STEPS {
-            let candidate = &*theta + self.step(theta, damping)?;
+            let mut candidate = &*theta + self.step(theta, damping)?;
+            self.centre_zeros(&mut candidate);
             let next = self.assess(&candidate, robust);
             let after = next.as_ref().map_or(Ok(f64::INFINITY), |next| cost(self, &candidate, next))?;
-            if after.is_nan() || after > before + SETTLED {
-                damping = if damping == 0.0 { 1e-3 } else { damping * 10.0 };
+            if after.is_nan() || after > before * (1.0 + TOLERATED) + SETTLED {
+                damping = if damping == 0.0 { 1.0 } else { damping * 4.0 };
                 // The normal equations of the place from which the next step starts.
                 self.assess(theta, robust).ok_or(FitError::Singular)?;
                 continue;
             }
             *theta = candidate;
+            damping *= 0.7;
             let sums = next.unwrap_or_default();
-            damping *= 0.1;
             progress(Progress::Step { stage, step, cost: after / sums.rows() as f64 });
-            let settled = (before - after).abs() < SETTLED;
+            let enough = if robust { ROUGHLY_SETTLED * before } else { SETTLED };
+            let settled = (before - after).abs() < enough;
             before = after;
             if settled || stage == Stage::First && step >= 2 {
                 return Ok(sums);
@@ -152,10 +189,8 @@ impl<'a> Session<'a> {
     fn step(&self, theta: &Vector, damping: f64) -> Result<Vector, FitError> {
         let prior = self.prior()?;
         let mut matrix = self.normal.matrix.clone();
-        prior.add_to(&mut matrix);
-        for i in 0..matrix.nrows() {
-            matrix[(i, i)] *= 1.0 + damping;
-        }
+        // The steps are too long where hardly any data determine them: there the priors damp them.
+        prior.add_to(&mut matrix, 1.0 + damping);
         let factor = Factor::new(matrix).ok_or(FitError::Singular)?;
         let right = -(&self.normal.gradient + prior.times(theta));
         Ok(solve(&factor, &right))
@@ -222,7 +257,7 @@ impl<'a> Session<'a> {
     fn likelihood(&self, start: &Vector, chi2: f64) -> Result<(f64, Vector), FitError> {
         let prior = self.prior()?;
         let mut matrix = self.normal.matrix.clone();
-        prior.add_to(&mut matrix);
+        prior.add_to(&mut matrix, 1.0);
         let factor = Factor::new(matrix).ok_or(FitError::Singular)?;
         let right = -(&self.normal.gradient + prior.times(start));
         let step = solve(&factor, &right);
@@ -242,7 +277,7 @@ impl<'a> Session<'a> {
     ) -> Result<Fitted, FitError> {
         let cost = sums.data + theta.dot(&self.prior()?.times(theta));
         let mut matrix = self.normal.matrix;
-        self.prior.as_ref().ok_or(FitError::Singular)?.add_to(&mut matrix);
+        self.prior.as_ref().ok_or(FitError::Singular)?.add_to(&mut matrix, 1.0);
         let factor = Factor::new(matrix).ok_or(FitError::Singular)?;
         let calibration = Calibration {
             nominal: self.job.nominal.clone(),

@@ -112,7 +112,7 @@ impl Reference {
         })
     }
 
-    /// The mirror of the twin, which is moved through `moves`.
+    /// The mirror of the twin, which is moved through `moves`. `seed`: of the noise of the reference.
     pub(super) fn twin(moves: mpsc::Sender<MoveRequest>, seed: u64, noise: ReferenceNoise) -> Self {
         Self::Twin(TwinMirror { moves, at: [0.0; 6], rng: Pcg64::seed_from_u64(!seed), noise })
     }
@@ -141,29 +141,13 @@ impl Reference {
             Self::Command(template, timeout_s) => {
                 let arguments = program::arguments(template, point, planned);
                 let name = arguments.first().cloned().unwrap_or_default();
-                let ran = bench.until(program::run(arguments, *timeout_s)).await?;
+                let ran = bench.wait_for(program::run(arguments, *timeout_s)).await?;
                 let wrong = |e: String| Failure::new(exit::DATA, format!("point {point}: {e}"));
                 let line = ran.map_err(|e| wrong(e.to_string()))?;
                 let pose = parse(&line, Unit::Si);
                 pose.map(Said::At).map_err(|e| wrong(format!("{name} printed \"{}\": {e}", line.trim())))
             }
             Self::Twin(mirror) => mirror.go(planned, bench).await.map(Said::At),
-        }
-    }
-
-    /// After a point that was not measured: whether the operator wants to try again. Nobody else can.
-    pub(super) async fn again<S: Source, C: Clock>(
-        &mut self,
-        bench: &mut Bench<S, C>,
-    ) -> Result<bool, Failure> {
-        let Self::Manual(lines) = self else { return Ok(false) };
-        loop {
-            match typed(lines, "Enter tries again, s skips this point, q stops: ", bench).await?.as_str() {
-                "" => return Ok(true),
-                "s" => return Ok(false),
-                "q" => return Err(stopped()),
-                _ => {}
-            }
         }
     }
 }
@@ -181,7 +165,7 @@ async fn typed<S: Source, C: Clock>(
     eprint!("{prompt}");
     let _ = io::stderr().flush(); // without the prompt, the operator cannot answer
     let ended = || Failure::new(exit::DATA, "the input has ended before the last point");
-    match bench.until(lines.recv()).await? {
+    match bench.wait_for(lines.recv()).await? {
         Some(Ok((_, line))) => Ok(line.trim().to_owned()),
         Some(Err(e)) => Err(Failure::new(exit::IO, format!("cannot read standard input: {e}"))),
         None => Err(ended()),
@@ -244,7 +228,7 @@ impl Answers {
             if let Some(found) = self.waiting.remove(&point).filter(|_| self.numbered) {
                 return Ok(found);
             }
-            let (number, line) = match bench.until(self.lines.recv()).await? {
+            let (number, line) = match bench.wait_for(self.lines.recv()).await? {
                 Some(Ok(line)) => line,
                 Some(Err(e)) => {
                     return Err(Failure::new(exit::IO, format!("cannot read {}: {e}", self.name)));
@@ -285,7 +269,7 @@ impl TwinMirror {
         let asked = MirrorMove { micro: to.map(|x| x * 1e6), over_s: way };
         let gone = || Failure::new(exit::SOFTWARE, "the twin is gone");
         self.moves.try_send((asked, done)).map_err(|_| gone())?;
-        bench.until(arrived).await?.map_err(|_| gone())?;
+        bench.run_until(arrived).await?.map_err(|_| gone())?;
         self.at = to;
         let sigmas = self.noise.of_pose();
         let failed = |e: rand_distr::NormalError| Failure::new(exit::SOFTWARE, e.to_string());

@@ -113,6 +113,9 @@ async fn go<S: Source, C: Clock>(
         if !far && now.seconds_since(*there.get_or_insert(now)) > loop_delay_s + SETTLED_LAGS * lag_s {
             return Ok(());
         }
+        if far {
+            bench.move_to(to)?; // after a gap in the samples, the loop forgets where it was sent
+        }
         if now.seconds_since(*since.get_or_insert(now)) > ARRIVAL_S {
             let why = bench.stage_trouble().unwrap_or("its velocity limit or a fault holds it");
             let what = format!("the steering did not reach a position of the scan: {why}");

@@ -181,9 +181,7 @@ impl<'a, S: Source, C: Clock> Session<'a, S, C> {
                 Ok(reading) => match self.contradiction(&pose, &reading) {
                     None => {
                         self.keep(number, &pose, &reading)?;
-                        if self.reference.is_twin() {
-                            self.bench.wait_for_recorder().await;
-                        }
+                        self.bench.wait_for_recorder().await;
                         return Ok(true);
                     }
                     Some(why) if self.reference.is_manual() => why,
@@ -195,7 +193,8 @@ impl<'a, S: Source, C: Clock> Session<'a, S, C> {
                 Err(NoReading::Failed(failure)) => return Err(failure.into()),
             };
             self.bar.suspend(|| eprintln!("point {number}: {why}"));
-            if !self.reference.again(&mut self.bench).await? {
+            // The operator is asked again, and can omit the point; nobody else can be asked.
+            if !self.reference.is_manual() {
                 return Ok(false);
             }
         }

@@ -129,7 +129,7 @@ function calibration({ calibration: record, uncalibrated }) {
 // The twin: its head is that of the estimator, unless one of these sections gives it another one.
 const OWN_HEAD = ["head", "psd", "beam", "stage", "tolerances"];
 const twin = (config) =>
-  OWN_HEAD.some((section) => config[section] !== undefined) ? "digital twin with a head of its own" : "digital twin";
+  OWN_HEAD.some((section) => config[section] !== null) ? "digital twin with a head of its own" : "digital twin";
 const hex = (n) => n.toString(16).padStart(8, "0");
 
 function show(update) {
