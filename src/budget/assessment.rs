@@ -5,10 +5,11 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use trifacet_budget::validation::tolerance;
 use trifacet_budget::{Budget, BudgetError, Input, MonteCarlo, Sampler, SamplerError, Stop, Validation};
-use trifacet_optics::Pose;
+use trifacet_optics::{Pose, Rigid};
 
-use super::components::{Components, Effect, Group, Moment, NotCovered, Unit};
+use super::components::{Components, NotCovered};
 use super::instrument::{Instrument, InstrumentError, Measurement};
+use super::quantity::{Effect, Group, Moment, Unit};
 
 /// Names and units of the measurands.
 pub const MEASURANDS: [(&str, Unit); 6] = [
@@ -24,10 +25,14 @@ pub const MEASURANDS: [(&str, Unit); 6] = [
 pub const DIGITS: i32 = 2;
 
 /// What a calibration record tells about poses.
-pub trait Calibration {
-    /// Covariance of the pose relative to the tare pose, in the frame of the mirror at the tare (metres, radians),
-    /// given both poses in the sensor's world frame.
-    fn covariance(&self, pose: &Pose, tare: &Pose) -> Matrix6<f64>;
+pub trait PoseCovariance {
+    /// Covariances of poses relative to the tare, of the table of the reference: tx, ty, tz (m), roll, pitch, yaw
+    /// (rad). `tare` and `poses` are those of the mirror in the sensor's world frame. `None` if one of them is out of
+    /// reach.
+    fn relative_to(&self, tare: &Pose, poses: &[Pose]) -> Option<Vec<Matrix6<f64>>>;
+
+    /// The table of the reference, in the frame of the mirror.
+    fn table(&self) -> Rigid;
 
     /// Where the numbers come from: the record and its date.
     fn source(&self) -> String;
@@ -42,6 +47,9 @@ pub enum AssessmentError {
     /// The quantities do not make a budget.
     #[error(transparent)]
     Budget(#[from] BudgetError),
+    /// The calibration record has no uncertainty for a pose.
+    #[error("the calibration record states no uncertainty here: a PSD gets no light")]
+    Calibration,
     /// The quantities cannot be drawn.
     #[error(transparent)]
     Sampler(#[from] SamplerError),
@@ -53,8 +61,8 @@ pub struct Basis<'a> {
     pub instrument: Instrument,
     /// The quantities that the configuration states.
     pub components: Components,
-    /// The calibration record, if there is one.
-    pub calibration: Option<&'a dyn Calibration>,
+    /// The calibration record, or why there is none that is valid.
+    pub calibration: Result<&'a dyn PoseCovariance, String>,
 }
 
 /// The budget at a pose.
@@ -72,6 +80,8 @@ pub struct Assessment {
     pub notes: Vec<String>,
     /// Whether it covers the geometry of the head: by a calibration record, or as configured.
     pub geometry: Geometry,
+    /// Why there is no valid calibration record.
+    pub objection: Option<String>,
 }
 
 /// What stands for the errors of the head's geometry.
@@ -91,19 +101,42 @@ impl Basis<'_> {
     /// # Errors
     /// The pose is outside the range of the sensor.
     pub fn assess(&self, pose: &Pose) -> Result<Assessment, AssessmentError> {
-        let measurement = self.instrument.measure(pose)?;
+        self.assess_all(std::slice::from_ref(pose))?.pop().ok_or(AssessmentError::Calibration)
+    }
+
+    /// The budgets at several poses: the calibration record is asked once for all.
+    fn assess_all(&self, poses: &[Pose]) -> Result<Vec<Assessment>, AssessmentError> {
+        let measure = |pose| Ok((pose, self.instrument.measure(pose)?));
+        let measurements = poses.iter().map(measure).collect::<Result<Vec<_>, AssessmentError>>()?;
+        let mut covariances = vec![None; poses.len()];
+        if let (Ok(calibration), Some((_, first))) = (&self.calibration, measurements.first()) {
+            let sensor: Vec<_> = measurements.iter().map(|(_, m)| m.sensor_pose(Moment::Pose)).collect();
+            let known = calibration.relative_to(&first.sensor_pose(Moment::Tare), &sensor);
+            covariances = known.ok_or(AssessmentError::Calibration)?.into_iter().map(Some).collect();
+        }
+        let all = measurements.iter().zip(&covariances);
+        all.map(|((pose, measurement), covariance)| self.assess_one(pose, measurement, covariance.as_ref()))
+            .collect()
+    }
+
+    fn assess_one(
+        &self,
+        pose: &Pose,
+        measurement: &Measurement<'_>,
+        covariance: Option<&Matrix6<f64>>,
+    ) -> Result<Assessment, AssessmentError> {
         let mut groups = self.components.groups.clone();
         for (input, effect) in groups.iter_mut().flat_map(|group| &mut group.inputs) {
             if let Effect::Spot(moment, i) = *effect {
                 input.value = measurement.spots(moment)[i];
             }
         }
-        let correlation = self.add_calibration(&measurement, &mut groups);
+        let correlation = covariance.map(|covariance| self.add_calibration(covariance, &mut groups));
         let inputs: Vec<_> = groups.iter().flat_map(|group| group.inputs.clone()).collect();
         let count = inputs.len();
         let mut sensitivities = DMatrix::zeros(6, count);
         for (i, (input, effect)) in inputs.iter().enumerate() {
-            sensitivities.set_column(i, &nalgebra::Vector6::from(slope(&measurement, *effect, input.std)?));
+            sensitivities.set_column(i, &nalgebra::Vector6::from(slope(measurement, *effect, input.std)?));
         }
         let inputs = inputs.into_iter().map(|(input, _)| input).collect();
         let configured =
@@ -114,23 +147,18 @@ impl Basis<'_> {
             groups,
             not_covered: self.components.not_covered.clone(),
             notes: self.components.notes.clone(),
-            geometry: match (self.calibration.is_some(), configured) {
+            geometry: match (self.calibration.is_ok(), configured) {
                 (true, _) => Geometry::Calibrated,
                 (false, true) => Geometry::Configured,
                 (false, false) => Geometry::NotCovered,
             },
+            objection: self.calibration.as_ref().err().cloned(),
         })
     }
 
-    /// Adds the row of the calibration; returns the correlation of all inputs.
-    fn add_calibration(
-        &self,
-        measurement: &Measurement<'_>,
-        groups: &mut Vec<Group>,
-    ) -> Option<DMatrix<f64>> {
-        let calibration = self.calibration?;
-        let [pose, tare] = [Moment::Pose, Moment::Tare].map(|moment| measurement.sensor_pose(moment));
-        let covariance = calibration.covariance(&pose, &tare);
+    /// Adds the rows of the calibration; returns the correlation of all inputs.
+    fn add_calibration(&self, covariance: &Matrix6<f64>, groups: &mut Vec<Group>) -> DMatrix<f64> {
+        let source = self.calibration.as_ref().map_or(String::new(), |calibration| calibration.source());
         let std = covariance.diagonal().map(|variance| variance.max(0.0).sqrt());
         let first: usize = groups.iter().map(|group| group.inputs.len()).sum();
         for (name, unit, from) in
@@ -141,7 +169,7 @@ impl Basis<'_> {
                 (Input::normal(name, 0.0, std[from + i]), Effect::Relative(from + i))
             };
             let inputs = (0..3).map(input).collect();
-            groups.push(Group { name: name.into(), source: calibration.source(), unit, inputs });
+            groups.push(Group { name: name.into(), source: source.clone(), unit, inputs });
         }
         let mut correlation = DMatrix::identity(first + 6, first + 6);
         for (i, k) in (0..6).flat_map(|i| (0..i).map(move |k| (i, k))) {
@@ -149,7 +177,7 @@ impl Basis<'_> {
             let r = if scale > 0.0 { (covariance[(i, k)] / scale).clamp(-1.0, 1.0) } else { 0.0 };
             (correlation[(first + i, first + k)], correlation[(first + k, first + i)]) = (r, r);
         }
-        Some(correlation)
+        correlation
     }
 
     /// Draws all quantities, and computes the pose with the full model.
@@ -191,14 +219,13 @@ impl Basis<'_> {
         let at_tare: [f64; 6] = std::array::from_fn(|j| middle.budget.standard_uncertainty(j));
         let mut largest = at_tare.map(|u| (u, Pose::default()));
         let mut worst = (0.0, middle);
-        for pose in candidates(range) {
-            let assessment = self.assess(&pose)?;
+        for assessment in self.assess_all(&candidates(range))? {
             let mut size = 0.0;
             for (j, largest) in largest.iter_mut().enumerate() {
                 let u = assessment.budget.standard_uncertainty(j);
                 size += if at_tare[j] > 0.0 { (u / at_tare[j]).powi(2) } else { 0.0 };
                 if u > largest.0 {
-                    *largest = (u, pose);
+                    *largest = (u, assessment.pose);
                 }
             }
             if size > worst.0 {
@@ -263,6 +290,7 @@ impl Assessment {
 
     /// Whether the budget is that of the whole instrument, in a sentence.
     pub fn verdict(&self) -> String {
+        let objection = self.objection.as_deref().unwrap_or_default();
         let missing = self.not_covered.len();
         let rest = match missing {
             0 => "all effects that the configuration can state are covered".into(),
@@ -272,10 +300,11 @@ impl Assessment {
         match self.geometry {
             Geometry::Calibrated => format!("The head is calibrated; {rest}."),
             Geometry::Configured => format!(
-                "No calibration record: estimation.systematic_um and systematic_urad stand for the geometry of the head; {rest}."
+                "Not calibrated: {objection}. estimation.systematic_um and systematic_urad stand for the geometry of the \
+                 head; {rest}."
             ),
             Geometry::NotCovered => format!(
-                "THE HEAD IS NOT CALIBRATED: no calibration record, and estimation.systematic_um and systematic_urad are 0. \
+                "THE HEAD IS NOT CALIBRATED: {objection}, and estimation.systematic_um and systematic_urad are 0. \
                  The budget does not cover the geometry of the head; {rest}."
             ),
         }

@@ -4,86 +4,10 @@ use std::fmt;
 
 use trifacet_budget::{Distribution, Evaluation, Input};
 use trifacet_core::channels::Amplifier;
-use trifacet_optics::FACETS;
+use trifacet_optics::{FACETS, Rigid};
 
+use super::quantity::{Effect, Group, Moment, Unit};
 use crate::config::{Config, Model, SourceKind};
-
-/// When a reading was taken.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Moment {
-    /// At the pose that is measured.
-    Pose,
-    /// At the tare.
-    Tare,
-}
-
-/// What a quantity acts on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Effect {
-    /// Adds to a spot coordinate: u, v of A, B, C.
-    Spot(Moment, usize),
-    /// Scales a power.
-    Power(Moment, usize),
-    /// Adds to the beam offset that the powers show: offset times relative error of the diameter, x or y.
-    Offset(Moment, usize),
-    /// Turns the beam about x or y, at the pose.
-    Direction(usize),
-    /// Scales all spot coordinates at the pose.
-    Gain,
-    /// Scales the distance of the PSDs at the pose.
-    Distance,
-    /// Moves the mirror against the PSDs along the world's z-axis, at the pose.
-    Height,
-    /// Scales the spot coordinates of a PSD, at the pose and at the tare.
-    SumOffset(usize),
-    /// Adds to a coordinate of the pose in the sensor's world frame.
-    Pose(usize),
-    /// Adds to a coordinate of the pose relative to the tare pose, in the frame of the mirror at the tare.
-    Relative(usize),
-    /// Adds to a coordinate of the tool's translation.
-    Tool(usize),
-    /// Scales a translation.
-    Scale(usize),
-    /// Scales an angle.
-    AngleScale(usize),
-    /// Angle between two axes: xy, xz, yz.
-    Squareness(usize),
-}
-
-/// The unit of a quantity. All are shown in millionths.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Unit {
-    /// Shown as um.
-    Metre,
-    /// Shown as urad.
-    Radian,
-    /// Shown as ppm.
-    One,
-}
-
-impl Unit {
-    /// The unit of a millionth.
-    pub fn micro(self) -> &'static str {
-        match self {
-            Self::Metre => "um",
-            Self::Radian => "urad",
-            Self::One => "ppm",
-        }
-    }
-}
-
-/// Quantities of one kind, a row of the table.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Group {
-    /// The quantity.
-    pub name: String,
-    /// Where its numbers come from.
-    pub source: String,
-    /// Unit of all its quantities.
-    pub unit: Unit,
-    /// The quantities, and what they act on.
-    pub inputs: Vec<(Input, Effect)>,
-}
 
 /// An effect that the budget does not cover.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -118,16 +42,21 @@ const ANGLES: [&str; 3] = ["roll", "pitch", "yaw"];
 const PAIRS: [&str; 3] = ["xy", "xz", "yz"];
 
 impl Components {
-    /// The quantities that a configuration states, for poses that are means of `average` samples.
-    pub fn new(config: &Config, average: u32) -> Self {
+    /// The quantities that a configuration states, for poses that are means of `average` samples. `table`: that of
+    /// the reference of the calibration, in the frame of the mirror, if a record states the share of geometry and
+    /// correction tables.
+    pub fn new(config: &Config, average: u32, table: Option<&Rigid>) -> Self {
         let mut all = Self::default();
         all.noise(config, average);
         all.converter(config);
         all.systematic(config);
+        if table.is_none() {
+            all.residue(config);
+        }
         all.light(config);
         all.temperature(config);
         all.reference(config);
-        all.lever_arm(config);
+        all.lever_arm(config, table);
         all.dark(config);
         if config.estimation.fuse_steering {
             all.notes.push(
@@ -230,7 +159,7 @@ impl Components {
         }
     }
 
-    /// What averaging does not reduce, as configured, and what correction tables leave.
+    /// What averaging does not reduce, as configured.
     fn systematic(&mut self, config: &Config) {
         let systematic = config.estimation.systematic();
         for (name, key, unit, axes, from) in [
@@ -246,6 +175,10 @@ impl Components {
                 self.groups.push(Group { name: name.into(), source: key.into(), unit, inputs });
             }
         }
+    }
+
+    /// What correction tables leave. A calibration record contains it.
+    fn residue(&mut self, config: &Config) {
         if config.channels.psds().iter().all(|psd| psd.correction.is_some()) {
             let spots: Vec<_> =
                 SPOTS.iter().enumerate().map(|(i, name)| (*name, Effect::Spot(Moment::Pose, i))).collect();
@@ -355,13 +288,17 @@ impl Components {
         }
     }
 
-    fn lever_arm(&mut self, config: &Config) {
+    fn lever_arm(&mut self, config: &Config, table: Option<&Rigid>) {
         let key = "uncertainty.lever_arm_um";
         let parts: Vec<_> = XYZ.iter().enumerate().map(|(i, name)| (*name, Effect::Tool(i))).collect();
         match config.uncertainty.lever_arm_um {
             Some(um) => self.row("lever arm", key, Unit::Metre, um * 1e-6, &parts),
             None if config.frames.tool.translation_mm == [0.0; 3] => {
                 self.notes.push("the poses are those of the apex: there is no lever arm".into());
+            }
+            // The calibration found frames.tool, and its covariance is that of poses at this point.
+            None if table.is_some_and(|table| same_point(table, &config.frames.tool.build())) => {
+                self.notes.push("the calibration covers the lever arm of frames.tool".into());
             }
             None => self.lacks("lever arm of frames.tool", key),
         }
@@ -389,6 +326,11 @@ impl Components {
             }
         }
     }
+}
+
+/// Whether the origins are less than a micrometre apart.
+fn same_point(a: &Rigid, b: &Rigid) -> bool {
+    (a.translation - b.translation).norm() < 1e-6
 }
 
 /// The sum signal of a PSD that receives a third of the light, volts.

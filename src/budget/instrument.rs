@@ -6,7 +6,7 @@ use trifacet_optics::{
     Vec3,
 };
 
-use super::components::{Effect, Moment};
+use super::quantity::{Effect, Moment};
 use crate::config::Config;
 
 /// Relative error of the diameter at which the product of diameter and offset is evaluated. The result is
@@ -46,6 +46,8 @@ pub struct Instrument {
     head: Head,
     estimator: Estimator,
     tool: Rigid,
+    /// The table of the reference of the calibration, in the frame of the mirror.
+    table: Rigid,
     /// The mirror at the tare, in the sensor's world frame.
     tare: Rigid,
     tared: bool,
@@ -103,7 +105,13 @@ impl Instrument {
         let tared = config.frames.tare != crate::config::TransformConfig::default();
         // pose = tare^-1 * base * sensor * tool is the identity at the tare.
         let tare = if tared { base.inverse() * tare * tool.inverse() } else { Rigid::identity() };
-        Ok(Self { head, estimator, tool, tare, tared })
+        Ok(Self { head, estimator, tool, table: Rigid::identity(), tare, tared })
+    }
+
+    /// The instrument, calibrated with a reference whose table is at this place in the frame of the mirror.
+    #[must_use]
+    pub fn calibrated_at(self, table: Rigid) -> Self {
+        Self { table, ..self }
     }
 
     /// Whether the configuration contains a tare.
@@ -187,11 +195,15 @@ impl Measurement<'_> {
         mirror.t.z += by.height;
         let mirror = plus(mirror.to_array(), &by.pose);
         let tare = self.solved(Moment::Tare, &by)?;
-        let relative = Rigid::from(&tare).inverse() * Rigid::from(&Pose::from_array(mirror));
-        let relative = Pose::from_array(plus(Pose::from(&relative).to_array(), &by.relative));
+        let mut relative = Rigid::from(&tare).inverse() * Rigid::from(&Pose::from_array(mirror));
+        if by.relative != [0.0; 6] {
+            let table = self.instrument.table;
+            let seen = Pose::from(&(table.inverse() * relative * table)).to_array();
+            relative = table * Rigid::from(&Pose::from_array(plus(seen, &by.relative))) * table.inverse();
+        }
         let mut tool = self.instrument.tool;
         tool.translation += Vec3::from(by.tool);
-        let pose = Pose::from(&(tool.inverse() * Rigid::from(&relative) * tool));
+        let pose = Pose::from(&(tool.inverse() * relative * tool));
         Ok(by.reference(pose.to_array()))
     }
 

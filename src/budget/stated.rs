@@ -4,26 +4,28 @@
 use nalgebra::{Matrix6, Vector6};
 use trifacet_budget::Evaluation;
 use trifacet_core::estimation::by_pose::TRIANGLE;
-use trifacet_optics::Pose;
 use trifacet_optics::quadratic::Quadratic;
+use trifacet_optics::{Pose, Rigid};
 
 use super::assessment::slope;
-use super::components::{Components, Effect, Moment};
+use super::components::Components;
 use super::instrument::Instrument;
+use super::quantity::{Effect, Moment};
 use crate::config::{Config, UncertaintyConfig};
 
 /// Steps of the quadratic function, metres and radians. The smaller ones are for a head that cannot reach the larger.
 const STEPS: [[f64; 2]; 3] = [[1e-3, 5e-3], [0.25e-3, 1e-3], [0.05e-3, 0.2e-3]];
 
 /// The covariance as a function of the pose relative to the tare: lower triangle by rows, metres and radians. `None` if
-/// nothing is stated, which is so without a calibration as long as no key of `[uncertainty]` without default is set.
-pub fn stated(config: &Config, calibrated: bool) -> Option<Quadratic> {
-    if !calibrated && !states_anything(&config.uncertainty) {
+/// nothing is stated, which is so without a calibration (`table`: that of its reference, in the frame of the mirror) as long as no key of `[uncertainty]` without default is set.
+pub fn stated(config: &Config, table: Option<&Rigid>) -> Option<Quadratic> {
+    if table.is_none() && !states_anything(&config.uncertainty) {
         return None;
     }
-    let instrument = Instrument::new(config).ok()?;
+    let instrument =
+        Instrument::new(config).ok()?.calibrated_at(table.copied().unwrap_or_else(Rigid::identity));
     let tared = instrument.tared();
-    let components = Components::new(config, 1);
+    let components = Components::new(config, 1, table);
     let inputs: Vec<_> = components
         .groups
         .iter()

@@ -32,7 +32,7 @@ pub fn edits(calibration: &Calibration, config: &Config) -> Vec<Edit> {
     let mut set = |section: &'static [&'static str], key: &'static str, value: Value| {
         edits.push(Edit { section, key, value });
     };
-    let head = calibration.head();
+    let (head, gains) = calibration.rounded();
     set(&["head"], "beam_direction", list(head.beam_direction));
     set(&["head"], "beam_diameter_mm", (head.beam_diameter * 1e3).into());
     let sections: [&[&str]; 3] = [&["head", "a"], &["head", "b"], &["head", "c"]];
@@ -43,7 +43,6 @@ pub fn edits(calibration: &Calibration, config: &Config) -> Vec<Edit> {
         set(section, "psd_up", list(psd.z));
     }
     let sections: [&[&str]; 3] = [&["channels", "a"], &["channels", "b"], &["channels", "c"]];
-    let gains = calibration.power_gains();
     for (((section, channels), gain), name) in
         sections.into_iter().zip(config.channels.psds()).zip(gains).zip(TABLES)
     {

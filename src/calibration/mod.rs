@@ -5,6 +5,7 @@
 //! read at every start, as is the covariance for the frames; the rest is read only by the commands that need it.
 //!
 //! - [`effort`]: how many samples a point needs. [`pose_list`]: the file of the planned poses.
+//!   [`expectation`](mod@expectation): the uncertainty to expect. [`scan_pattern`]: the positions of a scan.
 //! - [`bench`](mod@bench): the source, the loop and the stage during the measurement. [`measure`](mod@measure): a point, by
 //!   [`rest`] (whether the mirror is at rest) and [`reading`] (the means of its signals). [`points_writer`]: the files of the points.
 //! - [`report`]: what a fit found.
@@ -12,6 +13,7 @@
 pub mod bench;
 mod edits;
 pub mod effort;
+pub mod expectation;
 mod fingerprint;
 pub mod measure;
 mod points;
@@ -22,6 +24,7 @@ mod record;
 mod record_file;
 pub mod report;
 pub mod rest;
+pub mod scan_pattern;
 mod spread;
 mod standing;
 mod tables;

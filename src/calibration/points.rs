@@ -93,12 +93,11 @@ impl Measured {
             }
         }
         measured.scans = measured.points.len();
-        let mut zeros = zeros(&names, &mut measured.points);
-        for path in scans {
+        let first = zeros(&names, &mut measured.points);
+        for (zero, path) in (first..).zip(scans) {
             for (point, _) in measured.file(path, "scan", defaults)? {
-                measured.points.push(point.of_scan(zeros));
+                measured.points.push(point.of_scan(zero));
             }
-            zeros += 1;
         }
         Ok(measured)
     }
@@ -125,13 +124,14 @@ impl Measured {
         if rows.is_empty() {
             return Err(Failure::new(exit::DATA, format!("{name}: the table has no rows")));
         }
-        let sha256 = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+        let hex: Vec<String> = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+        let sha256 = hex.concat();
         self.files.push(InputFile { path: path.to_owned(), kind, rows: rows.len(), sha256 });
         Ok(rows)
     }
 }
 
-/// Gives each run but the largest a zero of its own; returns their number.
+/// Gives each run but the one with most references a zero of its own; returns their number.
 fn zeros(names: &[Option<String>], points: &mut [Point]) -> usize {
     let mut runs: Vec<&Option<String>> = Vec::new();
     for name in names {
@@ -139,7 +139,10 @@ fn zeros(names: &[Option<String>], points: &mut [Point]) -> usize {
             runs.push(name);
         }
     }
-    let size = |run: &&Option<String>| names.iter().filter(|name| name == run).count();
+    let referenced: Vec<bool> = points.iter().map(|p| p.reference.iter().any(Option::is_some)).collect();
+    let size = |run: &&Option<String>| {
+        names.iter().zip(&referenced).filter(|(name, referenced)| name == run && **referenced).count()
+    };
     // Of several largest ones, the first: `max_by_key` returns the last.
     let Some(common) = runs.iter().copied().rev().max_by_key(size) else { return 0 };
     runs.retain(|run| *run != common);

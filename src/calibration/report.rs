@@ -160,8 +160,8 @@ impl Report {
         ];
         for (name, errors) in rows {
             let Some(Errors { um, urad }) = errors else { continue };
-            let cells: String = um.iter().chain(&urad).map(|x| format!("<td>{x:.3}</td>")).collect();
-            let _ = writeln!(page, "<tr><td>{name}</td>{cells}</tr>");
+            let cells: Vec<String> = um.iter().chain(&urad).map(|x| format!("<td>{x:.3}</td>")).collect();
+            let _ = writeln!(page, "<tr><td>{name}</td>{}</tr>", cells.concat());
         }
         let _ = writeln!(
             page,

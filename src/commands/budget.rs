@@ -2,10 +2,12 @@
 
 use std::io::{self, Write};
 
-use trifacet::budget::assessment::{AssessmentError, Basis};
+use trifacet::budget::assessment::{AssessmentError, Basis, PoseCovariance};
 use trifacet::budget::components::Components;
 use trifacet::budget::formats::{Range, Report};
 use trifacet::budget::instrument::{Instrument, InstrumentError};
+use trifacet::budget::record::Recorded;
+use trifacet::config::CalibrationContext;
 use trifacet::exit::{self, Failure};
 use trifacet_optics::Pose;
 
@@ -92,12 +94,19 @@ fn trials(text: &str) -> Result<usize, String> {
 
 /// Prints the budget.
 pub(crate) fn budget(args: &BudgetArgs) -> anyhow::Result<()> {
-    let config = args.config.load()?;
+    let context = CalibrationContext::read(args.config.load()?).map_err(Failure::from)?;
+    let config = &context.config;
     let average = args.average.unwrap_or(config.estimation.average.into());
+    let recorded = recorded(&context)?;
+    let mut instrument = Instrument::new(config).map_err(|error| failure(&error.into()))?;
+    let table = recorded.as_ref().ok().map(PoseCovariance::table);
+    if let Some(table) = table {
+        instrument = instrument.calibrated_at(table);
+    }
     let basis = Basis {
-        instrument: Instrument::new(&config).map_err(|error| failure(&error.into()))?,
-        components: Components::new(&config, average),
-        calibration: None,
+        instrument,
+        components: Components::new(config, average, table.as_ref()),
+        calibration: recorded.as_ref().map(|recorded| recorded as &dyn PoseCovariance).map_err(Clone::clone),
     };
     let (assessment, range) = if let Some(pose) = &args.pose {
         (basis.assess(pose).map_err(|error| failure(&error))?, None)
@@ -136,11 +145,22 @@ pub(crate) fn budget(args: &BudgetArgs) -> anyhow::Result<()> {
     written(io::stdout().lock().write_all(text.as_bytes()))
 }
 
+/// The calibration record, if it is valid; otherwise why not.
+fn recorded(context: &CalibrationContext) -> Result<Result<Recorded, String>, Failure> {
+    if let Some(objection) = context.calibration.objection() {
+        return Ok(Err(objection));
+    }
+    let Some(path) = &context.config.calibration.record else { return Ok(Err("there is no record".into())) };
+    let wrong =
+        |error| Failure::new(exit::CONFIG, format!("calibration.record: {}: {error}", path.display()));
+    Recorded::read(path).map(Ok).map_err(wrong)
+}
+
 /// A pose outside the range is wrong data; a head that does not exist is a wrong configuration.
 fn failure(error: &AssessmentError) -> Failure {
     let code = match error {
         AssessmentError::Instrument(InstrumentError::Head(_) | InstrumentError::Tare(_)) => exit::CONFIG,
-        AssessmentError::Instrument(_) => exit::DATA,
+        AssessmentError::Instrument(_) | AssessmentError::Calibration => exit::DATA,
         AssessmentError::Budget(_) | AssessmentError::Sampler(_) => exit::SOFTWARE,
     };
     Failure::new(code, error.to_string())

@@ -167,7 +167,7 @@ impl Config {
     /// The systematic uncertainty that depends on the pose, with the frames and the head of `settings`.
     pub fn by_pose(&self, settings: &Settings, calibration: &CalibrationState) -> Option<Arc<ByPose>> {
         let spread = calibration.spread.as_ref().map(|spread| Arc::clone(&spread.0));
-        let stated = stated(self, spread.is_some());
+        let stated = stated(self, spread.as_ref().map(|spread| spread.table()).as_ref());
         ByPose::new(spread, stated, settings.estimator.optics(), &settings.frames).map(Arc::new)
     }
 

@@ -68,7 +68,7 @@ pub use log::{LogConfig, LogFormat};
 pub use monitor::{MonitorConfig, Token};
 pub use motion::{Axis, Motion, MotionKind};
 pub use network::{Network, NetworkError};
-pub use publishing::{PublishingConfig, UdpTarget};
+pub use publishing::{Deviations, PublishingConfig, UdpTarget};
 pub use realtime::RealtimeConfig;
 pub use recording::{Compression, RecordingConfig, RecordingMode};
 pub use replay::ReplayConfig;

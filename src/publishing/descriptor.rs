@@ -10,7 +10,7 @@ use trifacet_wire::{LockState, Status};
 
 use super::publisher::StreamId;
 use crate::calibration::CalibrationState;
-use crate::config::{Config, Model};
+use crate::config::{Config, Deviations, Model};
 
 /// The facts about the stream that the descriptor needs from outside this module.
 #[derive(Clone, Debug)]
@@ -29,6 +29,8 @@ pub struct StreamFacts {
     pub expires_days: Option<f64>,
     /// As in [`Descriptor::systematic`].
     pub systematic: [f64; 6],
+    /// Which standard uncertainties binary frames carry.
+    pub deviations: Deviations,
 }
 
 impl StreamFacts {
@@ -42,6 +44,7 @@ impl StreamFacts {
             calibration,
             expires_days: config.calibration.expires_days,
             systematic: config.estimation.systematic(),
+            deviations: config.publishing.deviations,
         }
     }
 
@@ -55,6 +58,7 @@ impl StreamFacts {
             calibration: CalibrationState::default(),
             expires_days: None,
             systematic: [0.0; 6],
+            deviations: Deviations::Total,
         }
     }
 
@@ -77,6 +81,7 @@ impl StreamFacts {
             uncalibrated: facts.calibration.objection(),
             calibration: calibration_entry(&facts.calibration, facts.expires_days),
             systematic: facts.systematic,
+            deviations: facts.deviations.name().into(),
             units: words(&[
                 ("length", "m"),
                 ("angle", "rad"),

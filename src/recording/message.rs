@@ -66,6 +66,14 @@ pub struct Frame {
     spots: [f32; 6],
     powers: [f32; 3],
     steering: [f32; 2],
+    /// NaN in recordings of versions without it: their messages end before this field, which must remain the last.
+    #[serde(deserialize_with = "systematic_if_recorded")]
+    systematic: [f32; 6],
+}
+
+#[expect(clippy::unnecessary_wraps, reason = "the signature that serde expects")]
+fn systematic_if_recorded<'de, D: Deserializer<'de>>(from: D) -> Result<[f32; 6], D::Error> {
+    Ok(<[f32; 6]>::deserialize(from).unwrap_or([f32::NAN; 6]))
 }
 
 impl Frame {
@@ -94,6 +102,7 @@ impl Frame {
             spots: frame.spots,
             powers: frame.powers,
             steering: frame.steering,
+            systematic: frame.systematic.unwrap_or([f32::NAN; 6]),
         }
     }
 
@@ -123,6 +132,7 @@ impl Frame {
             spots: self.spots,
             powers: self.powers,
             steering: self.steering,
+            systematic: (!self.systematic.iter().all(|x| x.is_nan())).then_some(self.systematic),
         };
         Ok((frame, Mono(self.monotonic_ns)))
     }

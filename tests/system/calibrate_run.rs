@@ -96,6 +96,13 @@ fn cells_hit(poses: &[Pose]) -> usize {
     hit.iter().map(HashSet::len).sum()
 }
 
+/// The number after this word in the expected uncertainty.
+fn expected(text: &str, word: &str) -> f64 {
+    let (_, expected) = text.split_once("standard uncertainty of ").unwrap_or_else(|| panic!("{text}"));
+    let (_, number) = expected.split_once(word).unwrap();
+    number.split([',', ' ']).next().unwrap().parse().unwrap()
+}
+
 #[test]
 fn a_plan_covers_the_psds_better_than_chance_and_repeats_by_its_seed() {
     let lab = Lab::new(LAB);
@@ -107,6 +114,9 @@ fn a_plan_covers_the_psds_better_than_chance_and_repeats_by_its_seed() {
     {
         assert!(done.out.contains(expected), "{}", done.out);
     }
+    // The fit of 400 points reaches 0.09 to 0.13 um and 0.24 to 0.34 urad, that of 100 points 0.36 um and 0.9 urad.
+    let (tx, pitch) = (expected(&done.out, "tx "), expected(&done.out, "pitch "));
+    assert!((0.1..0.4).contains(&tx) && (0.25..1.0).contains(&pitch), "{}", done.out);
     let plan = Table::read(&lab.path("plan.csv"));
     let kinds = plan.texts("kind");
     let tares: Vec<usize> = (0..kinds.len()).filter(|k| kinds[*k] == "tare").collect();
@@ -127,6 +137,10 @@ fn a_plan_covers_the_psds_better_than_chance_and_repeats_by_its_seed() {
     assert_eq!(text("plan.csv"), text("again.csv"));
     assert_eq!(lab.plan("other.csv", &[&options[..], &["--seed", "2"]].concat()).code, 0);
     assert_ne!(text("plan.csv"), text("other.csv"));
+    // A coarse reference is worth less.
+    let coarse =
+        lab.plan("coarse.csv", &[&options[..], &["--reference-um", "1", "--reference-urad", "20"]].concat());
+    assert!(expected(&coarse.out, "roll ") > 1.5 * expected(&done.out, "roll "), "{}", coarse.out);
 }
 
 #[test]

@@ -11,6 +11,7 @@ mod testkit;
 
 mod board_protocol;
 mod budget;
+mod calibrate_fit;
 mod calibrate_run;
 mod command_line;
 mod compatibility;

@@ -174,3 +174,42 @@ fn a_daemon_on_an_emulated_board_with_a_head_of_its_own_follows_its_mirror() {
     assert!(after.status.has(Status::UNCALIBRATED), "{after:?}");
     board.until(|status| (status["mirror"][0].as_f64().unwrap() - 600e-6).abs() < 1e-12);
 }
+
+/// The whole way by commands, with few points.
+#[test]
+fn a_rough_head_is_calibrated_by_commands_and_its_poses_are_then_true() {
+    let folder = Folder::new();
+    let file = folder.write("real.toml", real_head());
+    let at = |name: &str| folder.path(name).to_str().unwrap().to_owned();
+    let done = on(&["dark", "--config"], &file);
+    assert_eq!(done.code, 0, "{}", done.err);
+    let (config, plan, run, out) = (at("real.toml"), at("plan.csv"), at("run"), at("calibrated"));
+    let (points, scan) = (at("run/points.csv"), at("run/scan.csv"));
+    let range = ["--range-mm", "1.1", "--range-mrad", "5.5"];
+    let plan_it =
+        [&["calibrate", "plan", "--config", &config, "--points", "100", "--out", &plan], &range[..]].concat();
+    let run_it = vec!["calibrate", "run", "--config", &config, "--plan", &plan, "--out", &run];
+    let fit_it =
+        vec!["calibrate", "fit", "--config", &config, "--points", &points, "--scan", &scan, "--out", &out];
+    for command in [plan_it, run_it, fit_it] {
+        let done = testkit::trifacet(&command).output().unwrap();
+        assert!(done.status.success(), "{command:?}: {}", String::from_utf8_lossy(&done.stderr));
+    }
+    let calibrated = std::fs::read_to_string(folder.path("calibrated/trifacet.toml")).unwrap();
+    let quiet = "[twin]\nspot_noise_um = 0.0\npower_noise = 0.0\nconverter_bits = 24\n";
+    let moving = calibrated.replace("motion = []", "").replace("[twin]\n", quiet) + MOTION;
+    let file = folder.write("calibrated/moving.toml", moving);
+    let done = on(&["simulate", "--closed-loop", "--samples", "4000", "--config"], &file);
+    assert_eq!(done.code, 0, "{}", done.err);
+    let status = texts(&done.out, "status");
+    assert!(status.iter().skip(300).all(|status| !status.contains("INCONSISTENT")), "{:?}", status.last());
+    for (axis, limit) in
+        [("tx_m", 1e-6), ("ty_m", 1e-6), ("tz_m", 1e-6), ("roll_rad", 3e-6), ("yaw_rad", 3e-6)]
+    {
+        let (truth, found) = (column(&done.out, &format!("true_{axis}")), column(&done.out, axis));
+        // The poses are those of the stage in its axes, without a tare.
+        let square = (300..truth.len()).map(|k| (found[k] - truth[k]).powi(2)).sum::<f64>();
+        let rms = (square / (truth.len() - 300) as f64).sqrt();
+        assert!(rms < limit, "{axis}: {rms:e}");
+    }
+}

@@ -86,7 +86,7 @@ fn errors(head: &str, calibration: &Calibration) -> Vec<([f64; 6], Matrix6<f64>)
     };
     let raws: Vec<Raw> = rows.iter().map(raw).collect();
     let tare = pose(&raws[0]).inverse();
-    let covariances = calibration.relative_covariances(&raws[1..], &raws[0]).unwrap();
+    let covariances = calibration.relative_covariances(&raws[1..], &raws[0], &Rigid::identity()).unwrap();
     rows[1..]
         .iter()
         .zip(&raws[1..])
@@ -193,9 +193,7 @@ fn the_covariance_for_every_frame_is_that_of_the_calibration() {
         let prepared = spread.zero(&zero.2, &zero.3);
         let all: Vec<_> = (1..=100).filter_map(|k| seen(k, scale)).collect();
         let raws: Vec<_> = all.iter().map(|(_, raw, ..)| *raw).collect();
-        let exact = calibration.relative_covariances(&raws, &zero.1).unwrap();
-        // The exact one contains what splines and tables leave of each spot, of pose and zero.
-        let residue = calibration.relative_covariance(&zero.1, &zero.1).unwrap();
+        let exact = calibration.relative_covariances(&raws, &zero.1, &Rigid::identity()).unwrap();
         let (mut ratios, mut forms) = (Vec::new(), Vec::new());
         for ((reference, _, sensor, spots), exact) in all.iter().zip(exact) {
             let exact = exact.unwrap();
@@ -205,7 +203,7 @@ fn the_covariance_for_every_frame_is_that_of_the_calibration() {
             let mut turn = Matrix6::zeros();
             turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&axes);
             turn.fixed_view_mut::<3, 3>(3, 3).copy_from(&(at.euler_rates() * axes));
-            let found = turn * found.covariance * turn.transpose() + residue;
+            let found = turn * found.covariance * turn.transpose();
             let deviation = |c: &Matrix6<f64>, i: usize| c[(i, i)].sqrt();
             ratios.extend((0..6).map(|i| deviation(&found, i) / deviation(&exact, i)));
             forms.push((exact.cholesky().unwrap().inverse() * found).trace() / 6.0);

@@ -6,7 +6,14 @@ use crate::config::{Config, parse};
 fn basis(text: &str) -> (Basis<'static>, Config) {
     let config = parse(text, None).unwrap();
     let instrument = Instrument::new(&config).unwrap();
-    (Basis { instrument, components: Components::new(&config, 1), calibration: None }, config)
+    (
+        Basis {
+            instrument,
+            components: Components::new(&config, 1, None),
+            calibration: Err("no record".into()),
+        },
+        config,
+    )
 }
 
 fn pose(um_urad: [f64; 6]) -> Pose {
@@ -100,13 +107,21 @@ fn at_the_tare_what_is_common_to_pose_and_tare_has_no_effect() {
 /// A record that knows the pose relative to the tare to 0.1 um and 0.3 urad at 1 mm, with a correlation.
 struct Record;
 
-impl Calibration for Record {
-    fn covariance(&self, pose: &Pose, tare: &Pose) -> Matrix6<f64> {
-        let way = ((pose.t - tare.t).norm() * 1e3).min(1.0);
-        let mut covariance = Matrix6::from_diagonal(&[0.1e-6, 0.1e-6, 0.1e-6, 0.3e-6, 0.3e-6, 0.3e-6].into());
-        covariance *= covariance;
-        (covariance[(0, 4)], covariance[(4, 0)]) = (-0.5 * 0.1e-6 * 0.3e-6, -0.5 * 0.1e-6 * 0.3e-6);
-        covariance * way.powi(2)
+impl PoseCovariance for Record {
+    fn relative_to(&self, tare: &Pose, poses: &[Pose]) -> Option<Vec<Matrix6<f64>>> {
+        let one = |pose: &Pose| {
+            let way = ((pose.t - tare.t).norm() * 1e3).min(1.0);
+            let mut covariance =
+                Matrix6::from_diagonal(&[0.1e-6, 0.1e-6, 0.1e-6, 0.3e-6, 0.3e-6, 0.3e-6].into());
+            covariance *= covariance;
+            (covariance[(0, 4)], covariance[(4, 0)]) = (-0.5 * 0.1e-6 * 0.3e-6, -0.5 * 0.1e-6 * 0.3e-6);
+            covariance * way.powi(2)
+        };
+        Some(poses.iter().map(one).collect())
+    }
+
+    fn table(&self) -> Rigid {
+        Rigid::identity()
     }
 
     fn source(&self) -> String {
@@ -120,8 +135,8 @@ fn a_calibration_record_enters_with_its_correlations() {
         parse("frames.tool.translation_mm = [0, 0, -100]\nuncertainty.lever_arm_um = 0", None).unwrap();
     let basis = Basis {
         instrument: Instrument::new(&config).unwrap(),
-        components: Components::new(&config, 1_000_000),
-        calibration: Some(&Record),
+        components: Components::new(&config, 1_000_000, Some(&Rigid::identity())),
+        calibration: Ok(&Record),
     };
     let far = basis.assess(&pose([1000.0, 0.0, 0.0, 0.0, 0.0, 0.0])).unwrap();
     assert_eq!(far.geometry, Geometry::Calibrated);

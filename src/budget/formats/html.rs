@@ -155,7 +155,7 @@ fn quantities(page: &mut Page, rows: &[Row]) {
     }
     page.raw("</table>\n");
     page.paragraph(
-        "–: less than a millionth of u_c. A row with several quantities (u and v of A, B, C; x, y, z) states the uncertainty of each. Its sensitivity and its \
+        "–: less than a millionth of u_c; of a sensitivity also: the uncertainties of the row differ. A row with several quantities (u and v of A, B, C; x, y, z) states the uncertainty of each. Its sensitivity and its \
          contribution are the root of the sum of their squares.",
     );
 }

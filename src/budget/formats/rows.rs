@@ -5,7 +5,7 @@ use std::ops::Range;
 use trifacet_budget::{Budget, Input};
 
 use super::super::assessment::Assessment;
-use super::super::components::{Group, Unit};
+use super::super::quantity::{Group, Unit};
 
 /// A row of the table. Numbers in SI units.
 #[derive(Clone, Debug)]

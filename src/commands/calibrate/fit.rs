@@ -101,13 +101,13 @@ pub(crate) fn fit(args: &FitArgs) -> anyhow::Result<()> {
     };
     let measured = Measured::read(&args.points, &args.scan, defaults)?;
     let own = &measured.points[..measured.scans];
-    calibration::before(own, &wanted, args.steering_scale_percent).map_err(refused)?;
+    calibration::before(own, &wanted, args.steering_scale_percent).map_err(|why| refused(&why))?;
     let nominal = nominal(&config)?;
-    let regression = mistakes::check(&nominal, own).map_err(refused)?;
+    let regression = mistakes::check(&nominal, own).map_err(|why| refused(&why))?;
     let tolerances = tolerances(args, own.iter().all(|p| p.reference.iter().all(Option::is_none)))?;
     let fields = fields();
     let job = Job { nominal: &nominal, tolerances: &tolerances, points: &measured.points, fields: &fields };
-    let fitted = fit_points(job, show).map_err(|e| refused(e.to_string()))?;
+    let fitted = fit_points(job, show).map_err(|e| refused(&e.to_string()))?;
     let range =
         fitted.calibration.range_uncertainty(args.range_mm * 1e-3, args.range_mrad * 1e-3, RANGE_POSES);
     let verdict = calibration::verdict(&fitted, &measured.points, range.as_ref(), &wanted);
@@ -116,7 +116,7 @@ pub(crate) fn fit(args: &FitArgs) -> anyhow::Result<()> {
         say(&format!("warning: {warning}"));
     }
     let (Some(range), true) = (range, verdict.refusals.is_empty()) else {
-        return Err(refused(verdict.refusals.join("\n")).into());
+        return Err(refused(&verdict.refusals.join("\n")).into());
     };
     let report = Report::new(&measured, &fitted, regression.as_ref(), &range, &verdict, &wanted);
     write(args, &config, &fitted, &report, &range)?;
@@ -128,7 +128,7 @@ pub(crate) fn fit(args: &FitArgs) -> anyhow::Result<()> {
 /// Number of poses over which the uncertainty is averaged.
 const RANGE_POSES: usize = 200;
 
-fn refused(why: String) -> Failure {
+fn refused(why: &str) -> Failure {
     Failure::new(exit::DATA, format!("no calibration, nothing was written: {why}"))
 }
 

@@ -6,14 +6,15 @@ use std::path::PathBuf;
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
+use trifacet::calibration::expectation::expectation;
 use trifacet::calibration::pose_list;
+use trifacet::calibration::scan_pattern::POINTS as SCAN_POINTS;
 use trifacet::config::Config;
 use trifacet::exit::{self, Failure};
 use trifacet_core::steering::BeamPoint;
 use trifacet_optics::calibration::plan::{Plan, Request, choose};
 use trifacet_optics::{FACETS, Optics, Pose};
 
-use super::run::SCAN_POINTS;
 use super::{ReferenceArgs, number};
 use crate::commands::new_file::{NewFile, cannot_write};
 use crate::commands::{ConfigArg, whole, written};
@@ -70,7 +71,8 @@ pub(crate) fn plan(args: &PlanArgs) -> anyhow::Result<()> {
     let plan = chosen(args, &config)?;
     cannot_write(pose_list::write(&plan.poses, BufWriter::new(file.writer()?)), &args.out)?;
     file.keep()?;
-    written(writeln!(io::stdout(), "{}written to {}", summary(args, &config, &plan), args.out.display()))
+    let [summary, expected] = [summary(args, &config, &plan), expected(args, &config, &plan)];
+    written(writeln!(io::stdout(), "{summary}{expected}written to {}", args.out.display()))
 }
 
 fn chosen(args: &PlanArgs, config: &Config) -> anyhow::Result<Plan> {
@@ -145,4 +147,21 @@ fn summary(args: &PlanArgs, config: &Config, plan: &Plan) -> String {
         args.seconds_per_move
     );
     text
+}
+
+/// The uncertainty to expect after the fit.
+fn expected(args: &PlanArgs, config: &Config, plan: &Plan) -> String {
+    let range = [args.range_mm * 1e-3, args.range_mrad * 1e-3];
+    match expectation(config, &plan.poses, args.reference.noise(), range) {
+        Ok(uncertainty) => {
+            let [tx, ty, tz, roll, pitch, yaw] = uncertainty.deviation.map(|x| x * 1e6);
+            format!(
+                "expected after the fit, over +-{} mm and +-{} mrad: standard uncertainty of tx {tx:.3}, ty {ty:.3}, \
+                 tz {tz:.3} um, roll {roll:.3}, pitch {pitch:.3}, yaw {yaw:.3} urad (by the calibration, relative to the \
+                 tare pose)\n",
+                args.range_mm, args.range_mrad
+            )
+        }
+        Err(why) => format!("no uncertainty can be expected: {why}\n"),
+    }
 }

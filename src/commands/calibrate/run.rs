@@ -15,7 +15,6 @@ use std::sync::Arc;
 use anyhow::Context;
 use folder::RunFolder;
 use reference::{Reference, ReferenceKind};
-pub(super) use scan::POINTS as SCAN_POINTS;
 use session::{Outcome, Session};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{mpsc, watch};

@@ -98,7 +98,7 @@ fn head(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
             head.psd_size_mm,
             head.psd_distance_mm,
             head.facet_angle_deg,
-            head.beam_diameter_mm,
+            (head.beam_diameter_mm * 1e4).round() / 1e4,
             if calibrated { "; some parts calibrated" } else { "" }
         ),
     );

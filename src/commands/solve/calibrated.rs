@@ -57,7 +57,8 @@ impl CalibrationShare {
 
     /// Covariances for readings; `None` where the calibration has no pose for them.
     pub(super) fn of(&self, readings: &[Raw]) -> Vec<Option<Matrix6<f64>>> {
-        let all = self.tare.and_then(|tare| self.calibration.relative_covariances(readings, &tare));
+        let table = Rigid::identity(); // same_frames
+        let all = self.tare.and_then(|tare| self.calibration.relative_covariances(readings, &tare, &table));
         all.unwrap_or_else(|| vec![None; readings.len()])
     }
 }

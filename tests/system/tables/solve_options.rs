@@ -41,10 +41,10 @@ fn table() -> String {
 
 /// A configuration with these tables, gains and frames.
 fn configured(folder: &Folder) -> String {
-    folder.write("psd.csv", &table());
+    folder.write("psd.csv", table());
     let psds =
         ["a", "b", "c"].map(|psd| format!("[channels.{psd}]\ncorrection = 'psd.csv'\ngain = [1, 1, 1.25]\n"));
-    folder.write("head.toml", &format!("{}{FRAMES}", psds.concat())).display().to_string()
+    folder.write("head.toml", format!("{}{FRAMES}", psds.concat())).display().to_string()
 }
 
 /// Signals of these poses, by `trace`.
@@ -73,7 +73,7 @@ fn signals(rows: &[[f64; 9]], std: Option<[f64; 9]>) -> String {
     let names = [&SPOTS[..], &POWERS].concat();
     let mut text = names.join(",");
     if std.is_some() {
-        text += &names.iter().map(|name| format!(",std_{name}")).collect::<String>();
+        text += &std_columns(&names);
     }
     for row in rows {
         text.push('\n');
@@ -305,7 +305,7 @@ fn points(random: &mut Pcg64) -> String {
     let poses: Vec<[f64; 6]> = (0..80).map(|_| span.map(|most| random.random_range(-most..most))).collect();
     let names = [&SPOTS[..], &POWERS].concat();
     let mut text = names.join(",");
-    text += &names.iter().map(|name| format!(",std_{name}")).collect::<String>();
+    text += &std_columns(&names);
     text += &POSE.map(|name| format!(",ref_{name}")).concat();
     text += &POSE.map(|name| format!(",ref_std_{name}")).concat();
     text += ",stage_x_m,stage_y_m";
@@ -395,4 +395,9 @@ fn the_share_of_the_calibration_is_stated_if_its_record_belongs_to_the_configura
     without("frames.toml", &moved, "frames.base and frames.tool are not those of the calibration");
     let other = text.replacen("beam_diameter_mm = 0.4", "beam_diameter_mm = 0.40", 1);
     without("head.toml", &other, "belongs to another configuration");
+}
+
+/// The names of the columns with the standard uncertainties of these signals, each behind a comma.
+fn std_columns(names: &[&str]) -> String {
+    names.iter().flat_map(|name| [",std_", name]).collect()
 }

@@ -53,7 +53,7 @@ pub struct PoseReport {
 }
 
 impl PoseReport {
-    /// A report with every field set, for examples and tests.
+    /// A report with every field set but the systematic part, for examples and tests.
     pub fn example() -> Self {
         Self {
             index: 1234,
@@ -65,7 +65,7 @@ impl PoseReport {
             lock: LockState::Locked,
             pose: Some(Pose::from_array([1e-6, -2e-6, 3e-6, 4e-6, -5e-6, 6e-6])),
             covariance: Some(Matrix6::identity() * 4e-12),
-            systematic: Some(Matrix6::identity() * 1e-12),
+            systematic: None,
             offset: Some([0.5e-6, -0.25e-6]),
             steering_residual: Some(1e-7),
             mean_residual: Some(MeanResidual { mean: [6e-8, -8e-8], limit: 5e-6, contradicts: false }),

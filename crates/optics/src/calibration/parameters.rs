@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::instrument::{Instrument, exponential};
 use crate::model::turn_from_z;
-use crate::{Head, Mat3, Rigid, Vec3};
+use crate::{Ellipse, Head, Mat3, Rigid, Vec3};
 
 /// Number of geometric parameters.
 pub const GEOMETRY: usize = 49;
@@ -235,6 +235,11 @@ impl Nominal {
         let stage = Rigid { rotation, translation };
         let (rotation, shift) = part(&self.table, place::TABLE);
         [stage, Rigid { rotation, translation: self.table.translation + shift }]
+    }
+
+    /// The shape of the beam.
+    pub fn ellipse(theta: &[f64]) -> Ellipse {
+        Ellipse::new(theta[place::ELLIPSE], theta[place::ELLIPSE + 1])
     }
 
     /// Power gains relative to A.

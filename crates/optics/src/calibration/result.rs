@@ -10,10 +10,10 @@ use super::linearised::{Layout, Neighbours, Response};
 use super::map::{Field, polynomials};
 use super::parameters::{GEOMETRY, Nominal, Tolerances};
 use super::point::Point;
-use crate::{Head, Pose, Rigid};
+use crate::{Ellipse, Head, Model, Optics, Pose, Rigid, Vec2};
 
 /// Standard uncertainty of a spot by what the splines cannot follow and by the pitch of the tables, metres.
-const RESIDUE: f64 = 0.014e-6;
+pub(super) const RESIDUE: f64 = 0.014e-6;
 
 /// A calibrated head with the covariance of its parameters.
 #[derive(Clone, Debug)]
@@ -64,6 +64,33 @@ impl Calibration {
         Nominal::power_gains(&self.theta)
     }
 
+    /// The head and the power gains with which a round beam gives the signals of the elliptical one while the mirror
+    /// is at the zero of the reference and the beam on the apex. Without this, the ellipse would shift the pose and
+    /// the beam by micrometres, which would contradict the steering.
+    pub fn rounded(&self) -> (Head, [f64; 3]) {
+        let (mut head, mut gains) = (self.head(), self.power_gains());
+        let [stage, table] = self.nominal.frames(&self.theta);
+        let (rest, optics) = (Pose::from(&(stage * table)), Optics::new(&head));
+        let (round, round_powers) = optics.trace_each(Model::Gaussian, &rest, Vec2::zeros());
+        let (spots, powers) = optics.trace_elliptical(&self.ellipse(), &rest, Vec2::zeros());
+        for (psd, (round, spot)) in head.psds.iter_mut().zip(round.into_iter().zip(spots)) {
+            // Without a spot at rest there is nothing to agree with.
+            if let (Ok(round), Ok(spot)) = (round, spot) {
+                psd.origin += psd.y * (round[0] - spot[0]) + psd.z * (round[1] - spot[1]);
+            }
+        }
+        let shares = [0, 1, 2].map(|i| powers[i] / round_powers[i]);
+        if shares.iter().all(|share| share.is_finite() && *share > 0.0) {
+            gains = [0, 1, 2].map(|i| gains[i] * shares[i] / shares[0]);
+        }
+        (head, gains)
+    }
+
+    /// The shape of the beam.
+    pub fn ellipse(&self) -> Ellipse {
+        Nominal::ellipse(&self.theta)
+    }
+
     /// Matrix and origin (metres) of the steering.
     pub fn steering(&self) -> (Matrix2<f64>, Vector2<f64>) {
         (self.nominal.steering_matrix(&self.theta), self.nominal.steering_origin(&self.theta))
@@ -97,12 +124,17 @@ impl Calibration {
     /// the frames of the reference: tx, ty, tz in metres, roll, pitch, yaw in radians. `None` if one of the
     /// readings has no pose.
     pub fn relative_covariance(&self, reading: &Raw, tare: &Raw) -> Option<Matrix6<f64>> {
-        self.relative_covariances(std::slice::from_ref(reading), tare)?.pop().flatten()
+        self.relative_covariances(std::slice::from_ref(reading), tare, &Rigid::identity())?.pop().flatten()
     }
 
-    /// As [`Calibration::relative_covariance`], for many readings: faster than one by one. `None` if the tare
-    /// has no pose.
-    pub fn relative_covariances(&self, readings: &[Raw], tare: &Raw) -> Option<Vec<Option<Matrix6<f64>>>> {
+    /// As [`Calibration::relative_covariance`], for many readings: faster than one by one. The poses are those of
+    /// the frame `tool`, given in the frame of the reference's table. `None` if the tare has no pose.
+    pub fn relative_covariances(
+        &self,
+        readings: &[Raw],
+        tare: &Raw,
+        tool: &Rigid,
+    ) -> Option<Vec<Option<Matrix6<f64>>>> {
         let instruments = Neighbours::new(&self.nominal, &self.theta);
         let tare = self.seen(&instruments, tare)?;
         let n = self.theta.len();
@@ -113,7 +145,7 @@ impl Calibration {
             let mut residues = Vec::with_capacity(chunk.len());
             for (k, seen) in seen.iter().enumerate() {
                 residues.push(seen.as_ref().map(|seen| {
-                    let [by_pose, by_tare] = relative_slopes(&seen.pose, &tare.pose);
+                    let [by_pose, by_tare] = relative_slopes(&seen.pose, &tare.pose, tool);
                     for (part, by) in [(seen, &by_pose), (&tare, &by_tare)] {
                         let own = by * &part.jacobian;
                         for (column, values) in part.columns.iter().zip(own.column_iter()) {
@@ -197,7 +229,9 @@ impl Calibration {
             .collect();
         let mut variance = [0.0; 6];
         let mut found = 0;
-        for covariance in self.relative_covariances(&readings, &tare)?.into_iter().flatten() {
+        for covariance in
+            self.relative_covariances(&readings, &tare, &Rigid::identity())?.into_iter().flatten()
+        {
             found += 1;
             for (sum, own) in variance.iter_mut().zip(covariance.diagonal().iter()) {
                 *sum += own;
@@ -239,10 +273,10 @@ struct Seen {
 }
 
 /// Derivatives of the pose relative to the tare with respect to the pose, and to the tare.
-fn relative_slopes(pose: &Pose, tare: &Pose) -> [Matrix6<f64>; 2] {
+fn relative_slopes(pose: &Pose, tare: &Pose, tool: &Rigid) -> [Matrix6<f64>; 2] {
     let step = 1e-6;
     let relative = |pose: &Pose, tare: &Pose| {
-        let relative = Rigid::from(tare).inverse() * Rigid::from(pose);
+        let relative = (Rigid::from(tare) * *tool).inverse() * (Rigid::from(pose) * *tool);
         nalgebra::Vector6::from(Pose::from(&relative).to_array())
     };
     let changed = |pose: &Pose, i: usize, by: f64| {

@@ -176,7 +176,7 @@ impl<'a> Session<'a> {
             damping *= 0.7;
             let sums = next.unwrap_or_default();
             progress(Progress::Step { stage, step, cost: after / sums.rows() as f64 });
-            let enough = if robust { ROUGHLY_SETTLED * before } else { SETTLED };
+            let enough = if robust { SETTLED.max(ROUGHLY_SETTLED * before) } else { SETTLED };
             let settled = (before - after).abs() < enough;
             before = after;
             if settled || stage == Stage::First && step >= 2 {

@@ -13,7 +13,7 @@ use super::Matrix;
 use super::linearised::{Layout, Neighbours, coordinates};
 use super::map::{Lattice, POLYNOMIALS, polynomials};
 use super::parameters::place;
-use super::result::Calibration;
+use super::result::{Calibration, RESIDUE};
 use crate::quadratic::Quadratic;
 use crate::{Pose, Rigid, Vec3};
 
@@ -263,6 +263,11 @@ impl Spread {
         Pose::from(&(base.inverse() * tool.inverse()))
     }
 
+    /// The reference's table in the frame of the mirror.
+    pub fn table(&self) -> Rigid {
+        self.data.frames[1]
+    }
+
     /// A pose of the mirror in the sensor's world as zero, with its spots (corrected, metres).
     pub fn zero(&self, pose: &Pose, spots: &[f64; 6]) -> Zero {
         let at = self.at(pose, spots);
@@ -281,7 +286,8 @@ impl Spread {
             }
         }
         let mut zero = Zero { at, with, own: Matrix6::zeros() };
-        zero.own = self.with_zero(&zero.at, &zero);
+        zero.own = self.with_zero(&zero.at, &zero)
+            + zero.at.by_spots * zero.at.by_spots.transpose() * RESIDUE.powi(2);
         zero
     }
 
@@ -334,6 +340,7 @@ impl Spread {
             }
         }
         spots.fill_upper_triangle_with_lower_triangle();
+        spots += Matrix6::identity() * RESIDUE.powi(2);
         let geometry = SMatrix::<f64, GEOMETRY, GEOMETRY>::from_column_slice(&self.data.geometry);
         let mixed = at.by_spots * cross * at.by_geometry.transpose();
         at.by_spots * spots * at.by_spots.transpose()

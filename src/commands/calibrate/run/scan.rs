@@ -4,18 +4,13 @@ use trifacet::acquisition::Source;
 use trifacet::calibration::bench::Bench;
 use trifacet::calibration::measure::{Goal, NoReading, measure};
 use trifacet::calibration::points_writer::PointsFile;
+use trifacet::calibration::scan_pattern::{HALF, square};
 use trifacet::core::time::Clock;
 use trifacet::exit::{self, Failure};
 use trifacet_core::centering::{LoopMode, LoopParams};
 use trifacet_core::steering::{BeamOffset, StagePosition};
 use trifacet_optics::Optics;
 
-/// Positions on each side of the square.
-const SIDE: usize = 9;
-/// Number of positions of a scan.
-pub(crate) const POINTS: usize = SIDE * SIDE;
-/// Half the side of the square at the apex, metres.
-const HALF: f64 = 150e-6;
 /// The smallest half side that is worth a scan, metres.
 const SMALLEST: f64 = 50e-6;
 /// Time for the stage to reach a commanded position, seconds.
@@ -79,16 +74,6 @@ pub(super) async fn scan<S: Source, C: Clock>(
     Ok(Scanned::Done(taken))
 }
 
-/// Offsets on a square grid, row by row, back and forth.
-fn square(half: f64) -> impl Iterator<Item = BeamOffset> {
-    let at = move |k: usize| half * (2.0 * k as f64 / (SIDE - 1) as f64 - 1.0);
-    (0..POINTS).map(move |k| {
-        let (row, column) = (k / SIDE, k % SIDE);
-        let column = if row % 2 == 0 { column } else { SIDE - 1 - column };
-        BeamOffset([at(column), at(row)])
-    })
-}
-
 /// Half the side of the largest square around this position within the limits of the stage; at most [`HALF`].
 fn half_side(params: &LoopParams, centre: StagePosition) -> f64 {
     let [x, y] = [[1.0, 0.0], [0.0, 1.0]].map(|unit| params.map.stage_step(BeamOffset(unit)));
@@ -133,11 +118,5 @@ mod tests {
         let params = LoopParams::default();
         assert_eq!(half_side(&params, StagePosition([0.0; 2])), HALF);
         assert!((half_side(&params, StagePosition([0.0, -330e-6])) - 70e-6).abs() < 1e-12);
-        let offsets: Vec<_> = square(HALF).collect();
-        assert_eq!(
-            (offsets.len(), offsets[0], offsets[80]),
-            (81, BeamOffset([-HALF; 2]), BeamOffset([HALF; 2]))
-        );
-        assert!(offsets.windows(2).all(|w| (w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1]) < 38e-6));
     }
 }

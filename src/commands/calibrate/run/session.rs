@@ -204,6 +204,9 @@ impl<'a, S: Source, C: Clock> Session<'a, S, C> {
     /// have not.
     fn contradiction(&self, pose: &[f64; 6], reading: &Reading) -> Option<String> {
         let (number, before, spots) = self.last.filter(|_| !self.reference.is_twin())?;
+        if before.map(f64::is_nan) != pose.map(f64::is_nan) {
+            return None; // other coordinates are measured: nothing to compare
+        }
         let expected = |pose: &[f64; 6]| {
             let pose = Pose::from_array(pose.map(|x| if x.is_nan() { 0.0 } else { x }));
             self.optics.trace(Model::Gaussian, &pose, Vec2::zeros()).ok().map(|reading| reading.spots)

@@ -1,0 +1,204 @@
+//! `calibrate fit` through the binary: a calibrated head, what is refused and named, and that nothing is written over.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use crate::testkit::{Folder, trifacet};
+
+fn reference(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/reference/calibration").join(name)
+}
+
+/// Fits these tables in a folder with a configuration `in.toml`; the results go to `out`.
+fn fit(folder: &Folder, points: &Path, options: &[&str]) -> Output {
+    let config = folder.path("in.toml");
+    if !config.exists() {
+        fs::write(&config, "# my rig\n[log]\nlevel = \"warn\" # quiet").unwrap();
+    }
+    let out = folder.path("out");
+    let mut command = trifacet(&["calibrate", "fit"]);
+    command.arg("--config").arg(config).arg("--points").arg(points).arg("--out").arg(out);
+    command.args(options).output().unwrap()
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+fn numbers(csv: &str, names: &[&str]) -> Vec<Vec<f64>> {
+    let mut reader = csv::Reader::from_reader(csv.as_bytes());
+    let header = reader.headers().unwrap().clone();
+    let places: Vec<usize> =
+        names.iter().map(|name| header.iter().position(|h| h == *name).unwrap()).collect();
+    let row = |record: csv::StringRecord| places.iter().map(|i| record[*i].parse().unwrap()).collect();
+    reader.records().map(|record| row(record.unwrap())).collect()
+}
+
+const POSE: [&str; 6] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "yaw_rad"];
+
+#[test]
+fn a_fit_writes_a_configuration_that_gives_the_true_poses() {
+    let folder = Folder::new();
+    let scan = reference("mild.scan.csv");
+    let options = ["--scan", scan.to_str().unwrap(), "--want-um", "0.2", "--want-urad", "0.5"];
+    let output = fit(&folder, &reference("mild.points.csv"), &options);
+    assert!(output.status.success(), "{}", said(&output));
+    assert!(said(&output).contains("calibrated: over +-1 mm and +-5 mrad"), "{}", said(&output));
+    let out = folder.path("out");
+    let text = fs::read_to_string(out.join("trifacet.toml")).unwrap();
+    assert!(text.starts_with("# my rig\n[log]\nlevel = \"warn\" # quiet\n"), "{text}");
+
+    let mut solve = trifacet(&["solve", "--readings", "--frames", "--tare-row", "1", "--sigma", "--config"]);
+    let solved = solve.arg(out.join("trifacet.toml")).arg(reference("mild.test.csv")).output().unwrap();
+    assert!(solved.status.success(), "{}", said(&solved));
+    let table = String::from_utf8(solved.stdout).unwrap();
+    let found = numbers(&table, &POSE);
+    let stated = numbers(&table, &POSE.map(|name| format!("cal_std_{name}")).each_ref().map(String::as_str));
+    let wanted = numbers(&fs::read_to_string(reference("mild.test.csv")).unwrap(), &POSE);
+    let figures = |rows: std::ops::Range<usize>, axes: std::ops::Range<usize>| {
+        let errors: Vec<f64> = rows
+            .flat_map(|k| axes.clone().map(move |i| (k, i)))
+            .map(|(k, i)| found[k][i] - wanted[k][i])
+            .collect();
+        let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
+        (rms, errors.iter().fold(0.0_f64, |a, e| a.max(e.abs())))
+    };
+    let n = wanted.len();
+    let (near_m, near_rad) = (figures(1..101, 0..3), figures(1..101, 3..6));
+    let (far_m, far_rad) = (figures(101..n, 0..3), figures(101..n, 3..6));
+    assert!(near_m.0 <= 0.04e-6 && near_rad.0 <= 0.10e-6, "{near_m:?} {near_rad:?}");
+    assert!(far_m.0 <= 0.13e-6 && far_rad.0 <= 0.32e-6, "{far_m:?} {far_rad:?}");
+    let held = (101..n).flat_map(|k| (0..6).map(move |i| (k, i)));
+    let held = held.filter(|(k, i)| (found[*k][*i] - wanted[*k][*i]).abs() <= 1.96 * stated[*k][*i]).count();
+    let held = held as f64 / (6 * (n - 101)) as f64;
+    assert!((0.93..=0.995).contains(&held), "{held}");
+    assert_eq!(stated[0], [0.0; 6]);
+    assert!(far_m.1 <= 0.7e-6 && far_rad.1 <= 1.7e-6, "{far_m:?} {far_rad:?}");
+
+    let mut check = trifacet(&["check", "--config"]);
+    assert!(check.arg(out.join("trifacet.toml")).output().unwrap().status.success());
+
+    let report: serde_json::Value =
+        serde_json::from_str(&fs::read_to_string(out.join("report.json")).unwrap()).unwrap();
+    assert_eq!(report["dropped"], serde_json::json!([]));
+    assert!(report["verdict"].as_str().unwrap().starts_with("calibrated: "));
+    assert!(report["before"]["um"][0].as_f64().unwrap() > 10.0 * report["after"]["um"][0].as_f64().unwrap());
+    let page = fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(page.contains("Rows that were dropped"));
+
+    // Nothing is written over: refused before anything is read.
+    let again = fit(&folder, Path::new("absent.csv"), &[]);
+    assert_eq!(again.status.code(), Some(74));
+    assert!(said(&again).contains("psd-a.csv exists already: choose another folder"), "{}", said(&again));
+}
+
+/// The points of the mild head, changed row by row; `header` has the names of the columns.
+fn changed(folder: &Folder, change: impl Fn(&[String], &mut Vec<String>)) -> PathBuf {
+    let text = fs::read_to_string(reference("mild.points.csv")).unwrap();
+    let mut lines = text.lines();
+    let header: Vec<String> = lines.next().unwrap().split(',').map(str::to_owned).collect();
+    let mut new = header.join(",") + "\n";
+    for line in lines {
+        let mut fields: Vec<String> = line.split(',').map(str::to_owned).collect();
+        change(&header, &mut fields);
+        new += &(fields.join(",") + "\n");
+    }
+    let path = folder.path("changed.csv");
+    fs::write(&path, new).unwrap();
+    path
+}
+
+fn assert_refused(change: impl Fn(&[String], &mut Vec<String>), options: &[&str], reason: &str) {
+    let folder = Folder::new();
+    let points = changed(&folder, change);
+    let output = fit(&folder, &points, options);
+    assert_eq!(output.status.code(), Some(65), "{}", said(&output));
+    assert!(said(&output).contains(reason), "{}", said(&output));
+    assert!(!folder.path("out").exists());
+}
+
+fn scale(header: &[String], fields: &mut [String], names: &[&str], by: f64) {
+    for name in names {
+        let i = header.iter().position(|h| h == name).unwrap();
+        fields[i] = (fields[i].parse::<f64>().unwrap() * by).to_string();
+    }
+}
+
+#[test]
+fn plain_mistakes_are_refused_by_name() {
+    let angles = ["ref_roll_rad", "ref_pitch_rad", "ref_yaw_rad"];
+    assert_refused(
+        |header, fields| scale(header, fields, &["ref_ty_m"], -1.0),
+        &[],
+        "the sign of ref_ty is reversed",
+    );
+    assert_refused(
+        |header, fields| scale(header, fields, &["ref_tx_m", "ref_ty_m", "ref_tz_m"], 1.0 / 25.4),
+        &[],
+        "in inches where millimetres are meant",
+    );
+    assert_refused(
+        |header, fields| scale(header, fields, &angles, 180.0 / std::f64::consts::PI),
+        &[],
+        "in degrees instead of radians",
+    );
+    assert_refused(
+        |header, fields| {
+            for name in ["u", "v", "power"] {
+                let place = |psd: &str| {
+                    let unit = if name == "power" { "" } else { "_m" };
+                    header.iter().position(|h| *h == format!("{name}_{psd}{unit}")).unwrap()
+                };
+                fields.swap(place("b"), place("c"));
+            }
+        },
+        &[],
+        "PSDs B and C are exchanged",
+    );
+}
+
+#[test]
+fn data_that_cannot_carry_what_is_asked_are_refused_by_name() {
+    let without = |names: &'static [&'static str]| {
+        move |header: &[String], fields: &mut Vec<String>| {
+            for (name, field) in header.iter().zip(fields) {
+                if names.iter().any(|part| name.starts_with("ref_") && name.contains(part)) {
+                    *field = "NaN".into();
+                }
+            }
+        }
+    };
+    assert_refused(without(&["_m", "_rad"]), &["--want-um", "0.5"], "free motion only");
+    assert_refused(without(&["_rad"]), &["--want-urad", "0.5"], "translations only");
+}
+
+#[test]
+fn a_bad_row_is_named_by_file_line_and_column() {
+    let row = "0.001,0,0,0,0,0,2e-4,2e-4,2e-4,0.001,NaN\n";
+    let header = "u_a_m,v_a_m,u_b_m,v_b_m,u_c_m,v_c_m,power_a,power_b,power_c,ref_tx_m,ref_std_tx_m\n";
+    let folder = Folder::new();
+    let points = folder.path("points.csv");
+    fs::write(&points, [header, row].concat()).unwrap();
+    let output = fit(&folder, &points, &[]);
+    assert_eq!(output.status.code(), Some(65));
+    assert!(said(&output).contains("points.csv:2: ref_tx_m has a value, but ref_std_tx_m does not"));
+    fs::write(&points, [header, &row.replace("0.001,0,0", "12,0,0")].concat()).unwrap();
+    let output = fit(&folder, &points, &[]);
+    assert!(said(&output).contains("points.csv:2: u_a_m is \"12\": allowed is"), "{}", said(&output));
+}
+
+#[test]
+fn tolerances_out_of_range_are_named() {
+    let folder = Folder::new();
+    let file = folder.path("tolerances.toml");
+    let options = ["--tolerances", file.to_str().unwrap()];
+    fs::write(&file, "psd_position_mm = 0.0\n").unwrap();
+    let output = fit(&folder, &reference("mild.points.csv"), &options);
+    assert_eq!(output.status.code(), Some(78));
+    assert!(said(&output).contains("psd_position_mm is 0: allowed is"), "{}", said(&output));
+    fs::write(&file, "psd_distance = 1.0\n").unwrap();
+    let output = fit(&folder, &reference("mild.points.csv"), &options);
+    assert_eq!(output.status.code(), Some(78));
+    assert!(said(&output).contains("psd_distance"), "{}", said(&output));
+}
