@@ -1,5 +1,6 @@
 //! `[uncertainty]`: what the readings do not tell about the uncertainty of a pose relative to the tare. Read by
-//! `trifacet budget`. An absent key means that nothing is stated: the budget then names what it does not cover.
+//! `trifacet budget` and for the systematic part of the frames. An absent key means that nothing is stated: the budget then
+//! names what it does not cover.
 
 use serde::{Deserialize, Serialize};
 
