@@ -24,7 +24,9 @@ impl Quadratic {
         let steps = [metres, metres, metres, radians, radians, radians];
         let mut even_odd = |along: &[usize]| {
             let mut pose = [0.0; AXES];
-            along.iter().for_each(|axis| pose[*axis] = steps[*axis]);
+            for axis in along {
+                pose[*axis] = steps[*axis];
+            }
             let (plus, minus) = (f(pose)?, f(pose.map(|x| -x))?);
             let combine = |sign: f64| plus.iter().zip(&minus).map(|(p, m)| 0.5 * (p + sign * m)).collect();
             Some([combine(1.0), combine(-1.0)])
