@@ -239,7 +239,8 @@ impl RunningConfig {
             || channels.is_some()
             || calibration.is_some()
         {
-            self.change_meaning(&next, channels, calibration).await?;
+            // In a box of its own: it is large, and part of the future of every command.
+            Box::pin(self.change_meaning(&next, channels, calibration)).await?;
         }
         if next.centering != self.running.centering || next.steering != self.running.steering {
             // The limits first: the loop must not act before the stage has them.
