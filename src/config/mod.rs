@@ -50,9 +50,10 @@ mod uncertainty;
 pub use acquisition::{AcquisitionConfig, SerialConfig, SourceKind};
 pub use assembly::AssemblyError;
 pub use calibration::{
-    CalibrationConfig, CalibrationState, FORMAT, RecordError, RecordHeader, Standing, fingerprint,
+    CalibrationConfig, CalibrationState, FORMAT, RecordError, RecordHeader, SharedSpread, Standing,
+    fingerprint,
 };
-pub(crate) use calibration::{contents, parsed};
+pub(crate) use calibration::{contents, parsed, spread_bytes};
 pub use calibration_context::{CalibrationContext, TableError, Tables};
 pub use centering::{CenteringConfig, Gains};
 pub use channels::{ChannelsConfig, PsdChannelsConfig};
@@ -71,7 +72,7 @@ pub use log::{LogConfig, LogFormat};
 pub use monitor::{MonitorConfig, Token};
 pub use motion::{Axis, Motion, MotionKind};
 pub use network::{Network, NetworkError};
-pub use publishing::{PublishingConfig, UdpTarget};
+pub use publishing::{Deviations, PublishingConfig, UdpTarget};
 pub use realtime::RealtimeConfig;
 pub use recording::{Compression, RecordingConfig, RecordingMode};
 pub use replay::ReplayConfig;

@@ -50,9 +50,15 @@ impl Components {
         let mut all = Self::default();
         all.noise(config, average);
         all.converter(config);
-        all.systematic(config);
         if table.is_none() {
+            all.systematic(config);
             all.residue(config);
+        } else if config.estimation.systematic() != [0.0; 6] {
+            all.notes.push(
+                "estimation.systematic_um and systematic_urad do not count: the calibration record states the uncertainty of \
+                 the geometry"
+                    .into(),
+            );
         }
         all.light(config);
         all.temperature(config);
@@ -65,6 +71,23 @@ impl Components {
             );
         }
         all
+    }
+
+    /// What averaging does not reduce and what depends on the pose: standard uncertainties, and what they act on.
+    /// `tared`: poses are relative to a tare, whose readings were noisy.
+    pub fn by_pose(&self, tared: bool) -> Vec<(f64, Effect)> {
+        let counts = |input: &Input, effect: Effect| match effect {
+            Effect::Spot(Moment::Pose, _) | Effect::Power(Moment::Pose, _) => {
+                input.evaluation == Evaluation::B
+            }
+            Effect::Spot(Moment::Tare, _)
+            | Effect::Power(Moment::Tare, _)
+            | Effect::Offset(Moment::Tare, _) => tared,
+            Effect::Pose(_) => false, // the same at every pose, see `Settings::systematic`
+            _ => true,
+        };
+        let inputs = self.groups.iter().flat_map(|group| &group.inputs);
+        inputs.filter(|(input, effect)| counts(input, *effect)).map(|(i, e)| (i.std, *e)).collect()
     }
 
     /// A row of normally distributed quantities with these names; none if they have no uncertainty.
@@ -160,7 +183,7 @@ impl Components {
         }
     }
 
-    /// What averaging does not reduce, as configured.
+    /// What stands for the errors of a head without a calibration record.
     fn systematic(&mut self, config: &Config) {
         let systematic = config.estimation.systematic();
         for (name, key, unit, axes, from) in [

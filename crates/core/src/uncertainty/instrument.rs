@@ -107,6 +107,16 @@ impl Instrument {
         self.tared
     }
 
+    /// The point of interest with its axes at the tare, in the sensor's world frame.
+    pub fn zero(&self) -> Rigid {
+        self.tare * self.tool
+    }
+
+    /// The point of interest with its axes, in the frame of the mirror.
+    pub fn tool(&self) -> Rigid {
+        self.tool
+    }
+
     /// The model of the beam.
     pub fn model(&self) -> Model {
         self.estimator.model()

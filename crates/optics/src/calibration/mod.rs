@@ -14,7 +14,7 @@
 //! - [`fit`]: the estimator.
 //! - [`held_out`]: the test of a fit on points that it has not seen.
 //! - [`mistakes`]: signs, axes and units that are plainly wrong.
-//! - [`result`]: the calibrated head, and the covariance of its poses.
+//! - [`result`]: the calibrated head, and the covariance of its poses. [`spread`]: the same covariance for every frame.
 
 pub mod cholesky;
 pub mod fit;
@@ -29,6 +29,7 @@ pub mod plan;
 pub mod point;
 pub mod result;
 mod session;
+pub mod spread;
 
 /// Elements of a symmetric matrix and of vectors over all parameters.
 pub(crate) type Matrix = nalgebra::DMatrix<f64>;
