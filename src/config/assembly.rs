@@ -228,7 +228,7 @@ impl Config {
             average: estimation.average,
             spot_noise: estimation.spot_noise_um * 1e-6,
             power_noise: estimation.power_noise,
-            systematic: self.systematic(calibration),
+            systematic: self.systematic(calibration.spread.is_some()),
             by_pose: None,
             amplifiers: self.channels.psds().map(|psd| psd.amplifier),
             readback: Readback::new(self.steering.beam_map(), self.steering.beam_sigma_um() * 1e-6),
@@ -243,10 +243,11 @@ impl Config {
         Ok(settings)
     }
 
-    /// Standard uncertainties that averaging does not reduce, the same at every pose: those that stand for the geometry of
-    /// the head, unless a calibration record states what is unknown of it. x, y, z in metres; roll, pitch, yaw in radians.
-    pub fn systematic(&self, calibration: &CalibrationState) -> [f64; 6] {
-        if calibration.spread.is_some() { [0.0; 6] } else { self.estimation.systematic() }
+    /// Standard uncertainties that averaging does not reduce, the same at every pose: `estimation.systematic_um` and
+    /// `systematic_urad`, in SI units. They stand for the errors of the head's geometry. Where a calibration record states
+    /// what is unknown of it (`recorded`) they do not count, unless a PSD may have moved since (`steering.origin_verified`).
+    pub fn systematic(&self, recorded: bool) -> [f64; 6] {
+        if recorded && self.steering.origin_verified { [0.0; 6] } else { self.estimation.systematic() }
     }
 }
 

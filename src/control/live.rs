@@ -271,7 +271,7 @@ impl RunningConfig {
         let (channels, tables) =
             channels.map_or_else(|| (None, self.tables.clone()), |(map, tables)| (Some(map), tables));
         facts.calibration = calibration.unwrap_or(facts.calibration);
-        facts.systematic = next.systematic(&facts.calibration);
+        facts.systematic = next.systematic(facts.calibration.spread.is_some());
         facts.expires_days = next.calibration.expires_days;
         let calibration = facts.calibration.clone();
         let context = Arc::new(CalibrationContext { config: next.clone(), tables, calibration });

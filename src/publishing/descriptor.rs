@@ -40,7 +40,7 @@ impl StreamFacts {
             sample_rate_hz: config.acquisition.rate_hz,
             average: config.estimation.average,
             model: config.estimation.model,
-            systematic: config.systematic(&calibration),
+            systematic: config.systematic(calibration.spread.is_some()),
             calibration,
             expires_days: config.calibration.expires_days,
             deviations: config.publishing.deviations,

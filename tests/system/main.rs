@@ -40,4 +40,5 @@ mod soak;
 mod stream;
 mod tables;
 mod tune;
+mod uncertainty;
 mod workspace;

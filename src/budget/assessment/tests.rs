@@ -10,7 +10,8 @@ fn basis(text: &str) -> (Basis<'static>, Config) {
         Basis {
             instrument,
             components: Components::new(&config, 1, None),
-            calibration: Err("no record".into()),
+            calibration: None,
+            objection: Some("no record".into()),
         },
         config,
     )
@@ -136,7 +137,8 @@ fn a_calibration_record_enters_with_its_correlations() {
     let basis = Basis {
         instrument: config.instrument().unwrap(),
         components: Components::new(&config, 1_000_000, Some(&Rigid::identity())),
-        calibration: Ok(&Record),
+        calibration: Some(&Record),
+        objection: None,
     };
     let far = basis.assess(&pose([1000.0, 0.0, 0.0, 0.0, 0.0, 0.0])).unwrap();
     assert_eq!(far.geometry, Geometry::Calibrated);

@@ -65,6 +65,11 @@ impl CalibrationState {
         self.standing == Standing::Valid
     }
 
+    /// Whether the record belongs to the configuration, expired or not: it states what is unknown of the geometry.
+    pub fn belongs(&self) -> bool {
+        matches!(self.standing, Standing::Valid | Standing::Expired)
+    }
+
     /// The end of the calibration: the earlier one of that in the record and that of the configuration.
     pub fn expiry(&self, expires_days: Option<f64>) -> Option<Timestamp> {
         let record = self.record.as_ref()?;

@@ -50,15 +50,9 @@ impl Components {
         let mut all = Self::default();
         all.noise(config, average);
         all.converter(config);
+        all.systematic(config, table.is_some());
         if table.is_none() {
-            all.systematic(config);
             all.residue(config);
-        } else if config.estimation.systematic() != [0.0; 6] {
-            all.notes.push(
-                "estimation.systematic_um and systematic_urad do not count: the calibration record states the uncertainty of \
-                 the geometry"
-                    .into(),
-            );
         }
         all.light(config);
         all.temperature(config);
@@ -183,9 +177,13 @@ impl Components {
         }
     }
 
-    /// What stands for the errors of a head without a calibration record.
-    fn systematic(&mut self, config: &Config) {
-        let systematic = config.estimation.systematic();
+    /// What stands for the errors of the head's geometry.
+    fn systematic(&mut self, config: &Config, recorded: bool) {
+        let systematic = config.systematic(recorded);
+        if systematic != config.estimation.systematic() {
+            let why = "the calibration record states the uncertainty of the geometry";
+            self.notes.push(format!("estimation.systematic_um and systematic_urad do not count: {why}"));
+        }
         for (name, key, unit, axes, from) in [
             ("systematic, position", "estimation.systematic_um", Unit::Metre, XYZ, 0),
             ("systematic, rotation", "estimation.systematic_urad", Unit::Radian, ANGLES, 3),

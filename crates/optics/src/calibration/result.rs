@@ -273,3 +273,6 @@ fn radical_inverse(mut k: usize, base: usize) -> f64 {
     }
     value
 }
+
+#[cfg(test)]
+mod tests;
