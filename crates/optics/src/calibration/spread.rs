@@ -40,8 +40,9 @@ pub struct SpreadData {
     slopes: Quadratic,
     /// The coefficients of the errors of the PSDs, metres.
     errors: Vec<f64>,
-    /// Covariance of the coefficients: lower triangle, by rows.
-    maps: Vec<f32>,
+    /// Covariance of the coefficients: lower triangle, by rows. In double precision: what the data do not tell of the
+    /// coefficients is a thousand times what remains of it in a difference of poses.
+    maps: Vec<f64>,
     /// Covariance of each coefficient with the geometry.
     cross: Vec<f64>,
     /// Covariance of the geometry.
@@ -187,7 +188,7 @@ impl Calibration {
             let covariance = half.columns(from, rows).tr_mul(&half.columns(0, from + rows));
             for (i, row) in (from..from + rows).enumerate() {
                 if row < coefficients {
-                    data.maps.extend((0..=row).map(|k| covariance[(i, k)] as f32));
+                    data.maps.extend((0..=row).map(|k| covariance[(i, k)]));
                 }
             }
         }
@@ -247,8 +248,8 @@ impl Spread {
             && data.cross.len() == n * GEOMETRY
             && data.geometry.len() == GEOMETRY * GEOMETRY
             && data.slopes.is_usable(SLOPES);
-        let doubles = data.errors.iter().chain(&data.cross).chain(&data.geometry);
-        let finite = doubles.clone().all(|x| x.is_finite()) && data.maps.iter().all(|x| x.is_finite());
+        let numbers = data.errors.iter().chain(&data.maps).chain(&data.cross).chain(&data.geometry);
+        let finite = numbers.copied().all(f64::is_finite);
         (sized && finite).then_some(Self { data, lattices, starts })
     }
 
@@ -296,7 +297,7 @@ impl Spread {
         let n = self.data.errors.len();
         let (a, b) = (a.max(b), a.min(b));
         match (a.checked_sub(n), b.checked_sub(n)) {
-            (None, _) => f64::from(self.data.maps[a * (a + 1) / 2 + b]),
+            (None, _) => self.data.maps[a * (a + 1) / 2 + b],
             (Some(g), None) => self.data.cross[b * GEOMETRY + g],
             (Some(g), Some(h)) => self.data.geometry[g * GEOMETRY + h],
         }
