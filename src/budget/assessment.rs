@@ -159,7 +159,7 @@ impl Basis<'_> {
 
     /// Adds the rows of the calibration; returns the correlation of all inputs.
     fn add_calibration(&self, covariance: &Matrix6<f64>, groups: &mut Vec<Group>) -> DMatrix<f64> {
-        let source = self.calibration.map_or(String::new(), |calibration| calibration.source());
+        let source = self.calibration.map_or(String::new(), PoseCovariance::source);
         let std = covariance.diagonal().map(|variance| variance.max(0.0).sqrt());
         let first: usize = groups.iter().map(|group| group.inputs.len()).sum();
         for (name, unit, from) in
