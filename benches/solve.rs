@@ -5,18 +5,36 @@
 //! fair comparison. Warm: the solver starts from the solution of the previous sample, which differs by one
 //! standard deviation of the noise. Cold: it starts from zero. Before the measurement, the results are
 //! checked to agree within 1e-12 m and rad.
+//!
+//! Group "frame": samples of the twin to frames of 192 bytes, without and with the systematic part of the uncertainty
+//! (a calibration and what `[uncertainty]` states). At rest only the noise moves the spots; the mirror that moves by
+//! 1 mm with 1 Hz needs the systematic part anew some hundred times a second. Both take turns, and the shortest of their
+//! times count: `cargo bench --bench solve -- frame`.
 
 use std::hint::black_box;
+use std::time::Instant;
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::{Matrix6, Owned, U6, Vector6};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
+use trifacet::config::{CalibrationContext, CalibrationState, SharedSpread, Standing, Tables, parse};
+use trifacet::core::centering::LoopState;
+use trifacet::core::pipeline::Measurement;
+use trifacet::core::signals::Sample;
+use trifacet::core::stamp::Stamp;
+use trifacet::core::time::Mono;
+use trifacet::twin::Twin;
+use trifacet_optics::calibration::fit::{FIRST_FIELD, Job, fit};
+use trifacet_optics::calibration::parameters::Tolerances;
+use trifacet_optics::calibration::point::{Known, Point};
 use trifacet_optics::ray::Ray;
 use trifacet_optics::{Estimator, Head, Model, Optics, Pose, Psd, Signals, Solution, Vec2, Vec3};
 
 const CASES: usize = 64;
+/// Turns of the comparison of frames.
+const ROUNDS: usize = 100;
 
 /// The six-signal problem in the form that the crate requires.
 #[derive(Clone)]
@@ -179,9 +197,92 @@ fn solve(criterion: &mut Criterion) {
     }
 }
 
+/// What a calibration with a stage leaves unknown of the default head.
+fn spread() -> SharedSpread {
+    let config = parse("", None).expect("the default configuration");
+    let nominal = trifacet::calibration::nominal(&config).expect("the default head");
+    let optics = Optics::new(&nominal.head);
+    let mut random = Pcg64Mcg::seed_from_u64(3);
+    let mut draw = |scale: f64| random.random_range(-scale..scale);
+    let mut points = Vec::new();
+    while points.len() < 150 {
+        let pose = [1.1e-3, 1.1e-3, 1.1e-3, 5.5e-3, 5.5e-3, 5.5e-3].map(&mut draw);
+        let Ok(reading) = optics.trace(Model::Gaussian, &Pose::from_array(pose), Vec2::zeros()) else {
+            continue;
+        };
+        points.push(Point {
+            spots: reading.spots,
+            spot_deviations: [0.1e-6; 6],
+            powers: reading.powers,
+            power_deviations: reading.powers.map(|power| 1e-4 * power),
+            reference: std::array::from_fn(|i| {
+                Some(Known { value: pose[i], deviation: if i < 3 { 0.1e-6 } else { 0.5e-6 } })
+            }),
+            steering: None,
+            run: None,
+        });
+    }
+    let tolerances = Tolerances::default();
+    let job = Job { nominal: &nominal, tolerances: &tolerances, points: &points, fields: &[FIRST_FIELD] };
+    let calibration = fit(job, |_| ()).expect("a fit").calibration;
+    SharedSpread(calibration.spread().expect("a covariance").into())
+}
+
+const REST: &str = "twin.motion = []\n";
+const MOVING: &str =
+    "twin.motion = [{ axis = 'tz', kind = 'sine', amount_um = 1000.0, frequency_hz = 1.0 }]\n";
+const STATED: &str =
+    "[uncertainty]\ntemperature_range_k = 0.1\npointing_urad = 0.5\nreference_scale_ppm = 20\n";
+
+/// Samples of the twin at 10 kHz, and what makes frames of them.
+fn samples(text: &str, calibration: CalibrationState) -> (Vec<Sample>, Measurement) {
+    let text = format!("acquisition.rate_hz = 10000\n{text}");
+    let context = CalibrationContext {
+        config: parse(&text, None).expect("a configuration"),
+        tables: Tables::default(),
+        calibration,
+    };
+    let mut twin = Twin::new(&context.config).expect("a twin");
+    let mut measurement = context.config.measurement(&context).expect("a head");
+    measurement.source(twin.identity().clone().into()).expect("all signals");
+    let scans = (0..4096).map(|k| twin.next_scan().arrived(Mono(100_000 * k), 0).expect("a scan"));
+    let samples = scans.map(|scan| measurement.mapping.sample(&scan).expect("a sample")).collect();
+    (samples, measurement)
+}
+
+/// Seconds for a frame from each of these samples.
+fn seconds(samples: &[Sample], measurement: &mut Measurement) -> f64 {
+    let (state, stamp) = (LoopState::default(), Stamp::example());
+    let start = Instant::now();
+    for sample in samples {
+        let report = measurement.sample(black_box(sample), &state).expect("a report");
+        black_box(report.frame(stamp).encode());
+    }
+    start.elapsed().as_secs_f64() / samples.len() as f64
+}
+
+fn frame(_: &mut Criterion) {
+    let calibrated = CalibrationState { record: None, standing: Standing::Valid, spread: Some(spread()) };
+    let uncertain = CalibrationState { standing: Standing::Valid, ..CalibrationState::default() };
+    for (motion, mirror) in [(REST, "at rest"), (MOVING, "moving by 1 mm with 1 Hz")] {
+        let (plain, mut without) = samples(motion, uncertain.clone());
+        let (stated, mut with) = samples(&format!("{motion}{STATED}"), calibrated.clone());
+        let mut least = [f64::INFINITY; 2];
+        for _ in 0..ROUNDS {
+            least[0] = least[0].min(seconds(&plain, &mut without));
+            least[1] = least[1].min(seconds(&stated, &mut with));
+        }
+        let [without, with] = least.map(|s| s * 1e6);
+        println!(
+            "frame, mirror {mirror}: {without:.3} us without the systematic part, {with:.3} us with it: {:+.1} %",
+            (with / without - 1.0) * 100.0
+        );
+    }
+}
+
 criterion_group! {
     name = benches;
     config = Criterion::default().sample_size(50).measurement_time(std::time::Duration::from_secs(3));
-    targets = solve
+    targets = solve, frame
 }
 criterion_main!(benches);

@@ -251,7 +251,7 @@ mod tests {
     use trifacet_wire::channel::MAX_CHANNELS;
 
     use super::*;
-    use crate::config::Config;
+    use crate::config::{CalibrationState, Config};
 
     fn sample(index: u64) -> Sample {
         Sample {
@@ -306,7 +306,7 @@ mod tests {
         let config = Config::default();
         let (mut intake, mut estimation) = intake(&config);
         let change = || {
-            let settings = config.estimation_settings(false, 7).unwrap();
+            let settings = config.estimation_settings(&CalibrationState::default(), 7).unwrap();
             SettingsChange { channels: None, settings, context: Arc::default(), done: oneshot::channel().0 }
         };
         for index in 1..=3 {

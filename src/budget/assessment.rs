@@ -5,11 +5,10 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use trifacet_budget::validation::tolerance;
 use trifacet_budget::{Budget, BudgetError, Input, MonteCarlo, Sampler, SamplerError, Stop, Validation};
+use trifacet_core::uncertainty::{Effect, Instrument, InstrumentError, Measurement, Moment};
 use trifacet_optics::{Pose, Rigid};
 
-use super::components::{Components, NotCovered};
-use super::instrument::{Instrument, InstrumentError, Measurement};
-use super::quantity::{Effect, Group, Moment, Unit};
+use crate::config::{Components, Group, NotCovered, Unit};
 
 /// Names and units of the measurands.
 pub const MEASURANDS: [(&str, Unit); 6] = [
@@ -61,8 +60,10 @@ pub struct Basis<'a> {
     pub instrument: Instrument,
     /// The quantities that the configuration states.
     pub components: Components,
-    /// The valid calibration record, or why no record is valid.
-    pub calibration: Result<&'a dyn PoseCovariance, String>,
+    /// The calibration record that belongs to the configuration.
+    pub calibration: Option<&'a dyn PoseCovariance>,
+    /// Why the head does not count as calibrated.
+    pub objection: Option<String>,
 }
 
 /// The budget at a pose.
@@ -80,14 +81,14 @@ pub struct Assessment {
     pub notes: Vec<String>,
     /// Whether it covers the geometry of the head: by a calibration record, or as configured.
     pub geometry: Geometry,
-    /// Why there is no valid calibration record.
+    /// Why the head does not count as calibrated.
     pub objection: Option<String>,
 }
 
 /// What stands for the errors of the head's geometry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Geometry {
-    /// A calibration record.
+    /// A calibration record, which may have expired.
     Calibrated,
     /// `estimation.systematic_um` and `systematic_urad`.
     Configured,
@@ -109,7 +110,7 @@ impl Basis<'_> {
         let measure = |pose| Ok((pose, self.instrument.measure(pose)?));
         let measurements = poses.iter().map(measure).collect::<Result<Vec<_>, AssessmentError>>()?;
         let mut covariances = vec![None; poses.len()];
-        if let (Ok(calibration), Some((_, first))) = (&self.calibration, measurements.first()) {
+        if let (Some(calibration), Some((_, first))) = (&self.calibration, measurements.first()) {
             let sensor: Vec<_> = measurements.iter().map(|(_, m)| m.sensor_pose(Moment::Pose)).collect();
             let known = calibration.relative_to(&first.sensor_pose(Moment::Tare), &sensor);
             covariances = known.ok_or(AssessmentError::Calibration)?.into_iter().map(Some).collect();
@@ -136,7 +137,7 @@ impl Basis<'_> {
         let count = inputs.len();
         let mut sensitivities = DMatrix::zeros(6, count);
         for (i, (input, effect)) in inputs.iter().enumerate() {
-            sensitivities.set_column(i, &nalgebra::Vector6::from(slope(measurement, *effect, input.std)?));
+            sensitivities.set_column(i, &nalgebra::Vector6::from(measurement.slope(*effect, input.std)?));
         }
         let inputs = inputs.into_iter().map(|(input, _)| input).collect();
         let configured =
@@ -147,18 +148,18 @@ impl Basis<'_> {
             groups,
             not_covered: self.components.not_covered.clone(),
             notes: self.components.notes.clone(),
-            geometry: match (self.calibration.is_ok(), configured) {
+            geometry: match (self.calibration.is_some(), configured) {
                 (true, _) => Geometry::Calibrated,
                 (false, true) => Geometry::Configured,
                 (false, false) => Geometry::NotCovered,
             },
-            objection: self.calibration.as_ref().err().cloned(),
+            objection: self.objection.clone(),
         })
     }
 
     /// Adds the rows of the calibration; returns the correlation of all inputs.
     fn add_calibration(&self, covariance: &Matrix6<f64>, groups: &mut Vec<Group>) -> DMatrix<f64> {
-        let source = self.calibration.as_ref().map_or(String::new(), |calibration| calibration.source());
+        let source = self.calibration.map_or(String::new(), PoseCovariance::source);
         let std = covariance.diagonal().map(|variance| variance.max(0.0).sqrt());
         let first: usize = groups.iter().map(|group| group.inputs.len()).sum();
         for (name, unit, from) in
@@ -254,16 +255,6 @@ fn candidates([metres, radians]: [f64; 2]) -> Vec<Pose> {
     poses
 }
 
-/// The derivative of the pose with respect to a quantity, over plus and minus its standard uncertainty (JCGM 100,
-/// 5.1.3, note 2).
-fn slope(measurement: &Measurement<'_>, effect: Effect, std: f64) -> Result<[f64; 6], InstrumentError> {
-    // A quantity without uncertainty has a derivative all the same.
-    let step = if std > 0.0 { std } else { 1e-8 };
-    let moved = |by: f64| measurement.pose(std::iter::once((effect, by)));
-    let (high, low) = (moved(step)?, moved(-step)?);
-    Ok(std::array::from_fn(|j| (high[j] - low[j]) / (2.0 * step)))
-}
-
 impl Assessment {
     /// The place of the first input of each row, and their number.
     pub fn rows(&self) -> impl Iterator<Item = (&Group, std::ops::Range<usize>)> {
@@ -294,7 +285,12 @@ impl Assessment {
             count => format!("{count} effects that the configuration does not state are not covered"),
         };
         match self.geometry {
-            Geometry::Calibrated => format!("The head is calibrated; {rest}."),
+            Geometry::Calibrated if self.objection.is_none() => format!("The head is calibrated; {rest}."),
+            Geometry::Calibrated => {
+                format!(
+                    "Not calibrated: {objection}. Its record stands for the geometry of the head; {rest}."
+                )
+            }
             Geometry::Configured => format!(
                 "Not calibrated: {objection}. estimation.systematic_um and systematic_urad stand for the geometry of the \
                  head; {rest}."

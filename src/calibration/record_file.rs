@@ -12,7 +12,7 @@ use trifacet_optics::calibration::map::{Field, Lattice};
 use trifacet_optics::calibration::parameters::{Nominal, Parameter, Tolerances, parameters};
 use trifacet_optics::calibration::result::Calibration;
 
-use crate::config::{RecordError, RecordHeader, contents, parsed};
+use crate::config::{RecordError, RecordHeader, contents, parsed, spread_bytes};
 
 /// A record: the header, and the parameters with their covariance.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -39,6 +39,9 @@ pub struct Record {
     factor: String,
     /// Diagonal of S.
     scale: String,
+    /// What the frames need, see [`SharedSpread`](crate::config::SharedSpread): base64.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    spread: Option<String>,
 }
 
 /// A geometric parameter before and after the fit.
@@ -126,6 +129,7 @@ impl Record {
             theta: encode(calibration.theta.iter().copied()),
             factor: encode(calibration.factor.packed()),
             scale: encode(calibration.factor.scale().iter().copied()),
+            spread: calibration.spread().map(|spread| STANDARD.encode(spread_bytes(&spread))),
         }
     }
 

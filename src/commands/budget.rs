@@ -1,14 +1,14 @@
 //! `trifacet budget`: the uncertainty budget of a pose relative to the tare.
 
 use std::io::{self, Write};
+use std::path::PathBuf;
 
 use trifacet::budget::assessment::{AssessmentError, Basis, PoseCovariance};
-use trifacet::budget::components::Components;
 use trifacet::budget::formats::{Range, Report};
-use trifacet::budget::instrument::{Instrument, InstrumentError};
 use trifacet::budget::record::Recorded;
-use trifacet::config::CalibrationContext;
+use trifacet::config::{CalibrationContext, Components};
 use trifacet::exit::{self, Failure};
+use trifacet_core::uncertainty::InstrumentError;
 use trifacet_optics::Pose;
 
 use super::{ConfigArg, within, written};
@@ -93,15 +93,17 @@ pub(crate) fn budget(args: &BudgetArgs) -> anyhow::Result<()> {
     let config = &context.config;
     let average = args.average.unwrap_or(config.estimation.average.into());
     let recorded = recorded(&context)?;
-    let mut instrument = Instrument::new(config).map_err(|error| failure(&error.into()))?;
-    let table = recorded.as_ref().ok().map(PoseCovariance::table);
+    let mut instrument =
+        config.instrument().map_err(|error| Failure::new(exit::CONFIG, error.to_string()))?;
+    let table = recorded.as_ref().map(PoseCovariance::table);
     if let Some(table) = table {
         instrument = instrument.calibrated_at(table);
     }
     let basis = Basis {
         instrument,
         components: Components::new(config, average, table.as_ref()),
-        calibration: recorded.as_ref().map(|recorded| recorded as &dyn PoseCovariance).map_err(Clone::clone),
+        calibration: recorded.as_ref().map(|recorded| recorded as &dyn PoseCovariance),
+        objection: context.calibration.objection(),
     };
     let (assessment, range) = if let Some(pose) = &args.pose {
         (basis.assess(pose).map_err(|error| failure(&error))?, None)
@@ -140,21 +142,21 @@ pub(crate) fn budget(args: &BudgetArgs) -> anyhow::Result<()> {
     written(io::stdout().lock().write_all(text.as_bytes()))
 }
 
-/// The calibration record, if it is valid; otherwise why not.
-fn recorded(context: &CalibrationContext) -> Result<Result<Recorded, String>, Failure> {
-    if let Some(objection) = context.calibration.objection() {
-        return Ok(Err(objection));
-    }
-    let Some(path) = &context.config.calibration.record else { return Ok(Err("there is no record".into())) };
-    let wrong =
-        |error| Failure::new(exit::CONFIG, format!("calibration.record: {}: {error}", path.display()));
-    Recorded::read(path).map(Ok).map_err(wrong)
+/// The calibration record, if it belongs to the configuration.
+fn recorded(context: &CalibrationContext) -> Result<Option<Recorded>, Failure> {
+    let path = context.config.calibration.record.as_ref().filter(|_| context.calibration.belongs());
+    let read = |path: &PathBuf| {
+        let wrong =
+            |error| Failure::new(exit::CONFIG, format!("calibration.record: {}: {error}", path.display()));
+        Recorded::read(path).map_err(wrong)
+    };
+    path.map(read).transpose()
 }
 
 /// A pose outside the range is wrong data; a head that does not exist is a wrong configuration.
 fn failure(error: &AssessmentError) -> Failure {
     let code = match error {
-        AssessmentError::Instrument(InstrumentError::Head(_) | InstrumentError::Tare(_)) => exit::CONFIG,
+        AssessmentError::Instrument(InstrumentError::Tare(_)) => exit::CONFIG,
         AssessmentError::Instrument(_) | AssessmentError::Calibration => exit::DATA,
         AssessmentError::Budget(_) | AssessmentError::Sampler(_) => exit::SOFTWARE,
     };

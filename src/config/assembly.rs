@@ -3,21 +3,26 @@
 //! The units of the file are converted to SI units here.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use trifacet_core::centering::controller::Controller;
 use trifacet_core::centering::lock::LockLimits;
 use trifacet_core::centering::{Centering, LoopParams};
 use trifacet_core::channels::{Channels, MissingSignal, PsdChannels};
+use trifacet_core::estimation::by_pose::ByPose;
 use trifacet_core::estimation::integrity::Readback;
 use trifacet_core::estimation::{Estimation, Frames, Settings};
 use trifacet_core::pipeline::{Mapping, Measurement, Pipeline};
 use trifacet_core::steering::{BeamMap, BeamOffset, BeamPoint, StagePosition};
-use trifacet_optics::{Estimator, FACETS, HeadError, Optics};
+use trifacet_core::uncertainty::{Instrument, Stated};
+use trifacet_optics::{Estimator, FACETS, HeadError, Optics, Pose, Rigid, Vec2};
 use trifacet_wire::Status;
 
 use super::correction::{CorrectionFileError, parse_correction};
-use super::{CalibrationContext, CenteringConfig, Config, FramesConfig, SteeringConfig, TableError, Tables};
-use crate::config::RecordError;
+use super::{
+    CalibrationContext, CalibrationState, CenteringConfig, Components, Config, FramesConfig, RecordError,
+    SteeringConfig, TableError, Tables,
+};
 use crate::exit::{self, Failure};
 
 /// Why the parameters cannot be built from a configuration.
@@ -147,8 +152,19 @@ impl Config {
     /// Fails if the geometry does not describe a sensor head, or if a correction table is not valid.
     pub fn measurement(&self, context: &CalibrationContext) -> Result<Measurement, AssemblyError> {
         let channels = self.channels(&context.tables)?;
-        let settings = self.estimation_settings(context.calibrated(), context.id())?;
+        let settings = self.estimation_settings(&context.calibration, context.id())?;
         Ok(Measurement { mapping: Mapping::new(channels), estimation: Estimation::new(settings) })
+    }
+
+    /// The instrument of which the uncertainty is computed.
+    ///
+    /// # Errors
+    /// Fails if the geometry does not describe a sensor head.
+    pub fn instrument(&self) -> Result<Instrument, HeadError> {
+        let [base, tare, tool] = [self.frames.base, self.frames.tare, self.frames.tool].map(|t| t.build());
+        // pose = tare^-1 * base * sensor * tool is the identity at the tare.
+        let tare = self.frames.is_tared().then(|| base.inverse() * tare * tool.inverse());
+        Ok(Instrument::new(self.head.build()?, self.estimation.model.into(), tool, tare))
     }
 
     /// The whole pipeline in its initial state, without a source of samples.
@@ -160,22 +176,60 @@ impl Config {
         Ok(Pipeline::new(self.measurement(context)?, self.centering_loop()?, silence))
     }
 
-    /// The parameters of estimation, in SI units. `calibrated`: a valid calibration record belongs to the
-    /// configuration. `id`: the fingerprint of the configuration, see [`Config::id`].
+    /// The systematic uncertainty that depends on the pose, with the frames and the head of `settings`.
+    fn by_pose(
+        &self,
+        settings: &Settings,
+        calibration: &CalibrationState,
+    ) -> Result<Option<Arc<ByPose>>, HeadError> {
+        let spread = calibration.spread.as_ref().map(|spread| Arc::clone(&spread.0));
+        if spread.is_none() && !self.uncertainty.states_anything() {
+            return Ok(None);
+        }
+        let (optics, frames) = (settings.estimator.optics(), &settings.frames);
+        // A tare may only move the coordinates: the mirror cannot be where poses are zero then.
+        let zeros = [Some(frames.zero()), spread.as_ref().map(|spread| spread.zero_pose())];
+        let reachable = |zero: &Pose| optics.trace(settings.estimator.model(), zero, Vec2::zeros()).is_ok();
+        let zero = zeros.into_iter().flatten().find(reachable).unwrap_or_default();
+        let table = spread.as_ref().map(|spread| spread.table());
+        let quantities = Components::new(self, 1, table.as_ref()).by_pose(self.frames.is_tared());
+        let instrument = Instrument::new(
+            self.head.build()?,
+            self.estimation.model.into(),
+            self.frames.tool.build(),
+            Some(Rigid::from(&zero)),
+        );
+        let stated =
+            Stated::new(&instrument.calibrated_at(table.unwrap_or_else(Rigid::identity)), &quantities);
+        if stated.is_none() {
+            tracing::warn!(
+                "frames do not include what [uncertainty] states: no light reaches the PSDs at the tare pose"
+            );
+        }
+        Ok(ByPose::new(spread, stated, optics, &zero).map(Arc::new))
+    }
+
+    /// The parameters of estimation, in SI units. `calibration`: that of the configuration. `id`: the fingerprint of the
+    /// configuration, see [`Config::id`].
     ///
     /// # Errors
     /// Fails if the geometry does not describe a sensor head.
-    pub fn estimation_settings(&self, calibrated: bool, id: u32) -> Result<Settings, HeadError> {
+    pub fn estimation_settings(
+        &self,
+        calibration: &CalibrationState,
+        id: u32,
+    ) -> Result<Settings, HeadError> {
         let estimation = &self.estimation;
         let mut fixed = Status::default();
-        fixed.set(Status::UNCALIBRATED, !calibrated);
-        Ok(Settings {
+        fixed.set(Status::UNCALIBRATED, !calibration.is_valid());
+        let mut settings = Settings {
             estimator: Estimator::new(self.optics()?, estimation.model.into()),
             rate_hz: self.acquisition.rate_hz,
             average: estimation.average,
             spot_noise: estimation.spot_noise_um * 1e-6,
             power_noise: estimation.power_noise,
-            systematic: estimation.systematic(),
+            systematic: self.systematic(calibration.spread.is_some()),
+            by_pose: None,
             amplifiers: self.channels.psds().map(|psd| psd.amplifier),
             readback: Readback::new(self.steering.beam_map(), self.steering.beam_sigma_um() * 1e-6),
             fuse: estimation.fuse_steering,
@@ -184,7 +238,16 @@ impl Config {
             fixed,
             frames: self.frames.build(),
             config: id,
-        })
+        };
+        settings.by_pose = self.by_pose(&settings, calibration)?;
+        Ok(settings)
+    }
+
+    /// Standard uncertainties that averaging does not reduce, the same at every pose: `estimation.systematic_um` and
+    /// `systematic_urad`, in SI units. They stand for the errors of the head's geometry. Where a calibration record states
+    /// what is unknown of it (`recorded`) they do not count, unless a PSD may have moved since (`steering.origin_verified`).
+    pub fn systematic(&self, recorded: bool) -> [f64; 6] {
+        if recorded && self.steering.origin_verified { [0.0; 6] } else { self.estimation.systematic() }
     }
 }
 
@@ -222,6 +285,7 @@ impl FramesConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Standing;
 
     #[test]
     fn the_default_configuration_has_the_default_parameters_of_the_core() {
@@ -230,7 +294,8 @@ mod tests {
         assert_eq!(config.head.build().unwrap(), trifacet_optics::Head::default());
         let (channels, nominal) = (config.channels(&Tables::default()).unwrap(), Channels::default());
         assert_eq!(format!("{channels:?}"), format!("{nominal:?}"));
-        let settings = config.estimation_settings(true, 0).unwrap();
+        let valid = CalibrationState { standing: Standing::Valid, ..CalibrationState::default() };
+        let settings = config.estimation_settings(&valid, 0).unwrap();
         let nominal = Settings::new(config.optics().unwrap(), trifacet_optics::Model::Gaussian);
         assert_eq!(format!("{settings:?}"), format!("{nominal:?}"));
     }

@@ -5,10 +5,9 @@ use std::path::PathBuf;
 use jiff::Timestamp;
 use trifacet_optics::FACETS;
 
-use super::Config;
 use super::assembly::AssemblyError;
 use super::file::read_regular;
-use crate::config::CalibrationState;
+use super::{CalibrationState, Config};
 
 /// Contents of the correction tables of PSDs A, B and C.
 ///
@@ -74,7 +73,10 @@ impl CalibrationContext {
         let tables = Tables::read(&config)?;
         let channels = config.channels(&tables)?;
         let record = config.calibration.read().map_err(AssemblyError::Record)?;
-        let calibration = CalibrationState::of(&config, &channels, record, Timestamp::now());
+        let mut calibration = CalibrationState::of(&config, &channels, record, Timestamp::now());
+        if calibration.belongs() {
+            calibration.spread = config.calibration.read_spread().map_err(AssemblyError::Record)?;
+        }
         Ok(Self { config, tables, calibration })
     }
 

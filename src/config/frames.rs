@@ -55,6 +55,11 @@ impl TransformConfig {
 }
 
 impl FramesConfig {
+    /// Whether there is a tare.
+    pub fn is_tared(&self) -> bool {
+        self.tare != TransformConfig::default()
+    }
+
     pub(super) fn check(&self, mut at: Checker<'_>) {
         self.base.check(at.section("base"));
         self.tool.check(at.section("tool"));

@@ -53,9 +53,10 @@ pub use acquisition::{AcquisitionConfig, SerialConfig, SourceKind};
 pub use assembly::AssemblyError;
 pub use board_place::BoardPlace;
 pub use calibration::{
-    CalibrationConfig, CalibrationState, FORMAT, RecordError, RecordHeader, Standing, fingerprint,
+    CalibrationConfig, CalibrationState, FORMAT, RecordError, RecordHeader, SharedSpread, Standing,
+    fingerprint,
 };
-pub(crate) use calibration::{contents, parsed};
+pub(crate) use calibration::{contents, parsed, spread_bytes};
 pub use calibration_context::{CalibrationContext, TableError, Tables};
 pub use centering::{CenteringConfig, Gains};
 pub use channels::{ChannelsConfig, PsdChannelsConfig};
@@ -74,7 +75,7 @@ pub use log::{LogConfig, LogFormat};
 pub use monitor::{MonitorConfig, Token};
 pub use motion::{Axis, Motion, MotionKind};
 pub use network::{Network, NetworkError};
-pub use publishing::{PublishingConfig, UdpTarget};
+pub use publishing::{Deviations, PublishingConfig, UdpTarget};
 pub use realtime::RealtimeConfig;
 pub use recording::{Compression, RecordingConfig, RecordingMode};
 pub use replay::ReplayConfig;
@@ -83,7 +84,7 @@ pub use steering::{NO_TILT, POINTING_UM, SteeringConfig, SteeringKind, SteeringK
 pub use tune::TuneConfig;
 pub use twin::{TwinConfig, TwinSteering};
 pub use twin_head::{TwinBeam, TwinPsd, TwinPsds, TwinStage, TwinTemperature, TwinTolerances};
-pub use uncertainty::UncertaintyConfig;
+pub use uncertainty::{Components, Group, NotCovered, UncertaintyConfig, Unit};
 
 /// The whole configuration.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -6,6 +6,7 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
+use trifacet_wire::PoseFrame;
 
 use super::check::Checker;
 use super::destination::{Destination, Host, is_interface};
@@ -32,6 +33,44 @@ pub struct PublishingConfig {
     pub subscribe: Option<SocketAddr>,
     /// Largest number of subscribers at a time.
     pub subscribers: usize,
+    /// Which standard uncertainties the frames of 192 bytes carry.
+    pub deviations: Deviations,
+}
+
+/// Which standard uncertainties a frame carries.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Deviations {
+    /// Random and systematic part together.
+    #[default]
+    Total,
+    /// The random part, for receivers that average or filter the poses.
+    Random,
+}
+
+impl Deviations {
+    /// The name in the configuration.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Total => "total",
+            Self::Random => "random",
+        }
+    }
+
+    /// The frame with these standard uncertainties, of a frame with the total.
+    pub fn stated(self, frame: &PoseFrame) -> PoseFrame {
+        let of = |total: f32, part: f32| {
+            let random = (f64::from(total).powi(2) - f64::from(part).powi(2)).max(0.0).sqrt() as f32;
+            if total.is_finite() { random } else { total }
+        };
+        match frame.systematic {
+            Some(part) if self == Self::Random => {
+                let deviations = std::array::from_fn(|i| of(frame.deviations[i], part[i]));
+                PoseFrame { deviations, ..*frame }
+            }
+            _ => *frame,
+        }
+    }
 }
 
 /// A target of datagrams: an address, or a table with options.
@@ -88,6 +127,7 @@ impl Default for PublishingConfig {
             udp: vec![UdpTarget::to(SocketAddr::from(([127, 0, 0, 1], 7362)))],
             subscribe: None,
             subscribers: 32,
+            deviations: Deviations::Total,
         }
     }
 }

@@ -21,6 +21,12 @@ pub fn log_calibration(calibration: &CalibrationState, expires_days: Option<f64>
         (Some(why), Some(record)) => tracing::warn!(record, "{why}: the frames carry UNCALIBRATED"),
         (_, None) => {}
     }
+    if calibration.belongs() && calibration.spread.is_none() {
+        tracing::warn!(
+            "the calibration record does not contain what frames need: they do not state what the calibration left unknown; \
+             calibrate again"
+        );
+    }
 }
 
 /// Puts the end of a calibration in force when its time has come. Never returns.

@@ -234,10 +234,13 @@ impl RunningConfig {
             || next.steering != self.running.steering
             || next.laser != self.running.laser
             || next.calibration != self.running.calibration
+            || next.uncertainty != self.running.uncertainty
+            || next.centering.lock_limit_um != self.running.centering.lock_limit_um
             || channels.is_some()
             || calibration.is_some()
         {
-            self.change_meaning(&next, channels, calibration).await?;
+            // In a box of its own: it is large, and part of the future of every command.
+            Box::pin(self.change_meaning(&next, channels, calibration)).await?;
         }
         if next.centering != self.running.centering || next.steering != self.running.steering {
             // The limits first: the loop must not act before the stage has them.
@@ -268,12 +271,13 @@ impl RunningConfig {
         let (channels, tables) =
             channels.map_or_else(|| (None, self.tables.clone()), |(map, tables)| (Some(map), tables));
         facts.calibration = calibration.unwrap_or(facts.calibration);
+        facts.systematic = next.systematic(facts.calibration.spread.is_some());
         facts.expires_days = next.calibration.expires_days;
         let calibration = facts.calibration.clone();
         let context = Arc::new(CalibrationContext { config: next.clone(), tables, calibration });
         facts.id.config = context.id();
         let settings = next
-            .estimation_settings(facts.calibration.is_valid(), facts.id.config)
+            .estimation_settings(&facts.calibration, facts.id.config)
             .map_err(|e| Failure::new(exit::SOFTWARE, format!("the head cannot be built: {e}")))?;
         let tables = context.tables.clone();
         ask(&self.fast.changes, FAST_SIDE_TIMEOUT, |done| SettingsChange {

@@ -198,7 +198,8 @@ async fn datagrams(
     let subscribers = server.as_ref().map(SubscriptionServer::subscribers);
     let mut supervisor = udp::Supervisor::new(&config.udp, subscribers.clone());
     supervisor.resolve_names().await;
-    let sender = udp::Sender::new([supervisor.targets()].into_iter().chain(subscribers));
+    let sender =
+        udp::Sender::new([supervisor.targets()].into_iter().chain(subscribers)).stating(config.deviations);
     Ok((server, supervisor, sender))
 }
 

@@ -131,6 +131,7 @@ pub(super) fn serve(
         clients: config.publishing.tcp_clients,
         queue: config.publishing.tcp_queue,
         allow: config.publishing.allow.clone(),
+        deviations: config.publishing.deviations,
         ..tcp::Limits::default()
     };
     let publishing = &config.publishing;

@@ -3,7 +3,7 @@
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 use trifacet_wire::frame::{CLOCK_UNKNOWN, PoseFrame};
-use trifacet_wire::layout::{BEAM, DEVIATIONS, POSE, POWERS, SPOTS, STEERING};
+use trifacet_wire::layout::{BEAM, DEVIATIONS, POSE, POWERS, SPOTS, STEERING, SYSTEMATIC};
 
 /// The value of a column.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,6 +57,7 @@ impl Columns {
             ("session", Value::Count(frame.session.into())),
             ("config", Value::Count(frame.config.into())),
         ]);
+        columns.extend(singles(SYSTEMATIC, frame.systematic.unwrap_or([f32::NAN; 6])));
         Self(columns)
     }
 

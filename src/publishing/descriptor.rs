@@ -9,8 +9,7 @@ use trifacet_wire::stream::{CalibrationEntry, Descriptor, FieldEntry, Heartbeat,
 use trifacet_wire::{LockState, Status};
 
 use super::publisher::StreamId;
-use crate::config::CalibrationState;
-use crate::config::{Config, Model};
+use crate::config::{CalibrationState, Config, Deviations, Model};
 
 /// The facts about the stream that the descriptor needs from outside this module.
 #[derive(Clone, Debug)]
@@ -29,6 +28,8 @@ pub struct StreamFacts {
     pub expires_days: Option<f64>,
     /// As in [`Descriptor::systematic`].
     pub systematic: [f64; 6],
+    /// Which standard uncertainties binary frames carry.
+    pub deviations: Deviations,
 }
 
 impl StreamFacts {
@@ -39,9 +40,10 @@ impl StreamFacts {
             sample_rate_hz: config.acquisition.rate_hz,
             average: config.estimation.average,
             model: config.estimation.model,
+            systematic: config.systematic(calibration.spread.is_some()),
             calibration,
             expires_days: config.calibration.expires_days,
-            systematic: config.estimation.systematic(),
+            deviations: config.publishing.deviations,
         }
     }
 
@@ -55,6 +57,7 @@ impl StreamFacts {
             calibration: CalibrationState::default(),
             expires_days: None,
             systematic: [0.0; 6],
+            deviations: Deviations::Total,
         }
     }
 
@@ -77,6 +80,7 @@ impl StreamFacts {
             uncalibrated: facts.calibration.objection(),
             calibration: calibration_entry(&facts.calibration, facts.expires_days),
             systematic: facts.systematic,
+            deviations: facts.deviations.name().into(),
             units: words(&[
                 ("length", "m"),
                 ("angle", "rad"),

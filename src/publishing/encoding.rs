@@ -13,6 +13,7 @@ use trifacet_wire::stream::{
 };
 
 use super::columns::Columns;
+use crate::config::Deviations;
 
 /// A frame, encoded once and shared by all TCP clients.
 #[derive(Clone, Debug)]
@@ -25,10 +26,11 @@ pub struct EncodedFrame {
 }
 
 impl EncodedFrame {
-    /// Encodes the next frame of the stream.
-    pub fn new(frame: PoseFrame, hold: &mut Hold) -> Self {
-        let held = hold.next(&frame).map(|held| (held, held.encode()));
-        Self { frame, bytes: frame.encode(), held, came: Instant::now() }
+    /// Encodes the next frame of the stream. The binary form carries these standard uncertainties.
+    pub fn new(frame: PoseFrame, hold: &mut Hold, deviations: Deviations) -> Self {
+        let encode = |frame: &PoseFrame| deviations.stated(frame).encode();
+        let held = hold.next(&frame).map(|held| (held, encode(&held)));
+        Self { frame, bytes: encode(&frame), held, came: Instant::now() }
     }
 
     /// The frame without a held pose.

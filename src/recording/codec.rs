@@ -14,8 +14,9 @@ use trifacet_wire::Status;
 
 use super::message::{self, Time, Unknown};
 use super::{Entry, Keyframe, Topic};
-use crate::config::{CalibrationContext, ConfigError, Tables, parse};
-use crate::config::{CalibrationState, Standing};
+use crate::config::{
+    CalibrationContext, CalibrationState, ConfigError, SharedSpread, Standing, Tables, parse,
+};
 
 /// Version of this program. The state of another version may have another format.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -231,6 +232,7 @@ fn config(stamp: Time, context: &CalibrationContext) -> Result<message::Config, 
         toml: context.config.to_text()?,
         tables: (a, b, c),
         calibration: serde_json::to_string(&context.calibration).unwrap_or_default(),
+        spread: context.calibration.spread.as_ref().map(SharedSpread::to_bytes).unwrap_or_default(),
     })
 }
 
@@ -314,14 +316,20 @@ fn context(message: message::Config) -> Result<CalibrationContext, DecodeError> 
     let config = parse(&message.toml, None).map_err(DecodeError::Config)?;
     let (a, b, c) = message.tables;
     let tables = Tables([a, b, c].map(|table| (!table.is_empty()).then_some(table)));
-    let calibration = match message.calibration.as_str() {
+    let spread = message.spread;
+    let mut calibration: CalibrationState = match message.calibration.as_str() {
         // Versions without records: a head with three tables counted as calibrated.
         "" if tables.0.iter().all(Option::is_some) => {
-            CalibrationState { record: None, standing: Standing::Valid }
+            CalibrationState { standing: Standing::Valid, ..CalibrationState::default() }
         }
         "" => CalibrationState::default(),
         json => serde_json::from_str(json).map_err(|e| DecodeError::Calibration(e.to_string()))?,
     };
+    if !spread.is_empty() {
+        let usable = SharedSpread::from_bytes(&spread);
+        let wrong = || DecodeError::Calibration("its covariance is not usable".into());
+        calibration.spread = Some(usable.ok_or_else(wrong)?);
+    }
     Ok(CalibrationContext { config, tables, calibration })
 }
 

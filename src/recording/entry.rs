@@ -22,6 +22,7 @@ const QUEUE: usize = 128 * 1024;
 
 /// A recorded event, in the order in which estimation processed it.
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "nearly all entries are samples and frames")]
 pub enum Entry {
     /// The state from which a replay can start.
     Keyframe(Box<Keyframe>),

@@ -66,6 +66,14 @@ pub struct Frame {
     spots: [f32; 6],
     powers: [f32; 3],
     steering: [f32; 2],
+    /// NaN in recordings of versions without it: their messages end before this field, which must remain the last.
+    #[serde(deserialize_with = "systematic_if_recorded")]
+    systematic: [f32; 6],
+}
+
+#[expect(clippy::unnecessary_wraps, reason = "the signature that serde expects")]
+fn systematic_if_recorded<'de, D: Deserializer<'de>>(from: D) -> Result<[f32; 6], D::Error> {
+    Ok(<[f32; 6]>::deserialize(from).unwrap_or([f32::NAN; 6]))
 }
 
 impl Frame {
@@ -94,6 +102,7 @@ impl Frame {
             spots: frame.spots,
             powers: frame.powers,
             steering: frame.steering,
+            systematic: frame.systematic.unwrap_or([f32::NAN; 6]),
         }
     }
 
@@ -123,6 +132,7 @@ impl Frame {
             spots: self.spots,
             powers: self.powers,
             steering: self.steering,
+            systematic: (!self.systematic.iter().all(|x| x.is_nan())).then_some(self.systematic),
         };
         Ok((frame, Mono(self.monotonic_ns)))
     }
@@ -277,16 +287,19 @@ pub struct Config {
     pub toml: String,
     /// Contents of the correction tables of PSD A, B and C; empty: no table.
     pub tables: (Vec<u8>, Vec<u8>, Vec<u8>),
-    /// The calibration in force, in JSON; empty in recordings of versions without calibration records. It must remain
-    /// the last field: their messages end before it.
+    /// The calibration in force, in JSON; empty in recordings of versions without calibration records. This and the next
+    /// field must remain the last, in this order: the messages of earlier versions end before them.
     #[serde(deserialize_with = "if_recorded")]
     pub calibration: String,
+    /// What the calibration leaves unknown of poses; empty: nothing is known of it.
+    #[serde(deserialize_with = "if_recorded")]
+    pub spread: Vec<u8>,
 }
 
-/// The text; empty where the message ends before it.
+/// The value; empty where the message ends before it.
 #[expect(clippy::unnecessary_wraps, reason = "the signature that serde expects")]
-fn if_recorded<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error> {
-    Ok(String::deserialize(from).unwrap_or_default())
+fn if_recorded<'de, D: Deserializer<'de>, T: Deserialize<'de> + Default>(from: D) -> Result<T, D::Error> {
+    Ok(T::deserialize(from).unwrap_or_default())
 }
 
 /// `/trifacet/source`.

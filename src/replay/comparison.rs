@@ -176,7 +176,7 @@ fn with_earlier_names(then: Status, now: Status) -> Option<Status> {
     (noisy && low != 0).then_some(Status(now.0 & !Status::POWER_NOISY.0 | low))
 }
 
-/// Whether two frames are equal bit by bit, including NaN.
+/// Whether a recorded frame and another one are equal bit by bit, including NaN.
 fn equal(a: &PoseFrame, b: &PoseFrame) -> bool {
     let doubles = |f: &PoseFrame| f.pose.map(f64::to_bits);
     let singles = |f: &PoseFrame| {
@@ -194,7 +194,13 @@ fn equal(a: &PoseFrame, b: &PoseFrame) -> bool {
         let PoseFrame { config, sample_index, status, clock_quality, lock, .. } = *f;
         (config, sample_index, status, clock_quality, lock, f.iterations, f.averaged, f.lost)
     };
-    doubles(a) == doubles(b) && singles(a) == singles(b) && rest(a) == rest(b)
+    let systematic = |f: &PoseFrame| f.systematic.map(|part| part.map(f32::to_bits));
+    // Versions without the systematic part recorded none.
+    let unrecorded = a.systematic.is_none();
+    doubles(a) == doubles(b)
+        && singles(a) == singles(b)
+        && rest(a) == rest(b)
+        && (unrecorded || systematic(a) == systematic(b))
 }
 
 fn difference(pair: &Pair<'_>) -> Difference {

@@ -130,8 +130,9 @@ fn a_state_from_before_covered_areas_is_read() {
     });
     let memory = memory.unwrap();
     let bytes = postcard::to_stdvec(memory).unwrap();
-    assert!(memory.has_coverage() && bytes.ends_with(&[1, 0]), "the coverage is at the end");
-    let earlier: EstimatorState = postcard::from_bytes(&bytes[..bytes.len() - 2]).unwrap();
+    // The coverage, and no systematic part that depends on the pose.
+    assert!(memory.has_coverage() && bytes.ends_with(&[1, 0, 0]), "the coverage is at the end");
+    let earlier: EstimatorState = postcard::from_bytes(&bytes[..bytes.len() - 3]).unwrap();
     assert!(!earlier.has_coverage());
     let as_then = postcard::to_stdvec(&memory.as_far_as(&earlier)).unwrap();
     assert_eq!(as_then, postcard::to_stdvec(&earlier).unwrap());

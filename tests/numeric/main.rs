@@ -6,6 +6,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod accuracy;
+mod calibrated;
 mod centering;
 mod false_alarms;
 mod misprints;

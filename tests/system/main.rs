@@ -41,4 +41,5 @@ mod soak;
 mod stream;
 mod tables;
 mod tune;
+mod uncertainty;
 mod workspace;

@@ -7,7 +7,7 @@ use std::sync::mpsc;
 
 use crate::testkit::{self, Daemon, Folder, Killed, PATIENCE, on, run};
 
-mod solve_options;
+pub(crate) mod solve_options;
 
 /// Runs the binary with this standard input.
 fn trifacet(arguments: &[&str], input: &[u8]) -> Output {

@@ -178,6 +178,7 @@ pub(super) struct Subscribed {
 }
 
 /// A datagram from the daemon.
+#[expect(clippy::large_enum_variant, reason = "one at a time, and most are frames")]
 enum Said {
     Granted,
     Challenge,

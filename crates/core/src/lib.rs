@@ -6,6 +6,7 @@
 //! - [`light_checks`]: samples to doubts about the light.
 //! - [`self_check`]: does the pose depend on the beam position?
 //! - [`pipeline`]: mapping, centering and estimation together, with an example.
+//! - [`uncertainty`]: what a pose depends on, and how much.
 //! - [`signals`], [`steering`], [`time`], [`utc`], [`telemetry`]: types that these parts share.
 //!
 //! Lengths are metres, angles radians, times nanoseconds of the monotonic clock ([`time`]).
@@ -22,4 +23,5 @@ pub mod stamp;
 pub mod steering;
 pub mod telemetry;
 pub mod time;
+pub mod uncertainty;
 pub mod utc;

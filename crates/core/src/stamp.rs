@@ -1,5 +1,6 @@
 //! Conversion of a report to a pose frame.
 
+use nalgebra::Matrix6;
 use trifacet_optics::Pose;
 use trifacet_wire::frame::CLOCK_UNKNOWN;
 use trifacet_wire::{PoseFrame, Status};
@@ -47,7 +48,10 @@ impl PoseReport {
         }
         let unreliable = report.time_sigma_ns.is_some_and(|sigma_ns| sigma_ns > RELIABLE_NS);
         status.set(Status::CLOCK_UNSYNCED, !stamp.synced || unreliable);
-        let variances = pose.and(report.covariance).map(|c| c.diagonal());
+        let roots = |covariance: Option<Matrix6<f64>>| {
+            let variances = pose.and(covariance).map(|c| c.diagonal());
+            variances.map_or([f32::NAN; 6], |v| std::array::from_fn(|i| v[i].sqrt() as f32))
+        };
         PoseFrame {
             session: stamp.session,
             config: stamp.config,
@@ -61,7 +65,8 @@ impl PoseReport {
             lock: report.lock,
             iterations: report.iterations,
             pose: pose.map_or([f64::NAN; 6], Pose::to_array),
-            deviations: variances.map_or([f32::NAN; 6], |v| std::array::from_fn(|i| v[i].sqrt() as f32)),
+            deviations: roots(report.covariance),
+            systematic: report.systematic.map(|_| roots(report.systematic)),
             beam_offset: report.offset.map_or([f32::NAN; 2], |o| o.map(|x| x as f32)),
             steering_residual: report.steering_residual.map_or(f32::NAN, |x| x as f32),
             averaged: report.averaged,

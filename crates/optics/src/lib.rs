@@ -49,6 +49,7 @@ mod jacobian;
 mod linear;
 pub mod model;
 pub mod pose;
+pub mod quadratic;
 pub mod ray;
 pub mod relative;
 

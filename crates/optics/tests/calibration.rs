@@ -13,6 +13,7 @@ use trifacet_optics::calibration::mistakes;
 use trifacet_optics::calibration::parameters::{Nominal, Tolerances};
 use trifacet_optics::calibration::point::{Known, Point};
 use trifacet_optics::calibration::result::{Calibration, Raw};
+use trifacet_optics::calibration::spread::Spread;
 use trifacet_optics::{Estimator, Head, Model, Optics, Pose, Rigid, Signals};
 
 type Table = Vec<HashMap<String, f64>>;
@@ -152,6 +153,61 @@ fn a_fit_repeats_to_the_last_digit() {
     let job = Job { nominal: &nominal, tolerances: &tolerances, points: &points[..60], fields: &fields };
     let [a, b] = [0, 1].map(|_| fit(job, |_| ()).unwrap().calibration.theta);
     assert_eq!(a, b);
+}
+
+/// The covariance for every frame agrees with that of all parameters: within the range of the run and somewhat beyond,
+/// for several zeros.
+#[test]
+fn the_covariance_for_every_frame_is_that_of_the_calibration() {
+    let (points, nominal, tolerances) = (points("rough"), nominal(), Tolerances::default());
+    let fields = [fit::FIRST_FIELD];
+    let job = Job { nominal: &nominal, tolerances: &tolerances, points: &points[..300], fields: &fields };
+    let calibration = fit(job, |_| ()).unwrap().calibration;
+    let spread = calibration.spread().unwrap();
+    let spread = Spread::new(spread.data().clone()).unwrap();
+    let [base, tool] = calibration.base_and_tool();
+    let seen = |k: u32, scale: f64| {
+        let unit = |axis: u32| (f64::from(k) * 0.618_034 * f64::from(axis + 1).sqrt()).fract() * 2.0 - 1.0;
+        let pose = std::array::from_fn(|i| unit(i as u32) * scale * if i < 3 { 1e-3 } else { 5e-3 });
+        let reference = Pose::from_array(pose);
+        let raw = calibration.reading(&reference)?;
+        let mut spots = raw.spots;
+        for i in 0..3 {
+            let [du, dv] = calibration.correction(i, [raw.spots[2 * i], raw.spots[2 * i + 1]]);
+            spots[2 * i] += du;
+            spots[2 * i + 1] += dv;
+        }
+        let sensor = Pose::from(&(base.inverse() * Rigid::from(&reference) * tool.inverse()));
+        Some((reference, raw, sensor, spots))
+    };
+    for (zero, near, scale, most) in
+        [(0, 0.0, 1.0, 0.05), (0, 0.0, 0.1, 0.05), (7, 1.0, 1.0, 0.05), (0, 0.0, 1.3, 0.1)]
+    {
+        let zero = seen(zero, near).unwrap();
+        let prepared = spread.zero(&zero.2, &zero.3);
+        let all: Vec<_> = (1..=100).filter_map(|k| seen(k, scale)).collect();
+        let raws: Vec<_> = all.iter().map(|(_, raw, ..)| *raw).collect();
+        let exact = calibration.relative_covariances(&raws, &zero.1).unwrap();
+        let (mut ratios, mut forms) = (Vec::new(), Vec::new());
+        for ((reference, _, sensor, spots), exact) in all.iter().zip(exact) {
+            let exact = exact.unwrap();
+            let found = spread.relative(&prepared, sensor, spots);
+            let at = Pose::from(&(Rigid::from(&zero.0).inverse() * Rigid::from(reference)));
+            let axes = zero.0.rotation().transpose() * base.rotation;
+            let mut turn = Matrix6::zeros();
+            turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&axes);
+            turn.fixed_view_mut::<3, 3>(3, 3).copy_from(&(at.euler_rates() * axes));
+            let found = turn * found.covariance * turn.transpose();
+            let deviation = |c: &Matrix6<f64>, i: usize| c[(i, i)].sqrt();
+            ratios.extend((0..6).map(|i| deviation(&found, i) / deviation(&exact, i)));
+            forms.push((exact.cholesky().unwrap().inverse() * found).trace() / 6.0);
+        }
+        ratios.sort_by(f64::total_cmp);
+        forms.sort_by(f64::total_cmp);
+        let ends = |x: &[f64]| [x[0], x[x.len() / 2], x[x.len() - 1]];
+        assert!(ratios.iter().all(|ratio| (ratio - 1.0).abs() < most), "{:?}", ends(&ratios));
+        assert!(forms.iter().all(|form| (form - 1.0).abs() < 2.0 * most), "{:?}", ends(&forms));
+    }
 }
 
 /// What the check before a fit says about the points of the mild head, changed.

@@ -39,6 +39,8 @@ pub struct PoseFrame {
     pub pose: [f64; 6],
     /// Standard uncertainty of each component of the pose; infinite with `POSE_HELD`.
     pub deviations: [f32; 6],
+    /// The part of it that averaging does not reduce. Not in the bytes of a frame: `None` after decoding.
+    pub systematic: Option<[f32; 6]>,
     /// Beam centre minus apex, x and y across the beam, metres.
     pub beam_offset: [f32; 2],
     /// Distance between the beam position from the steering readback and the one from the nine signals,
@@ -106,6 +108,7 @@ impl PoseFrame {
             iterations: 2,
             pose: [1e-6, -2e-6, 3e-6, 4e-6, -5e-6, 6e-6],
             deviations: [2e-6; 6],
+            systematic: None,
             beam_offset: [0.5e-6, -0.25e-6],
             steering_residual: 1e-7,
             averaged: 1,
@@ -166,6 +169,7 @@ impl PoseFrame {
             iterations: u8::from_le_bytes(r.take()),
             pose: core::array::from_fn(|_| f64::from_le_bytes(r.take())),
             deviations: r.take_f32s(),
+            systematic: None,
             beam_offset: r.take_f32s(),
             steering_residual: f32::from_le_bytes(r.take()),
             averaged: u16::from_le_bytes(r.take()),

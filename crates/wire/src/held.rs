@@ -22,6 +22,7 @@ impl Hold {
             status: frame.status | Status::POSE_HELD,
             pose: last.pose,
             deviations: [f32::INFINITY; 6],
+            systematic: last.systematic.map(|_| [f32::INFINITY; 6]),
             ..*frame
         })
     }

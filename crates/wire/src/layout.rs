@@ -72,7 +72,7 @@ pub const FIELDS: [Field; 32] = [
 ];
 
 /// The names of a frame's values in text formats (JSON, CSV), in order.
-pub const COLUMNS: [&str; 41] = [
+pub const COLUMNS: [&str; 47] = [
     "sequence",
     "sample_index",
     "time",
@@ -114,6 +114,12 @@ pub const COLUMNS: [&str; 41] = [
     "clock_sigma_s",
     "session",
     "config",
+    "sys_sd_tx_m",
+    "sys_sd_ty_m",
+    "sys_sd_tz_m",
+    "sys_sd_roll_rad",
+    "sys_sd_pitch_rad",
+    "sys_sd_yaw_rad",
 ];
 
 /// The names of the pose components: m and rad.
@@ -121,6 +127,9 @@ pub const POSE: [&str; 6] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "y
 /// The names of their standard uncertainties.
 pub const DEVIATIONS: [&str; 6] =
     ["sd_tx_m", "sd_ty_m", "sd_tz_m", "sd_roll_rad", "sd_pitch_rad", "sd_yaw_rad"];
+/// The names of the part of them that averaging does not reduce.
+pub const SYSTEMATIC: [&str; 6] =
+    ["sys_sd_tx_m", "sys_sd_ty_m", "sys_sd_tz_m", "sys_sd_roll_rad", "sys_sd_pitch_rad", "sys_sd_yaw_rad"];
 /// The names of the beam offset, metres.
 pub const BEAM: [&str; 2] = ["beam_dx_m", "beam_dy_m"];
 /// The names of the spots, metres.

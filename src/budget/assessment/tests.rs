@@ -5,12 +5,13 @@ use crate::config::{Config, parse};
 
 fn basis(text: &str) -> (Basis<'static>, Config) {
     let config = parse(text, None).unwrap();
-    let instrument = Instrument::new(&config).unwrap();
+    let instrument = config.instrument().unwrap();
     (
         Basis {
             instrument,
             components: Components::new(&config, 1, None),
-            calibration: Err("no record".into()),
+            calibration: None,
+            objection: Some("no record".into()),
         },
         config,
     )
@@ -134,9 +135,10 @@ fn a_calibration_record_enters_with_its_correlations() {
     let config =
         parse("frames.tool.translation_mm = [0, 0, -100]\nuncertainty.lever_arm_um = 0", None).unwrap();
     let basis = Basis {
-        instrument: Instrument::new(&config).unwrap(),
+        instrument: config.instrument().unwrap(),
         components: Components::new(&config, 1_000_000, Some(&Rigid::identity())),
-        calibration: Ok(&Record),
+        calibration: Some(&Record),
+        objection: None,
     };
     let far = basis.assess(&pose([1000.0, 0.0, 0.0, 0.0, 0.0, 0.0])).unwrap();
     assert_eq!(far.geometry, Geometry::Calibrated);
@@ -178,6 +180,6 @@ fn poses_are_relative_to_the_tare_of_the_configuration() {
         assert!((a - b).abs() < 1e-11, "{a} {b}");
     }
     let off = parse("frames.tare.translation_mm = [500, 0, 0]", None).unwrap();
-    let error = Instrument::new(&off).unwrap().measure(&user).unwrap_err().to_string();
+    let error = off.instrument().unwrap().measure(&user).unwrap_err().to_string();
     assert!(error.starts_with("the tare pose is outside the range"), "{error}");
 }

@@ -5,7 +5,7 @@ use std::ops::Range;
 use trifacet_budget::{Budget, Input};
 
 use super::super::assessment::Assessment;
-use super::super::quantity::{Group, Unit};
+use crate::config::{Group, Unit};
 
 /// A row of the table. Numbers in SI units.
 #[derive(Clone, Debug)]

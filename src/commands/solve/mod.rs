@@ -74,7 +74,7 @@ pub(crate) fn solve(args: &SolveArgs) -> anyhow::Result<()> {
         readings,
         estimator: Estimator::new(config.optics()?, model),
         frames: if args.frames { config.frames.build() } else { Frames::default() },
-        systematic: config.estimation.systematic(),
+        systematic: config.systematic(calibration.is_some()),
         sigma: args.sigma,
         calibration,
         tare: args.tare_row.map(|row| Tare { row, solved: None }),

@@ -316,6 +316,7 @@ mod tests {
             lock: LockState::Locked,
             iterations: 2,
             pose: [1.234_567e-6, -0.1, 12.345_678_9, 3.1, -2e-9, f64::NAN],
+            systematic: None,
             deviations: [1e-7, 2e-3, f32::INFINITY, f32::NAN, 1e-9, 1e-6],
             beam_offset: [0.5e-6, -1.25e-6],
             steering_residual: 0.0,

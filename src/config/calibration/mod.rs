@@ -1,7 +1,7 @@
 //! `[calibration]`: the record of the head's calibration, and whether it is valid.
 //!
 //! A record is a file `calibration.json` beside the configuration (`calibration.record`). Its header is small and is
-//! read at every start; the rest, from which uncertainties are computed, is read only by the commands that need it.
+//! read at every start, as is the covariance for the frames; the rest is read only by the commands that need it.
 
 use std::path::PathBuf;
 
@@ -9,11 +9,14 @@ use serde::{Deserialize, Serialize};
 
 mod fingerprint;
 mod record;
+mod spread;
 mod standing;
 
 pub use fingerprint::fingerprint;
 pub use record::{FORMAT, RecordError, RecordHeader};
 pub(crate) use record::{contents, parsed};
+pub use spread::SharedSpread;
+pub(crate) use spread::spread_bytes;
 pub use standing::{CalibrationState, Standing};
 
 use super::check::{Checker, above_zero};
@@ -40,6 +43,14 @@ impl CalibrationConfig {
     /// Fails if the record cannot be read or used.
     pub fn read(&self) -> Result<Option<RecordHeader>, RecordError> {
         self.record.as_deref().map(RecordHeader::open).transpose()
+    }
+
+    /// Reads what the calibration leaves unknown of poses. Blocks.
+    ///
+    /// # Errors
+    /// Fails if the record cannot be read or used.
+    pub fn read_spread(&self) -> Result<Option<SharedSpread>, RecordError> {
+        self.record.as_deref().map_or(Ok(None), SharedSpread::open)
     }
 
     /// Checks that the record can be read. Blocks.

@@ -4,7 +4,7 @@ use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 use trifacet_core::channels::Channels;
 
-use super::{RecordHeader, fingerprint};
+use super::{RecordHeader, SharedSpread, fingerprint};
 use crate::config::Config;
 
 /// Seconds per day.
@@ -17,6 +17,9 @@ pub struct CalibrationState {
     pub record: Option<RecordHeader>,
     /// Whether it is valid.
     pub standing: Standing,
+    /// What it leaves unknown of poses, if the record contains it.
+    #[serde(skip)]
+    pub spread: Option<SharedSpread>,
 }
 
 /// Whether a calibration is valid.
@@ -42,7 +45,7 @@ impl CalibrationState {
             Some(record) if record.fits == fingerprint(config, channels) => Standing::Valid,
             Some(_) => Standing::Misfit,
         };
-        Self { record, standing }.at(now, config.calibration.expires_days)
+        Self { record, standing, spread: None }.at(now, config.calibration.expires_days)
     }
 
     /// The same calibration at another time. `expires_days`: as in the configuration.
@@ -54,12 +57,17 @@ impl CalibrationState {
             Standing::Expired => Standing::Valid, // the limit or the clock was set
             standing => standing,
         };
-        Self { record: self.record.clone(), standing }
+        Self { standing, ..self.clone() }
     }
 
     /// Whether the head counts as calibrated.
     pub fn is_valid(&self) -> bool {
         self.standing == Standing::Valid
+    }
+
+    /// Whether the record belongs to the configuration, expired or not: it states what is unknown of the geometry.
+    pub fn belongs(&self) -> bool {
+        matches!(self.standing, Standing::Valid | Standing::Expired)
     }
 
     /// The end of the calibration: the earlier one of that in the record and that of the configuration.

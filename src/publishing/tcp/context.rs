@@ -13,7 +13,7 @@ use trifacet_core::centering::lock::LockCondition;
 use trifacet_core::telemetry::Counters;
 
 use super::Sources;
-use crate::config::Network;
+use crate::config::{Deviations, Network};
 use crate::publishing::encoding::EncodedFrame;
 
 /// Longest time for a refused client to read the reason.
@@ -32,6 +32,8 @@ pub struct Limits {
     pub idle: Duration,
     /// A client that accepts no data for this time is disconnected: the connection is half-open or hangs.
     pub stall: Duration,
+    /// Which standard uncertainties binary frames carry.
+    pub deviations: Deviations,
 }
 
 impl Default for Limits {
@@ -42,6 +44,7 @@ impl Default for Limits {
             allow: Network::loopback(),
             idle: Duration::from_mins(1),
             stall: Duration::from_secs(10),
+            deviations: Deviations::Total,
         }
     }
 }

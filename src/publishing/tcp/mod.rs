@@ -27,6 +27,7 @@ use self::client::Client;
 pub use self::context::Limits;
 use self::context::{ServerContext, part};
 use super::encoding::{EncodedFrame, farewell};
+use crate::config::Deviations;
 use crate::exit::Failure;
 use crate::listening::{Accepting, open_tcp};
 
@@ -68,7 +69,8 @@ pub async fn serve(
 ) {
     let (ring, idle_ring) = broadcast::channel(limits.queue.clamp(1, 1 << 20));
     let (newest_in, newest) = watch::channel(None);
-    let mut broadcaster = Broadcaster { ring, newest: newest_in, hold: Hold::default() };
+    let mut broadcaster =
+        Broadcaster { ring, newest: newest_in, hold: Hold::default(), deviations: limits.deviations };
     let ending = CancellationToken::new();
     let context = ServerContext { sources, limits, counters, newest, ending: ending.clone() };
     let mut server = Server { context: context.into(), clients: JoinSet::new(), partings: JoinSet::new() };
@@ -90,13 +92,14 @@ struct Broadcaster {
     ring: broadcast::Sender<Arc<EncodedFrame>>,
     newest: watch::Sender<Option<Arc<EncodedFrame>>>,
     hold: Hold,
+    deviations: Deviations,
 }
 
 impl Broadcaster {
     /// Runs until the channel closes.
     async fn run(&mut self, frames: &mut mpsc::Receiver<PoseFrame>) {
         while let Some(frame) = frames.recv().await {
-            let encoded = Arc::new(EncodedFrame::new(frame, &mut self.hold));
+            let encoded = Arc::new(EncodedFrame::new(frame, &mut self.hold, self.deviations));
             self.newest.send_replace(Some(Arc::clone(&encoded)));
             // Fails if there is no client, which is not a loss.
             let _ = self.ring.send(encoded);

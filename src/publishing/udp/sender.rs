@@ -13,6 +13,7 @@ use trifacet_wire::held::Hold;
 use trifacet_wire::stream::Delivery;
 
 use super::receiver::{Receiver, Way};
+use crate::config::Deviations;
 
 /// A list of receivers that the main thread replaces when it changes.
 pub type Receivers = watch::Receiver<Arc<[Receiver]>>;
@@ -22,6 +23,7 @@ pub type Receivers = watch::Receiver<Arc<[Receiver]>>;
 pub struct Sender {
     lists: Vec<List>,
     hold: Hold,
+    deviations: Deviations,
 }
 
 #[derive(Debug)]
@@ -37,11 +39,22 @@ impl Sender {
             let current = Arc::clone(&newest.borrow_and_update());
             List { newest, current }
         };
-        Self { lists: lists.into_iter().map(list).collect(), hold: Hold::default() }
+        Self {
+            lists: lists.into_iter().map(list).collect(),
+            hold: Hold::default(),
+            deviations: Deviations::Total,
+        }
+    }
+
+    /// The frames carry these standard uncertainties.
+    #[must_use]
+    pub fn stating(self, deviations: Deviations) -> Self {
+        Self { deviations, ..self }
     }
 
     /// Sends a frame to all receivers that are due for it. What is not accepted is counted in `counters`.
     pub fn send(&mut self, frame: &PoseFrame, counters: &Counters) {
+        let frame = &self.deviations.stated(frame);
         let mut forms = Forms::new(frame, self.hold.next(frame));
         for list in &mut self.lists {
             // This check only reads an atomic; the lock is taken on a change. A closed channel changes nothing.

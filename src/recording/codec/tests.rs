@@ -8,7 +8,7 @@ use trifacet_wire::channel::{Converter, Role, SIGNALS};
 use trifacet_wire::{LockState, PoseFrame};
 
 use super::*;
-use crate::config::RecordHeader;
+use crate::config::{CalibrationState, RecordHeader};
 use crate::recording::writer::Writer;
 
 type Messages = Vec<(Topic, i64, Vec<u8>)>;
@@ -140,7 +140,8 @@ fn keyframe() -> Keyframe {
     let text = "estimation.average = 3\nmonitor.token = 'correct-horse-battery'\nmonitor.control = true";
     let config = parse(text, None).unwrap();
     let tables = Tables([None, Some(vec![0xff, 0, b'\n']), Some(b"u_m,v_m".to_vec())]);
-    let mut estimation = Estimation::new(config.estimation_settings(true, 3).unwrap());
+    let mut estimation =
+        Estimation::new(config.estimation_settings(&CalibrationState::default(), 3).unwrap());
     let mut last = None;
     for index in 0..40 {
         let noise = (index as f64).sin() * 1e-6;
@@ -228,7 +229,7 @@ fn the_calibration_is_recorded_and_that_of_earlier_versions_is_known() {
         std_urad: [0.3; 3],
         expires: None,
     };
-    let calibration = CalibrationState { record: Some(record), standing: Standing::Expired };
+    let calibration = CalibrationState { record: Some(record), standing: Standing::Expired, spread: None };
     let table = || Some(b"table".to_vec());
     for (first, standing) in [(table(), Standing::Valid), (None, Standing::Absent)] {
         let tables = Tables([first, table(), Some(b"the last one".to_vec())]);
@@ -242,7 +243,7 @@ fn the_calibration_is_recorded_and_that_of_earlier_versions_is_known() {
         let end = data.windows(12).position(|bytes| bytes == b"the last one").unwrap() + 12;
         data.truncate(end);
         let Entry::Keyframe(back) = decode(&mut Decoder::default(), &messages) else { panic!("no keyframe") };
-        assert_eq!(back.context.calibration, CalibrationState { record: None, standing });
+        assert_eq!(back.context.calibration, CalibrationState { record: None, standing, spread: None });
     }
 }
 

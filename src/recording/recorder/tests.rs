@@ -12,7 +12,7 @@ use trifacet_core::time::{Clock, Mono};
 
 use super::Recorder;
 use crate::clock::SystemClock;
-use crate::config::{CalibrationContext, Config, RecordingConfig, RecordingMode};
+use crate::config::{CalibrationContext, CalibrationState, Config, RecordingConfig, RecordingMode};
 use crate::exit;
 use crate::recording::disk::Disk;
 use crate::recording::handle::{Asked, RecorderCommand, State};
@@ -37,7 +37,9 @@ fn recorder(folder: &Path, mode: RecordingMode) -> (Recorder, Silent, mpsc::Send
     let counters = Arc::new(Counters::default());
     let (records, receiver) = RecordSender::new(Arc::clone(&counters));
     let config = Config::default();
-    let memory = Estimation::new(config.estimation_settings(true, 3).unwrap()).memory().clone();
+    let memory = Estimation::new(config.estimation_settings(&CalibrationState::default(), 3).unwrap())
+        .memory()
+        .clone();
     let context = Arc::new(CalibrationContext { config, ..CalibrationContext::default() });
     let config = RecordingConfig { folder: folder.to_owned(), mode, ..Default::default() };
     let state = Arc::new(State::new(config.mode));

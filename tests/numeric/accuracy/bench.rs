@@ -1,6 +1,6 @@
 //! Samples of the twin through the channel map into estimation, without waiting for real time.
 
-use trifacet::config::Config;
+use trifacet::config::{CalibrationState, Config};
 use trifacet::core::centering::LoopState;
 use trifacet::core::channels::Channels;
 use trifacet::core::estimation::{Estimation, PoseReport};
@@ -21,7 +21,8 @@ impl Bench {
         std::fs::write(file.path(), config).unwrap();
         let config = trifacet::config::load(Some(file.path())).unwrap();
         let channels = config.read_channels().unwrap();
-        let mut estimation = Estimation::new(config.estimation_settings(false, 0).unwrap());
+        let mut estimation =
+            Estimation::new(config.estimation_settings(&CalibrationState::default(), 0).unwrap());
         estimation.source(Twin::new(&config).unwrap().identity().clone().into());
         Self { estimation, channels, config, index: 0 }
     }

@@ -10,7 +10,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use trifacet::acquisition::SourceEvent;
 use trifacet::acquisition::board::{Session, Settings};
-use trifacet::config::{CalibrationContext, Config, FaultKind};
+use trifacet::config::{CalibrationContext, CalibrationState, Config, FaultKind};
 use trifacet::core::centering::{Centering, TimedPose};
 use trifacet::core::estimation::{Estimation, PoseReport};
 use trifacet::core::pipeline::Mapping;
@@ -138,7 +138,7 @@ impl Machine {
     /// New settings while it runs, as a reload hands them to the parts.
     pub(super) fn reload(&mut self, change: impl FnOnce(&mut Config)) {
         change(&mut self.config);
-        self.estimation.retune(self.config.estimation_settings(false, 1).unwrap());
+        self.estimation.retune(self.config.estimation_settings(&CalibrationState::default(), 1).unwrap());
         self.mapping.set_channels(self.config.read_channels().unwrap());
         let command = self.centering.retune(self.config.loop_params()).command;
         self.steer(command, self.now());

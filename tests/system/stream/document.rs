@@ -98,6 +98,7 @@ fn the_example_decodes_to_the_described_values_and_encodes_to_the_same_bytes() {
         lock: LockState::Locked,
         iterations: 2,
         pose: [12.5e-6, -8e-6, 20e-6, 30e-6, -45e-6, 60e-6],
+        systematic: None,
         deviations: [0.99e-6, 0.99e-6, 0.63e-6, 1.77e-6, 1.77e-6, 2.5e-6],
         beam_offset: [0.25e-6, -0.5e-6],
         steering_residual: f32::NAN,

@@ -65,6 +65,7 @@ pub(crate) fn frame(sequence: u64) -> PoseFrame {
         lock: LockState::Off,
         iterations: 1,
         pose: [0.0; 6],
+        systematic: None,
         deviations: [0.0; 6],
         beam_offset: [0.0; 2],
         steering_residual: 0.0,

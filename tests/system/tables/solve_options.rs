@@ -299,7 +299,7 @@ fn the_systematic_part_is_that_of_the_configuration_and_the_total_contains_it() 
 }
 
 /// Points of a stage over a small range, with the noise that they state, for `calibrate fit`.
-fn points(random: &mut Pcg64) -> String {
+pub(crate) fn points(random: &mut Pcg64) -> String {
     const REF_STD: [f64; 6] = [0.1e-6, 0.1e-6, 0.1e-6, 0.5e-6, 0.5e-6, 0.5e-6];
     let span = [0.1e-3, 0.1e-3, 0.1e-3, 0.5e-3, 0.5e-3, 0.5e-3];
     let poses: Vec<[f64; 6]> = (0..80).map(|_| span.map(|most| random.random_range(-most..most))).collect();

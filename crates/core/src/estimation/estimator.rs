@@ -2,11 +2,13 @@
 
 use std::sync::Arc;
 
+use nalgebra::Matrix6;
 use serde::{Deserialize, Deserializer, Serialize};
-use trifacet_optics::{ErrorPropagation, Innovation, Model, Noise, Signals, Solution, SolveError};
+use trifacet_optics::{ErrorPropagation, Innovation, Model, Noise, Pose, Signals, Solution, SolveError};
 use trifacet_wire::{LockState, Status};
 
 use super::block::{Block, Mean};
+use super::by_pose::Computed;
 use super::exposure::{Doubt, Exposure};
 use super::integrity::{Integrity, SlowResidual};
 use super::noise::LiveNoise;
@@ -42,7 +44,7 @@ pub struct EstimatorState {
     /// The light is simulated, not measured.
     simulated: bool,
     index: u64,
-    /// `None` before the first residual, and in recordings of versions that did not have it. The last three fields must
+    /// `None` before the first residual, and in recordings of versions that did not have it. The last four fields must
     /// remain the last, in this order: recordings of earlier versions end before them.
     #[serde(deserialize_with = "if_recorded")]
     slow: Option<SlowResidual>,
@@ -53,6 +55,10 @@ pub struct EstimatorState {
     /// recordings of versions that did not test it.
     #[serde(deserialize_with = "if_recorded")]
     uncovered: Option<bool>,
+    /// The systematic part that depends on the pose, as last computed. `None` where the settings have no such part, and
+    /// in recordings of versions without it.
+    #[serde(deserialize_with = "if_recorded")]
+    by_pose: Option<Computed>,
 }
 
 /// What was learnt of the powers.
@@ -126,7 +132,7 @@ impl Estimation {
         self.settings = settings;
         self.expose();
         self.interrupt();
-        self.memory.warm = None;
+        (self.memory.warm, self.memory.by_pose) = (None, None);
     }
 
     /// As [`Settings::fuses`].
@@ -150,18 +156,33 @@ impl Estimation {
         power_steps.interrupt(&mut powers.history);
     }
 
-    /// A report as published: in the user's frame.
+    /// The last report as published: in the user's frame, with the systematic part that depends on the pose.
     pub fn in_user_frame(&self, report: &PoseReport) -> PoseReport {
         let Some(sensor) = report.pose else { return *report };
         let frames = &self.settings.frames;
         let user = frames.pose(&sensor);
-        let covariance = user.zip(report.covariance).map(|(user, c)| frames.covariance(&sensor, &user, &c));
+        let both = user.zip(report.covariance).map(|(user, c)| {
+            let systematic = self.systematic(&sensor, &user);
+            let by_pose = self.memory.by_pose.as_ref().map_or_else(Matrix6::zeros, |c| c.covariance);
+            (frames.covariance(&sensor, &user, &c) + by_pose, systematic + by_pose)
+        });
         let mut status = report.status;
         if user.is_none() {
             status.0 &= !Status::POSE_VALID.0;
             status |= Status::OUT_OF_RANGE;
         }
-        PoseReport { pose: user, covariance, status, ..*report }
+        let (covariance, systematic) = both.unzip();
+        PoseReport { pose: user, covariance, systematic, status, ..*report }
+    }
+
+    /// The systematic part that is the same at every pose, in the user's frame.
+    fn systematic(&self, sensor: &Pose, user: &Pose) -> Matrix6<f64> {
+        let Settings { systematic, frames, .. } = &self.settings;
+        if *systematic == [0.0; 6] {
+            return Matrix6::zeros();
+        }
+        let own = Matrix6::from_diagonal(&systematic.map(|sigma| sigma * sigma).into());
+        frames.covariance(sensor, user, &own)
     }
 
     /// Records that a source is up.
@@ -285,6 +306,9 @@ impl Estimation {
             report.iterations = error.iterations();
             report.status |= light::reason(&error);
         }
+        if let (Some(by_pose), Some(sensor)) = (&self.settings.by_pose, &report.pose) {
+            by_pose.refresh(&mut self.memory.by_pose, sensor, &self.settings.frames, &report.spots);
+        }
         if let Some(covariance) = &mut report.covariance {
             for (i, sigma) in self.settings.systematic.iter().enumerate() {
                 covariance[(i, i)] += sigma * sigma;
@@ -314,6 +338,7 @@ impl Estimation {
             lock: steering.lock,
             pose: None,
             covariance: None,
+            systematic: None,
             offset: None,
             steering_residual: None,
             mean_residual: None,

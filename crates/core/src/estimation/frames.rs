@@ -53,6 +53,23 @@ impl Frames {
         slope * covariance * slope.transpose()
     }
 
+    /// The pose `sensor` at which the pose in the user's frame is zero.
+    pub fn zero(&self) -> Pose {
+        Pose::from(&(self.outer.inverse() * self.tool.inverse()))
+    }
+
+    /// The covariance of `user`, given that of the shift of a point of the mirror and of the rotation in the world
+    /// frame of the head. The user's pose is `sensor` there.
+    pub fn of_point(&self, sensor: &Pose, user: &Pose, at: &Vec3, covariance: &Matrix6<f64>) -> Matrix6<f64> {
+        let turn = self.outer.rotation;
+        let arm = sensor.t + sensor.rotation() * self.tool.translation - at;
+        let mut slope = Matrix6::zeros();
+        slope.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
+        slope.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-turn * cross(&arm)));
+        slope.fixed_view_mut::<3, 3>(3, 3).copy_from(&(user.euler_rates() * turn));
+        slope * covariance * slope.transpose()
+    }
+
     /// The derivative of the user's pose with respect to the sensor's: tx, ty, tz, roll, pitch, yaw each.
     fn slope(&self, sensor: &Pose, user: &Pose) -> Matrix6<f64> {
         let turn = self.outer.rotation;

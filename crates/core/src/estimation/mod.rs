@@ -7,9 +7,11 @@
 //! - [`forecast`], [`exposure`]: which changes of the power are foreseen, and what the others do to the signals.
 //! - [`frames`]: from the world frame of the head to the user's frame.
 //! - [`noise`], [`power_noise`]: the present noise of the signals.
+//! - [`by_pose`]: the uncertainty that averaging does not reduce and that depends on the pose.
 //! - [`report`]: the result.
 
 pub mod block;
+pub mod by_pose;
 pub mod estimator;
 pub mod exposure;
 pub mod forecast;

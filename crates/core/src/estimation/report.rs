@@ -28,6 +28,9 @@ pub struct PoseReport {
     pub pose: Option<Pose>,
     /// Covariance of tx, ty, tz (m), roll, pitch, yaw (rad); present with the pose.
     pub covariance: Option<Matrix6<f64>>,
+    /// The part of the covariance that averaging does not reduce. Present with the pose in the user's frame; unknown
+    /// before.
+    pub systematic: Option<Matrix6<f64>>,
     /// Beam centre minus apex, across the beam, metres.
     pub offset: Option<[f64; 2]>,
     /// Distance between the beam position from the steering readback and the one from the nine signals,
@@ -50,7 +53,7 @@ pub struct PoseReport {
 }
 
 impl PoseReport {
-    /// A report with every field set, for examples and tests.
+    /// A report with every field set but the systematic part, for examples and tests.
     pub fn example() -> Self {
         Self {
             index: 1234,
@@ -62,6 +65,7 @@ impl PoseReport {
             lock: LockState::Locked,
             pose: Some(Pose::from_array([1e-6, -2e-6, 3e-6, 4e-6, -5e-6, 6e-6])),
             covariance: Some(Matrix6::identity() * 4e-12),
+            systematic: None,
             offset: Some([0.5e-6, -0.25e-6]),
             steering_residual: Some(1e-7),
             mean_residual: Some(MeanResidual { mean: [6e-8, -8e-8], limit: 5e-6, contradicts: false }),

@@ -1,9 +1,12 @@
 //! Parameters of estimation, in SI units.
 
+use std::sync::Arc;
+
 use trifacet_optics::{Estimator, Model, Optics};
 use trifacet_wire::Status;
 
 use super::Frames;
+use super::by_pose::ByPose;
 use super::integrity::Readback;
 use crate::channels::Amplifier;
 
@@ -31,9 +34,11 @@ pub struct Settings {
     pub edge_margin: f64,
     /// Largest deviation of a power fraction from one third without a warning.
     pub balance_limit: f64,
-    /// Standard uncertainties that averaging does not reduce: x, y, z in metres; roll, pitch, yaw in radians. They
-    /// are part of every stated covariance.
+    /// Standard uncertainties that averaging does not reduce, the same at every pose: x, y, z in metres; roll, pitch,
+    /// yaw in radians. They are part of every stated covariance.
     pub systematic: [f64; 6],
+    /// What averaging does not reduce and what depends on the pose. It is part of every stated covariance, too.
+    pub by_pose: Option<Arc<ByPose>>,
     /// Status bits that are always set.
     pub fixed: Status,
     /// From the world frame of the head to the user's frame.
@@ -57,6 +62,7 @@ impl Settings {
             edge_margin: 0.5e-3,
             balance_limit: 0.05,
             systematic: [0.0; 6],
+            by_pose: None,
             fixed: Status::default(),
             frames: Frames::default(),
             config: 0,

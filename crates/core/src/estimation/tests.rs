@@ -62,7 +62,15 @@ fn only_the_pose_is_transformed_to_the_users_frame() {
     assert!((pose.t.x - 1e-6 - 0.2e-6).abs() < 1e-11, "{pose:?}");
     let sd = user.covariance.unwrap()[(0, 0)].sqrt();
     assert!((sd - 2e-6 * 1.0016_f64.sqrt()).abs() < 1e-12, "{sd}");
-    assert_eq!(PoseReport { pose: sensor.pose, covariance: sensor.covariance, ..user }, sensor);
+    assert_eq!(
+        PoseReport {
+            pose: sensor.pose,
+            covariance: sensor.covariance,
+            systematic: sensor.systematic,
+            ..user
+        },
+        sensor
+    );
 }
 
 #[test]
@@ -74,8 +82,13 @@ fn a_pose_without_defined_angles_has_a_reason_instead() {
     let user = estimation.in_user_frame(&PoseReport::example());
     assert_eq!((user.pose, user.covariance), (None, None));
     assert!(user.status.has(Status::OUT_OF_RANGE) && !user.status.has(Status::POSE_VALID));
-    let dark =
-        PoseReport { pose: None, covariance: None, status: Status::PSD_A_LOW, ..PoseReport::example() };
+    let dark = PoseReport {
+        pose: None,
+        covariance: None,
+        systematic: None,
+        status: Status::PSD_A_LOW,
+        ..PoseReport::example()
+    };
     assert_eq!(estimation.in_user_frame(&dark), dark);
 }
 

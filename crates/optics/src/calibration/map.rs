@@ -111,6 +111,11 @@ impl Lattice {
         &self.cells
     }
 
+    /// The nodes with unknowns, in units of the knots, in the order of their places.
+    pub(super) fn nodes(&self) -> &[[i32; 2]] {
+        &self.nodes
+    }
+
     /// Distance of the knots, metres.
     pub fn knots(&self) -> f64 {
         self.knots

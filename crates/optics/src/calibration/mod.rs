@@ -16,7 +16,7 @@
 //! - [`gauge`]: what no measurement can tell.
 //! - [`held_out`]: the test of a fit on points that it has not seen.
 //! - [`mistakes`]: signs, axes and units that are plainly wrong.
-//! - [`result`]: the calibrated head, and the covariance of its poses.
+//! - [`result`]: the calibrated head, and the covariance of its poses. [`spread`]: the same covariance for every frame.
 
 pub mod cholesky;
 pub mod fit;
@@ -33,6 +33,7 @@ pub mod point;
 pub mod pointing;
 pub mod result;
 mod session;
+pub mod spread;
 
 /// Elements of a symmetric matrix and of vectors over all parameters.
 pub(crate) type Matrix = nalgebra::DMatrix<f64>;

@@ -13,7 +13,7 @@ use super::point::Point;
 use crate::{Ellipse, Head, Model, Optics, Pose, Relative, Rigid, Vec2};
 
 /// Standard uncertainty of a spot by what the splines cannot follow and by the pitch of the tables, metres.
-const RESIDUE: f64 = 0.014e-6;
+pub(super) const RESIDUE: f64 = 0.014e-6;
 
 /// A calibrated head with the covariance of its parameters.
 #[derive(Clone, Debug)]
@@ -162,6 +162,14 @@ impl Calibration {
         Some(covariances)
     }
 
+    /// Derivatives of the pose of a reading, in the frame of the reference, with respect to the six spots and to the
+    /// geometric parameters; `None` if it has no pose.
+    pub(super) fn derivatives(&self, instruments: &Neighbours, reading: &Raw) -> Option<[Matrix; 2]> {
+        let Seen { by_spots, jacobian, .. } = self.seen(instruments, reading)?;
+        let by_spots = Matrix::from_column_slice(6, 6, by_spots.as_slice());
+        Some([by_spots, jacobian.columns(0, GEOMETRY).into_owned()])
+    }
+
     fn seen(&self, instruments: &Neighbours, reading: &Raw) -> Option<Seen> {
         let point = reading.point();
         let basis = self.layout.basis(&point.spots, None);
@@ -265,3 +273,6 @@ pub(super) fn radical_inverse(mut k: usize, base: usize) -> f64 {
     }
     value
 }
+
+#[cfg(test)]
+mod tests;

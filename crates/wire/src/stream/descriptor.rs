@@ -36,10 +36,15 @@ pub struct Descriptor {
     /// The calibration record of the configuration, valid or not; absent without a record.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationEntry>,
-    /// The part of the stated standard uncertainties that averaging does not reduce, in the sensor's world frame:
-    /// x, y, z in metres; roll, pitch, yaw in radians.
+    /// The part of the stated standard uncertainties that averaging does not reduce and that is the same at every pose, in
+    /// the sensor's world frame: x, y, z in metres; roll, pitch, yaw in radians. The text formats carry the whole
+    /// systematic part of each pose.
     #[serde(default)]
     pub systematic: [f64; 6],
+    /// Which standard uncertainties binary frames carry: "total", or "random" for the part that averaging reduces. Text
+    /// formats carry the total.
+    #[serde(default = "total")]
+    pub deviations: String,
     /// Units of lengths, angles, powers and times.
     pub units: BTreeMap<String, String>,
     /// Description of the coordinate frames.
@@ -60,6 +65,10 @@ pub struct Descriptor {
     /// The stream of this client; absent if the client has not requested one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stream: Option<StreamForm>,
+}
+
+fn total() -> String {
+    "total".to_owned()
 }
 
 /// What a calibration record states.

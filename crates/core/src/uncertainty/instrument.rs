@@ -1,13 +1,11 @@
-//! The measurement model: the published pose as a function of all input quantities.
+//! The measurement model: the published pose as a function of all input quantities. SI units.
 
 use nalgebra::Rotation3;
 use trifacet_optics::{
-    Estimator, Head, HeadError, Model, Optics, Pose, Rigid, Signals, Solution, SolveError, TraceError, Vec2,
-    Vec3,
+    Estimator, Head, Model, Optics, Pose, Rigid, Signals, Solution, SolveError, TraceError, Vec2, Vec3,
 };
 
-use super::quantity::{Effect, Moment};
-use crate::config::Config;
+use super::effect::{Effect, Moment};
 
 /// Relative error of the diameter at which the product of diameter and offset is evaluated. The result is
 /// proportional to the product.
@@ -16,9 +14,6 @@ const DIAMETER: f64 = 0.05;
 /// Why a pose has no budget.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum InstrumentError {
-    /// The head cannot be built.
-    #[error(transparent)]
-    Head(#[from] HeadError),
     /// The mirror cannot be at the tare pose.
     #[error("the tare pose is outside the range of the sensor: {0}; check [frames]")]
     Tare(TraceError),
@@ -93,19 +88,12 @@ struct SignalDeviations {
 }
 
 impl Instrument {
-    /// The instrument of a configuration. Without a tare, it is tared with the mirror centred.
-    ///
-    /// # Errors
-    /// The geometry does not describe a sensor head.
-    pub fn new(config: &Config) -> Result<Self, InstrumentError> {
-        let head = config.head.build()?;
-        let estimator = Estimator::new(Optics::new(&head), config.estimation.model.into());
-        let [base, tare, tool] =
-            [config.frames.base, config.frames.tare, config.frames.tool].map(|t| t.build());
-        let tared = config.frames.tare != crate::config::TransformConfig::default();
-        // pose = tare^-1 * base * sensor * tool is the identity at the tare.
-        let tare = if tared { base.inverse() * tare * tool.inverse() } else { Rigid::identity() };
-        Ok(Self { head, estimator, tool, table: Rigid::identity(), tare, tared })
+    /// An instrument with this head. `tool`: the point of interest in the frame of the mirror. `tare`: the mirror at the
+    /// tare, in the sensor's world frame; `None`: not tared, poses are relative to the centred mirror.
+    pub fn new(head: Head, model: Model, tool: Rigid, tare: Option<Rigid>) -> Self {
+        let estimator = Estimator::new(Optics::new(&head), model);
+        let (tared, tare) = (tare.is_some(), tare.unwrap_or_else(Rigid::identity));
+        Self { head, estimator, tool, table: Rigid::identity(), tare, tared }
     }
 
     /// The instrument, calibrated with a reference whose table is at this place in the frame of the mirror.
@@ -114,9 +102,19 @@ impl Instrument {
         Self { table, ..self }
     }
 
-    /// Whether the configuration contains a tare.
+    /// Whether it is tared.
     pub fn tared(&self) -> bool {
         self.tared
+    }
+
+    /// The point of interest with its axes at the tare, in the sensor's world frame.
+    pub fn zero(&self) -> Rigid {
+        self.tare * self.tool
+    }
+
+    /// The point of interest with its axes, in the frame of the mirror.
+    pub fn tool(&self) -> Rigid {
+        self.tool
     }
 
     /// The model of the beam.
@@ -205,6 +203,19 @@ impl Measurement<'_> {
         tool.translation += Vec3::from(by.tool);
         let pose = Pose::from(&(tool.inverse() * relative * tool));
         Ok(by.reference(pose.to_array()))
+    }
+
+    /// The derivative of the pose with respect to a quantity with this standard uncertainty, over plus and minus the
+    /// uncertainty (JCGM 100, 5.1.3, note 2).
+    ///
+    /// # Errors
+    /// There is no pose with these deviations.
+    pub fn slope(&self, effect: Effect, std: f64) -> Result<[f64; 6], InstrumentError> {
+        // A quantity without uncertainty has a derivative all the same.
+        let step = if std > 0.0 { std } else { 1e-8 };
+        let moved = |by: f64| self.pose(std::iter::once((effect, by)));
+        let (high, low) = (moved(step)?, moved(-step)?);
+        Ok(std::array::from_fn(|j| (high[j] - low[j]) / (2.0 * step)))
     }
 
     fn solved(&self, moment: Moment, by: &Deviations) -> Result<Pose, InstrumentError> {

@@ -1,6 +1,4 @@
-//! The quantities of a budget, and what they act on. SI units.
-
-use trifacet_budget::Input;
+//! The input quantities of a pose, by what they act on.
 
 /// When a reading was taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,39 +40,4 @@ pub enum Effect {
     AngleScale(usize),
     /// Angle between two axes: xy, xz, yz.
     Squareness(usize),
-}
-
-/// The unit of a quantity. All are shown in millionths.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Unit {
-    /// Shown as um.
-    Metre,
-    /// Shown as urad.
-    Radian,
-    /// Shown as ppm.
-    One,
-}
-
-impl Unit {
-    /// The unit of a millionth.
-    pub fn micro(self) -> &'static str {
-        match self {
-            Self::Metre => "um",
-            Self::Radian => "urad",
-            Self::One => "ppm",
-        }
-    }
-}
-
-/// Quantities of one kind, a row of the table.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Group {
-    /// The quantity.
-    pub name: String,
-    /// Where its numbers come from.
-    pub source: String,
-    /// Unit of all its quantities.
-    pub unit: Unit,
-    /// The quantities, and what they act on.
-    pub inputs: Vec<(Input, Effect)>,
 }

@@ -1,6 +1,12 @@
 //! `[uncertainty]`: what the readings do not tell about the uncertainty of a pose relative to the tare. Read by
-//! `trifacet budget`. An absent key means that nothing is stated: the budget then names what it does not cover.
+//! `trifacet budget` and for the systematic part of the frames. An absent key means that nothing is stated: the budget
+//! then names what it does not cover. [`Components`] are the quantities that the whole configuration states.
 
+mod components;
+mod quantity;
+
+pub use components::{Components, NotCovered};
+pub use quantity::{Group, Unit};
 use serde::{Deserialize, Serialize};
 
 use super::check::{Checker, above_zero};
@@ -76,6 +82,21 @@ impl Default for UncertaintyConfig {
 }
 
 impl UncertaintyConfig {
+    /// Whether a key without default is set.
+    pub fn states_anything(&self) -> bool {
+        let keys = [
+            self.temperature_range_k,
+            self.pointing_urad,
+            self.beam_offset_um,
+            self.reference_scale_ppm,
+            self.reference_angle_ppm,
+            self.reference_squareness_urad,
+            self.lever_arm_um,
+            self.dark_mv,
+        ];
+        keys.iter().any(Option::is_some)
+    }
+
     pub(super) fn check(&self, mut at: Checker<'_>) {
         at.number("tare_readings", self.tare_readings, 1.0..=1_000_000_000.0);
         at.optional("noise_dof", self.noise_dof, 1.0..=1_000_000_000.0);

@@ -4,9 +4,10 @@ use std::fmt;
 
 use trifacet_budget::{Distribution, Evaluation, Input};
 use trifacet_core::channels::Amplifier;
+use trifacet_core::uncertainty::{Effect, Moment};
 use trifacet_optics::{FACETS, Rigid};
 
-use super::quantity::{Effect, Group, Moment, Unit};
+use super::quantity::{Group, Unit};
 use crate::config::{Config, Model, SourceKind};
 
 /// An effect that the budget does not cover.
@@ -49,7 +50,7 @@ impl Components {
         let mut all = Self::default();
         all.noise(config, average);
         all.converter(config);
-        all.systematic(config);
+        all.systematic(config, table.is_some());
         if table.is_none() {
             all.residue(config);
         }
@@ -64,6 +65,23 @@ impl Components {
             );
         }
         all
+    }
+
+    /// What averaging does not reduce and what depends on the pose: standard uncertainties, and what they act on.
+    /// `tared`: poses are relative to a tare, whose readings were noisy.
+    pub fn by_pose(&self, tared: bool) -> Vec<(f64, Effect)> {
+        let counts = |input: &Input, effect: Effect| match effect {
+            Effect::Spot(Moment::Pose, _) | Effect::Power(Moment::Pose, _) => {
+                input.evaluation == Evaluation::B
+            }
+            Effect::Spot(Moment::Tare, _)
+            | Effect::Power(Moment::Tare, _)
+            | Effect::Offset(Moment::Tare, _) => tared,
+            Effect::Pose(_) => false, // the same at every pose, see `Settings::systematic`
+            _ => true,
+        };
+        let inputs = self.groups.iter().flat_map(|group| &group.inputs);
+        inputs.filter(|(input, effect)| counts(input, *effect)).map(|(i, e)| (i.std, *e)).collect()
     }
 
     /// A row of normally distributed quantities with these names; none if they have no uncertainty.
@@ -159,9 +177,13 @@ impl Components {
         }
     }
 
-    /// What averaging does not reduce, as configured.
-    fn systematic(&mut self, config: &Config) {
-        let systematic = config.estimation.systematic();
+    /// What stands for the errors of the head's geometry.
+    fn systematic(&mut self, config: &Config, recorded: bool) {
+        let systematic = config.systematic(recorded);
+        if systematic != config.estimation.systematic() {
+            let why = "the calibration record states the uncertainty of the geometry";
+            self.notes.push(format!("estimation.systematic_um and systematic_urad do not count: {why}"));
+        }
         for (name, key, unit, axes, from) in [
             ("systematic, position", "estimation.systematic_um", Unit::Metre, XYZ, 0),
             ("systematic, rotation", "estimation.systematic_urad", Unit::Radian, ANGLES, 3),
