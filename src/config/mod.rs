@@ -50,7 +50,8 @@ mod uncertainty;
 pub use acquisition::{AcquisitionConfig, SerialConfig, SourceKind};
 pub use assembly::AssemblyError;
 pub use calibration::{
-    CalibrationConfig, CalibrationState, FORMAT, RecordError, RecordHeader, Standing, fingerprint,
+    AtCalibration, CalibrationConfig, CalibrationState, FORMAT, RecordError, RecordHeader, Standing,
+    SteeringResidual, fingerprint,
 };
 pub(crate) use calibration::{contents, parsed};
 pub use calibration_context::{CalibrationContext, TableError, Tables};

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use trifacet::calibration::report::Report;
-use trifacet::calibration::{self, Defaults, Measured, Record, Wanted, nominal, table};
+use trifacet::calibration::{self, Defaults, Measured, Record, Wanted, at_calibration, nominal, table};
 use trifacet::clock::SystemClock;
 use trifacet::clock::utc::Utc;
 use trifacet::config::{self, Config, FORMAT, Model, RecordHeader, Tables, edit, fingerprint};
@@ -117,7 +117,7 @@ pub(crate) fn fit(args: &FitArgs) -> anyhow::Result<()> {
         return Err(refused(&verdict.refusals.join("\n")).into());
     };
     let report = Report::new(&measured, &fitted, regression.as_ref(), &range, &verdict, &wanted);
-    write(args, &config, &fitted, &report, &range)?;
+    write(args, &config, (&fitted, measured.scans), &report, &range)?;
     say(&report.verdict);
     say(&format!("written to {}", args.out.display()));
     Ok(())
@@ -190,7 +190,7 @@ fn say(line: &str) {
 fn write(
     args: &FitArgs,
     config: &Config,
-    fitted: &Fitted,
+    (fitted, points): (&Fitted, usize),
     report: &Report,
     range: &RangeUncertainty,
 ) -> anyhow::Result<()> {
@@ -221,6 +221,7 @@ fn write(
         std_um: micro(0),
         std_urad: micro(3),
         expires: None,
+        at_calibration: Some(at_calibration(&fitted.steering[..points], &report.parameters, config)),
     };
     let record = Record::new(header, calibrated, serde_json::to_value(report)?);
     let [a, b, c] = tables;

@@ -12,7 +12,7 @@ mod record;
 mod standing;
 
 pub use fingerprint::fingerprint;
-pub use record::{FORMAT, RecordError, RecordHeader};
+pub use record::{AtCalibration, FORMAT, RecordError, RecordHeader, SteeringResidual};
 pub(crate) use record::{contents, parsed};
 pub use standing::{CalibrationState, Standing};
 
