@@ -97,18 +97,21 @@ pub(crate) fn fit(args: &FitArgs) -> anyhow::Result<()> {
         readback: args.readback_um * 1e-6,
         own_zero: args.own_zero,
     };
-    let measured = Measured::read(&args.points, &args.scan, defaults)?;
+    let mut measured = Measured::read(&args.points, &args.scan, defaults)?;
     let own = &measured.points[..measured.scans];
     calibration::before(own, &wanted, args.steering_scale_percent).map_err(|why| refused(&why))?;
     let nominal = nominal(&config)?;
     let regression = mistakes::check(&nominal, own).map_err(|why| refused(&why))?;
+    let drift = measured.without_drift(&nominal);
+    let own = &measured.points[..measured.scans];
     let tolerances = tolerances(args, own.iter().all(|p| p.reference.iter().all(Option::is_none)))?;
     let fields = fields();
     let job = Job { nominal: &nominal, tolerances: &tolerances, points: &measured.points, fields: &fields };
     let fitted = fit_points(job, show).map_err(|e| refused(&e.to_string()))?;
     let range =
         fitted.calibration.range_uncertainty(args.range_mm * 1e-3, args.range_mrad * 1e-3, RANGE_POSES);
-    let verdict = calibration::verdict(&fitted, &measured.points, range.as_ref(), &wanted);
+    let mut verdict = calibration::verdict(&fitted, &measured.points, range.as_ref(), &wanted);
+    verdict.warnings.extend(drift);
     show_dropped(&fitted, &measured);
     for warning in &verdict.warnings {
         say(&format!("warning: {warning}"));
@@ -168,7 +171,7 @@ fn show(progress: Progress) {
             format!("{stage}, step {step}: chi-square per row {cost:.4}")
         }
         Progress::Prior { field, ln_likelihood } => format!(
-            "ripple of {:.0} um over {:.1} mm, knots of {:.2} mm: log likelihood {ln_likelihood:.1}",
+            "ripple of {:.1} um over {:.1} mm, knots of {:.2} mm: log likelihood {ln_likelihood:.1}",
             field.rms * 1e6,
             field.length * 1e3,
             field.knots * 1e3

@@ -11,12 +11,14 @@
 //! - [`parameters`]: the unknown numbers and their tolerances.
 //! - `instrument`: the forward model, with an elliptical beam.
 //! - [`map`]: the error of a PSD as a function of its reading.
-//! - [`fit`]: the estimator.
+//! - [`fit`]: the estimator. `climb`: the search for the most likely prior.
 //! - [`held_out`]: the test of a fit on points that it has not seen.
 //! - [`mistakes`]: signs, axes and units that are plainly wrong.
+//! - [`revisits`]: drift during the measurement.
 //! - [`result`]: the calibrated head, and the covariance of its poses.
 
 pub mod cholesky;
+mod climb;
 pub mod fit;
 pub mod held_out;
 mod instrument;
@@ -27,7 +29,9 @@ mod normal;
 pub mod parameters;
 pub mod plan;
 pub mod point;
+mod random_walk;
 pub mod result;
+pub mod revisits;
 mod session;
 
 /// Elements of a symmetric matrix and of vectors over all parameters.
