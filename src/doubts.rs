@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
-use trifacet_core::telemetry::ResidualGauge;
+use trifacet_core::telemetry::{DriftGauge, ResidualGauge};
 use trifacet_core::time::Mono;
 
 use crate::clock::utc::read_clocks;
@@ -28,12 +28,23 @@ pub enum Subject {
     LoopDelay,
     /// Poses that depend on where the beam meets the mirror, by the last self-check.
     SelfCheck,
+    /// The steering residual, which differs from that of the calibration.
+    CalibrationDrift,
+    /// What the PSDs read without the laser, by which the power gains differ from those of the calibration.
+    DarkDrift,
 }
 
 impl Subject {
     /// All subjects.
-    pub const ALL: [Subject; 5] =
-        [Subject::Residual, Subject::Power, Subject::AmbientLight, Subject::LoopDelay, Subject::SelfCheck];
+    pub const ALL: [Subject; 7] = [
+        Subject::Residual,
+        Subject::Power,
+        Subject::AmbientLight,
+        Subject::LoopDelay,
+        Subject::SelfCheck,
+        Subject::CalibrationDrift,
+        Subject::DarkDrift,
+    ];
 
     /// Name of the subject, as on all outputs.
     pub fn name(self) -> &'static str {
@@ -43,6 +54,8 @@ impl Subject {
             Subject::AmbientLight => "ambient_light",
             Subject::LoopDelay => "loop_delay",
             Subject::SelfCheck => "self_check",
+            Subject::CalibrationDrift => "calibration_drift",
+            Subject::DarkDrift => "dark_drift",
         }
     }
 
@@ -54,6 +67,8 @@ impl Subject {
             Subject::AmbientLight => "the readings without light are no longer doubted",
             Subject::LoopDelay => "commands are applied within the configured loop delay again",
             Subject::SelfCheck => "the pose does not depend on the beam position any more",
+            Subject::CalibrationDrift => "the steering residual is that of the calibration again",
+            Subject::DarkDrift => "the dark readings are those of the calibration again",
         }
     }
 }
@@ -100,6 +115,8 @@ pub struct Doubts {
     standing: watch::Receiver<Vec<Doubt>>,
     /// The mean steering residual.
     pub residual: Arc<ResidualGauge>,
+    /// The drift since the calibration.
+    pub drift: Arc<DriftGauge>,
 }
 
 impl Doubts {
@@ -127,14 +144,17 @@ pub struct Doubter {
     standing: watch::Sender<Vec<Doubt>>,
     /// The mean steering residual.
     pub residual: Arc<ResidualGauge>,
+    /// The drift since the calibration.
+    pub drift: Arc<DriftGauge>,
 }
 
 /// Both ends, without a doubt.
 pub fn pair() -> (Doubter, Doubts) {
     let (sender, receiver) = watch::channel(Vec::new());
     let residual = Arc::<ResidualGauge>::default();
-    let doubter = Doubter { standing: sender, residual: Arc::clone(&residual) };
-    (doubter, Doubts { standing: receiver, residual })
+    let drift = Arc::<DriftGauge>::default();
+    let doubter = Doubter { standing: sender, residual: Arc::clone(&residual), drift: Arc::clone(&drift) };
+    (doubter, Doubts { standing: receiver, residual, drift })
 }
 
 impl Doubter {

@@ -7,6 +7,7 @@
 //!   [`rest`] (whether the mirror is at rest) and [`reading`] (the means of its signals). [`points_writer`]: the files of the points.
 //! - [`report`]: what a fit found. [`certificate`]: the same for others, with what the laboratory states.
 
+mod at_calibration;
 pub mod bench;
 pub mod certificate;
 mod edits;
@@ -24,6 +25,7 @@ pub mod scan_pattern;
 mod tables;
 mod verdict;
 
+pub use at_calibration::at_calibration;
 pub use edits::{edits, nominal};
 pub use points::{Defaults, InputFile, Line, Measured};
 pub use record_file::{ParameterReport, Record, parameter_reports};

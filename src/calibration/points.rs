@@ -2,7 +2,7 @@
 //!
 //! A file of points is a table as CSV: `u_a_m` ... `v_c_m`, `power_a` ... `power_c`, and optionally their standard
 //! uncertainties `std_...`, the pose by a reference `ref_tx_m` ... `ref_yaw_rad` with `ref_std_...`, the readback of
-//! the steering `stage_x_m`, `stage_y_m` with `std_stage_...`, and `run`. An empty field or NaN: not measured.
+//! the steering `stage_x_m`, `stage_y_m` with `std_stage_...`, the time `time_s`, and `run`. An empty field or NaN: not measured.
 
 use std::fs::File;
 use std::io::Read as _;
@@ -10,7 +10,9 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use sha2::{Digest, Sha256};
+use trifacet_optics::calibration::parameters::Nominal;
 use trifacet_optics::calibration::point::{Known, Point};
+use trifacet_optics::calibration::revisits::{COORDINATES, Revisits, correct};
 use trifacet_wire::layout::{POSE, SPOTS};
 
 use crate::exit::{self, Failure};
@@ -21,6 +23,7 @@ pub(super) const POWERS: [&str; 3] = ["power_a", "power_b", "power_c"];
 /// Columns of the position of the steering.
 pub(super) const STAGE: [&str; 2] = ["stage_x_m", "stage_y_m"];
 const RUN: &str = "run";
+const TIME: &str = "time_s";
 /// Largest file.
 const LARGEST: u64 = 256 << 20;
 
@@ -68,6 +71,8 @@ pub struct Measured {
     pub scans: usize,
     /// Where each one comes from.
     pub lines: Vec<Line>,
+    /// When each one was measured, seconds, if its row states it.
+    pub times: Vec<Option<f64>>,
     /// The files.
     pub files: Vec<InputFile>,
 }
@@ -104,6 +109,26 @@ impl Measured {
         Ok(measured)
     }
 
+    /// Takes the drift that visits of the same pose show off the points, by their times, or by the order of the rows if one
+    /// has no time. Returns the coordinates that drifted, in words.
+    pub fn without_drift(&mut self, nominal: &Nominal) -> Option<String> {
+        let times: Option<Vec<f64>> = self.times.iter().copied().collect();
+        let times = times.unwrap_or_else(|| (0..self.points.len()).map(|k| k as f64).collect());
+        let Revisits { visits, drifted } = correct(nominal, &mut self.points, &times);
+        let sizes = drifted.iter().map(|(coordinate, size)| {
+            let unit = if (3..6).contains(coordinate) { "urad" } else { "um" };
+            format!("{} {:.2} {unit}", COORDINATES[*coordinate], size * 1e6)
+        });
+        let sizes = sizes.collect::<Vec<_>>().join(", ");
+        (!drifted.is_empty()).then(|| {
+            format!(
+                "{} visits of the same pose differ by more than their noise: during the measurement {sizes} of drift. A \
+                 random walk through the visits was taken off all points, and its uncertainty added to theirs",
+                visits.len()
+            )
+        })
+    }
+
     /// "file:line" of a point.
     pub fn place(&self, point: usize) -> String {
         let Line { file, line } = self.lines[point];
@@ -122,6 +147,7 @@ impl Measured {
         while let Some(row) = table.next_row()? {
             rows.push(point(&row, kind, defaults).map_err(|e| row.wrong(e))?);
             self.lines.push(Line { file: self.files.len(), line: row.line() });
+            self.times.push(optional(&row, TIME).map_err(|e| row.wrong(e))?);
         }
         if rows.is_empty() {
             return Err(Failure::new(exit::DATA, format!("{name}: the table has no rows")));

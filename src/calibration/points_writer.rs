@@ -2,7 +2,7 @@
 //!
 //! The columns are the nine signals before correction tables and power gains, their standard uncertainties, the pose
 //! by the reference with its uncertainties (not in a scan), and the position of the steering. What is not measured is
-//! empty. `point`, `time_s` and `samples` tell where a row comes from; the fit does not use them.
+//! empty. `point`, `time_s` and `samples` tell where a row comes from; the fit uses `time_s` for drift.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};

@@ -2,6 +2,8 @@
 
 mod screen;
 
+pub(super) use screen::drift;
+
 use std::io::{self, IsTerminal, Write as _};
 use std::path::Path;
 use std::time::Duration;

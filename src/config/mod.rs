@@ -53,8 +53,8 @@ pub use acquisition::{AcquisitionConfig, SerialConfig, SourceKind};
 pub use assembly::AssemblyError;
 pub use board_place::BoardPlace;
 pub use calibration::{
-    CalibrationConfig, CalibrationState, FORMAT, RecordError, RecordHeader, SharedSpread, Standing,
-    fingerprint,
+    AtCalibration, CalibrationConfig, CalibrationState, FORMAT, RecordError, RecordHeader, SharedSpread,
+    Standing, SteeringResidual, fingerprint,
 };
 pub(crate) use calibration::{contents, parsed, spread_bytes};
 pub use calibration_context::{CalibrationContext, TableError, Tables};

@@ -3,8 +3,10 @@
 use std::time::Duration;
 
 use jiff::Timestamp;
+use serde_json::{Value, json};
 use tokio::sync::Mutex;
 use tokio::time::{MissedTickBehavior, interval};
+use trifacet_core::telemetry::Drift;
 
 use super::RunningConfig;
 use crate::config::CalibrationState;
@@ -52,4 +54,16 @@ impl RunningConfig {
             tracing::warn!("the end of the calibration is not yet in force: {failure}");
         }
     }
+}
+
+/// The drift since the calibration; `null` for what is not known.
+pub(super) fn drift(drift: &Drift) -> Value {
+    let um = |metres: [f64; 2]| metres.map(|m| m * 1e6);
+    let percent = |parts: [f64; 2]| parts.map(|part| part * 1e2);
+    json!({
+        "residual_um": drift.residual.map(um),
+        "limit_um": drift.limit.map(|metres| metres * 1e6),
+        "power_gains_percent": drift.power_gains.map(percent),
+        "dark_percent": drift.dark.map(|parts| parts.map(|part| part * 1e2)),
+    })
 }

@@ -14,7 +14,7 @@ use trifacet_core::time::{Clock, Mono};
 use trifacet_optics::Pose;
 use trifacet_wire::stream::{Descriptor, Replayed};
 
-use super::calibration::log_calibration;
+use super::calibration::{drift, log_calibration};
 use super::config_file::{Access, ConfigFile};
 use super::reload::take_over_file;
 use super::{Command, FastRequests};
@@ -337,6 +337,7 @@ impl RunningConfig {
             "loop": self.loop_now().await?,
             "pose": pose,
             "doubts": self.condition.doubts.shown(),
+            "calibration_drift": drift(&self.condition.doubts.drift.get()),
             "self_check": self.last_self_check,
             "frames": self.running.frames,
             "recording": self.recording.state.tell(),

@@ -177,6 +177,7 @@ async fn fast<S: Source + 'static>(
         &heartbeats,
         Task::Centering,
     );
+    let warnings = Warnings::new(&context, doubter);
     let recorder = EstimationRecorder::new(records.clone(), context);
     let publish = move |report: &PoseReport| {
         let frame = publisher.publish(report);
@@ -197,7 +198,7 @@ async fn fast<S: Source + 'static>(
                 newest: poses_in,
                 publish,
                 recorder,
-                warnings: Warnings::new(&config, doubter),
+                warnings,
             },
         ),
         &heartbeats,

@@ -42,8 +42,8 @@ impl LightWatch {
         }
     }
 
-    /// Takes the next sample.
-    pub fn sample(&mut self, sample: &Sample, doubter: &Doubter) {
+    /// Takes the next sample. Returns the result of a time without light.
+    pub fn sample(&mut self, sample: &Sample, doubter: &Doubter) -> Option<DarkVerdict> {
         let (power, dark) = self.checks.push(sample);
         if let Some(verdict) = power {
             let text = verdict.doubted.then(|| self.power(&verdict));
@@ -53,6 +53,7 @@ impl LightWatch {
             let text = verdict.doubted.then(|| ambient(&verdict));
             doubter.set(Subject::AmbientLight, sample.time, text);
         }
+        dark
     }
 
     fn power(&self, PowerVerdict { watts, difference, .. }: &PowerVerdict) -> String {

@@ -1,5 +1,6 @@
 //! The estimation task: publishes a report for each sample or block, and for silence.
 
+pub mod drift;
 pub mod light;
 pub mod loop_liveness;
 mod mean;
@@ -100,7 +101,7 @@ pub async fn run<C: Clock>(
                 }
                 Some(SampleEvent::Changed(change)) => {
                     estimation.retune(change.settings);
-                    warnings.retune(&change.context.config, estimation.fuses());
+                    warnings.retune(&change.context, estimation.fuses());
                     recorder.context(change.context);
                     let _ = change.done.send(());
                     None

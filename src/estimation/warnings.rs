@@ -7,8 +7,9 @@ use trifacet_core::time::{Mono, NS_PER_S};
 use trifacet_wire::Status;
 use trifacet_wire::channel::Role;
 
+use super::drift::DriftWatch;
 use super::light::LightWatch;
-use crate::config::Config;
+use crate::config::CalibrationContext;
 use crate::doubts::{Doubter, Subject};
 
 /// A contradiction is over after this time without one: near the limit it comes and goes.
@@ -19,6 +20,7 @@ const CALM_NS: i64 = NS_PER_S / 2;
 pub struct Warnings {
     doubter: Doubter,
     light: LightWatch,
+    drift: Option<DriftWatch>,
     no_readback: bool,
     /// Time of the last contradiction, while it is doubted.
     contradicted: Option<Mono>,
@@ -26,26 +28,31 @@ pub struct Warnings {
 
 impl Warnings {
     /// Without a source.
-    pub fn new(config: &Config, doubter: Doubter) -> Self {
-        Self { doubter, light: LightWatch::new(config), no_readback: false, contradicted: None }
+    pub fn new(context: &CalibrationContext, doubter: Doubter) -> Self {
+        let (light, drift) = (LightWatch::new(&context.config), DriftWatch::new(context));
+        Self { doubter, light, drift, no_readback: false, contradicted: None }
     }
 
     /// A source is up.
     pub fn source(&mut self, identity: &Identity, fuses: bool) {
         self.light.source();
+        self.drift.iter_mut().for_each(DriftWatch::source);
         self.no_readback = ![0, 1].iter().all(|axis| identity.roles.contains(&Role::Steering(*axis)));
         self.fusion(fuses);
     }
 
     /// The settings have changed.
-    pub fn retune(&mut self, config: &Config, fuses: bool) {
-        self.light.retune(config, &self.doubter);
+    pub fn retune(&mut self, context: &CalibrationContext, fuses: bool) {
+        self.light.retune(&context.config, &self.doubter);
+        DriftWatch::retune(&mut self.drift, context, &self.doubter);
         self.fusion(fuses);
     }
 
     /// Takes every sample.
     pub fn sample(&mut self, sample: &Sample) {
-        self.light.sample(sample, &self.doubter);
+        if let (Some(dark), Some(drift)) = (self.light.sample(sample, &self.doubter), &mut self.drift) {
+            drift.dark(&dark, sample.time, &self.doubter);
+        }
     }
 
     fn fusion(&self, fuses: bool) {
@@ -59,6 +66,9 @@ impl Warnings {
     /// Takes every report. One without a residual does not change the doubt.
     pub fn report(&mut self, report: &PoseReport) {
         self.doubter.residual.set(report);
+        if let Some(drift) = &mut self.drift {
+            drift.report(report, &self.doubter);
+        }
         let Some(residual) = report.steering_residual else { return };
         if !report.status.has(Status::INCONSISTENT) {
             if self.contradicted.take_if(|last| report.time - *last > CALM_NS).is_some() {

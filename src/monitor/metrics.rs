@@ -14,7 +14,7 @@ use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::Registry;
 use rustix::time::{ClockId, clock_gettime};
 use trifacet_core::centering::lock::LockCause;
-use trifacet_core::telemetry::Counters;
+use trifacet_core::telemetry::{Counters, Drift};
 use trifacet_core::time::Clock;
 use trifacet_wire::{LockState, Status};
 
@@ -166,7 +166,24 @@ impl Page<'_> {
         let mean = doubts.residual.mean();
         let axes = ["x", "y"].into_iter().zip(mean.into_iter().flatten().map(ConstGauge::new));
         let help = "Beam position by the readback minus that by the light, mean over about a second";
-        self.each("steering_residual_mean_meters", help, "axis", axes)
+        self.each("steering_residual_mean_meters", help, "axis", axes)?;
+        self.drift(&doubts.drift.get())
+    }
+
+    /// What has changed since the calibration.
+    fn drift(&mut self, drift: &Drift) -> fmt::Result {
+        let axes = ["x", "y"].into_iter().zip(drift.residual.into_iter().flatten().map(ConstGauge::new));
+        let help = "Steering residual less that of the calibration, mean over about ten seconds";
+        self.each("calibration_residual_drift_meters", help, "axis", axes)?;
+        let help = "Size of this difference beyond which it is doubted";
+        self.known("calibration_residual_drift_limit_meters", help, drift.limit)?;
+        let psds = ["B", "C"].into_iter().zip(drift.power_gains.into_iter().flatten().map(ConstGauge::new));
+        let help =
+            "Relative change of the power gain against that of PSD A which would explain this difference";
+        self.each("calibration_power_gain_drift_ratio", help, "psd", psds)?;
+        let psds = ["A", "B", "C"].into_iter().zip(drift.dark.into_iter().flatten().map(ConstGauge::new));
+        let help = "Dark reading of the sum less that of the calibration, part of the usual power";
+        self.each("calibration_dark_drift_ratio", help, "psd", psds)
     }
 
     fn recording(&mut self, view: &View) -> fmt::Result {

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use trifacet_wire::Status;
 
-use crate::testkit::{self, Board, Daemon, Done, Folder, Frame, computing, on};
+use crate::testkit::{self, Board, Daemon, Folder, Frame, calibrated_twin, on};
 
 fn real_head() -> String {
     std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("config/real-head.toml")).unwrap()
@@ -178,27 +178,10 @@ fn a_daemon_on_an_emulated_board_with_a_head_of_its_own_follows_its_mirror() {
 /// The whole way by commands, with few points.
 #[test]
 fn a_rough_head_is_calibrated_by_commands_and_its_poses_are_then_true() {
-    let folder = Folder::new();
-    let file = folder.write("real.toml", real_head());
-    let at = |name: &str| folder.path(name).to_str().unwrap().to_owned();
-    let done = on(&["dark", "--config"], &file);
-    assert_eq!(done.code, 0, "{}", done.err);
-    let (config, plan, run, out) = (at("real.toml"), at("plan.csv"), at("run"), at("calibrated"));
-    let (points, scan) = (at("run/points.csv"), at("run/scan.csv"));
-    let range = ["--range-mm", "1.1", "--range-mrad", "5.5"];
-    let plan_it =
-        [&["calibrate", "plan", "--config", &config, "--points", "100", "--out", &plan], &range[..]].concat();
-    let run_it = vec!["calibrate", "run", "--config", &config, "--plan", &plan, "--out", &run];
-    let fit_it =
-        vec!["calibrate", "fit", "--config", &config, "--points", &points, "--scan", &scan, "--out", &out];
-    let succeeds = |done: Done| assert_eq!(done.code, 0, "{}", done.err);
-    succeeds(computing(&plan_it));
-    succeeds(testkit::run(&mut testkit::trifacet(&run_it)));
-    succeeds(computing(&fit_it));
-    let calibrated = std::fs::read_to_string(folder.path("calibrated/trifacet.toml")).unwrap();
+    let calibrated = std::fs::read_to_string(calibrated_twin().path("calibrated/trifacet.toml")).unwrap();
     let quiet = "[twin]\nspot_noise_um = 0.0\npower_noise = 0.0\nconverter_bits = 24\n";
     let moving = calibrated.replace("motion = []", "").replace("[twin]\n", quiet) + MOTION;
-    let file = folder.write("calibrated/moving.toml", moving);
+    let file = calibrated_twin().write("calibrated/moving.toml", moving);
     let done = on(&["simulate", "--closed-loop", "--samples", "4000", "--config"], &file);
     assert_eq!(done.code, 0, "{}", done.err);
     let status = texts(&done.out, "status");

@@ -3,7 +3,7 @@
 //! - [`channels`]: a [`Scan`](signals::Scan) of raw codes to a [`Sample`](signals::Sample) in metres and watts.
 //! - [`centering`]: samples to commands for the stage that steers the laser.
 //! - [`estimation`]: samples to pose reports. [`stamp`]: reports to frames.
-//! - [`light_checks`]: samples to doubts about the light.
+//! - [`light_checks`]: samples to doubts about the light. [`calibration_drift`]: reports to the drift since the calibration.
 //! - [`self_check`]: does the pose depend on the beam position?
 //! - [`pipeline`]: mapping, centering and estimation together, with an example.
 //! - [`uncertainty`]: what a pose depends on, and how much.
@@ -11,6 +11,7 @@
 //!
 //! Lengths are metres, angles radians, times nanoseconds of the monotonic clock ([`time`]).
 
+pub mod calibration_drift;
 pub mod centering;
 pub mod channels;
 pub mod estimation;

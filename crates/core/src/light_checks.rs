@@ -9,7 +9,7 @@ const SECOND: i64 = NS_PER_S;
 /// ... and over this number of samples, at least.
 const LEAST: u32 = 10;
 /// A batch of readings without light has at least this many samples, ...
-const DARK_LEAST: u32 = 20;
+pub const DARK_LEAST: u32 = 20;
 /// ... over at least this time, nanoseconds.
 const DARK_TIME: i64 = NS_PER_S / 20;
 /// Batches after which the darkest is judged. The first and the last may contain light, while something moves into
@@ -46,6 +46,8 @@ pub struct PowerVerdict {
 pub struct DarkVerdict {
     /// Readings of the sum channels beyond the dark offsets, as parts of the usual power of PSD A, B, C.
     pub excess: [f64; 3],
+    /// This usual power, watts.
+    pub usual: [f64; 3],
     /// A reading is above its limit, and has not returned to four fifths of it.
     pub doubted: bool,
 }
@@ -133,7 +135,7 @@ impl LightChecks {
         let excess: [f64; 3] = std::array::from_fn(|psd| darkest[psd] / usual[psd]);
         let limit = DARK_LIMIT * if self.dark_doubted { AGAIN } else { 1.0 };
         self.dark_doubted = excess.iter().any(|part| *part > limit);
-        Some(DarkVerdict { excess, doubted: self.dark_doubted })
+        Some(DarkVerdict { excess, usual, doubted: self.dark_doubted })
     }
 }
 

@@ -13,6 +13,7 @@ use trifacet_optics::calibration::mistakes;
 use trifacet_optics::calibration::parameters::{Nominal, Tolerances};
 use trifacet_optics::calibration::point::{Known, Point};
 use trifacet_optics::calibration::result::{Calibration, Raw};
+use trifacet_optics::calibration::revisits::correct;
 use trifacet_optics::calibration::spread::Spread;
 use trifacet_optics::{Estimator, Head, Model, Optics, Pose, Rigid, Signals};
 
@@ -281,4 +282,99 @@ fn a_readback_that_does_not_follow_the_beam_is_named() {
         }
     });
     assert!(said.contains("the readback of the steering does not follow the beam"), "{said}");
+}
+
+/// The points of a stage of the mild head, with its first pose visited again every 20 points; without drift, and with one of
+/// the spots that grows to `size` and a drift of the beam that grows as much.
+fn drifting(size: f64) -> (Vec<Point>, Vec<Point>) {
+    let all: Vec<Point> = points("mild").into_iter().filter(Point::has_pose).take(300).collect();
+    // Numbers around zero with a deviation of one, which do not repeat.
+    let noise = |k: usize, i: usize| {
+        let x = (k as f64 * 12.989_8 + i as f64 * 78.233).sin() * 43_758.545_3;
+        (x - x.floor() - 0.5) * 12.0_f64.sqrt()
+    };
+    let mut still = Vec::new();
+    for (k, point) in all.iter().enumerate() {
+        if k % 20 == 0 {
+            let mut visit = all[0].clone();
+            for i in 0..6 {
+                visit.spots[i] += noise(k, i) * visit.spot_deviations[i];
+                if let Some(known) = &mut visit.reference[i] {
+                    known.value += noise(k, 6 + i) * known.deviation;
+                }
+            }
+            still.push(visit);
+        }
+        still.push(point.clone());
+    }
+    let mut moved = still.clone();
+    let n = still.len() as f64;
+    for (k, point) in moved.iter_mut().enumerate() {
+        let part = size * k as f64 / n;
+        point
+            .spots
+            .iter_mut()
+            .zip([1.0, -0.5, 0.7, 1.0, -1.0, 0.3])
+            .for_each(|(spot, by)| *spot += by * part);
+        if let Some(readback) = &mut point.steering {
+            for axis in readback {
+                axis.value += part;
+            }
+        }
+    }
+    (still, moved)
+}
+
+/// The drift of the pose that the nominal head shows for that of the spots is nearly the same at all poses.
+#[test]
+fn revisits_show_a_drift_and_it_is_taken_off_all_points() {
+    let (still, mut moved) = drifting(5e-6);
+    let times: Vec<f64> = (0..still.len()).map(|k| k as f64).collect();
+    let estimator = Estimator::new(Optics::new(&Head::default()), Model::Gaussian);
+    let pose = |p: &Point| {
+        let solution = estimator.solve(&Signals { spots: p.spots, powers: p.powers }, None).unwrap();
+        solution.pose.to_array()
+    };
+    let drifts: Vec<[f64; 6]> = still
+        .iter()
+        .zip(&moved)
+        .map(|(still, moved)| std::array::from_fn(|i| pose(moved)[i] - pose(still)[i]))
+        .collect();
+    let found = correct(&nominal(), &mut moved, &times);
+    assert_eq!(found.visits.len(), 16, "15 visits, and the point itself: {:?}", found.visits);
+    let drifted: Vec<usize> = found.drifted.iter().map(|(i, _)| *i).collect();
+    assert!([0, 1, 3, 4, 6, 7].iter().all(|i| drifted.contains(i)), "{:?}", found.drifted);
+    for i in drifted.into_iter().filter(|i| *i < 6) {
+        // What was added to the references, less the drift of the readings; up to a constant.
+        let left: Vec<(f64, f64)> = (0..still.len())
+            .map(|k| {
+                let (before, after) = (still[k].reference[i].unwrap(), moved[k].reference[i].unwrap());
+                assert!(after.deviation > before.deviation, "the uncertainty of the drift is added");
+                let added = (after.deviation.powi(2) - before.deviation.powi(2)).sqrt();
+                (after.value - before.value - drifts[k][i], added)
+            })
+            .collect();
+        let mean = left.iter().map(|(x, _)| x).sum::<f64>() / left.len() as f64;
+        let worst = left.iter().map(|(x, added)| (x - mean).abs() / added).fold(0.0, f64::max);
+        assert!(worst < 4.0, "{i}: {worst}");
+    }
+    // Nothing is left.
+    assert!(correct(&nominal(), &mut moved, &times).drifted.is_empty());
+}
+
+#[test]
+fn revisits_that_differ_by_noise_or_by_one_false_reading_change_nothing() {
+    let (still, mut same) = drifting(0.0);
+    let times: Vec<f64> = (0..still.len()).map(|k| k as f64).collect();
+    let found = correct(&nominal(), &mut same, &times);
+    assert!(found.visits.len() == 16 && found.drifted.is_empty(), "{found:?}");
+    assert_eq!(same, still);
+    let mut wrong = still.clone();
+    for spot in &mut wrong[found.visits[7]].spots {
+        *spot += 40e-6;
+    }
+    let before = wrong.clone();
+    let found = correct(&nominal(), &mut wrong, &times);
+    assert!(found.drifted.is_empty(), "{found:?}");
+    assert_eq!(wrong, before);
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use trifacet::calibration::report::Report;
-use trifacet::calibration::{self, Defaults, Measured, Record, Wanted, nominal, table};
+use trifacet::calibration::{self, Defaults, Measured, Record, Wanted, at_calibration, nominal, table};
 use trifacet::clock::SystemClock;
 use trifacet::clock::utc::Utc;
 use trifacet::config::{self, Config, FORMAT, Model, RecordHeader, Tables, edit, fingerprint};
@@ -97,18 +97,21 @@ pub(crate) fn fit(args: &FitArgs) -> anyhow::Result<()> {
         readback: args.readback_um * 1e-6,
         own_zero: args.own_zero,
     };
-    let measured = Measured::read(&args.points, &args.scan, defaults)?;
+    let mut measured = Measured::read(&args.points, &args.scan, defaults)?;
     let own = &measured.points[..measured.scans];
     calibration::before(own, &wanted, args.steering_scale_percent).map_err(|why| refused(&why))?;
     let nominal = nominal(&config)?;
     let regression = mistakes::check(&nominal, own).map_err(|why| refused(&why))?;
+    let drift = measured.without_drift(&nominal);
+    let own = &measured.points[..measured.scans];
     let tolerances = tolerances(args, own.iter().all(|p| p.reference.iter().all(Option::is_none)))?;
     let fields = fields();
     let job = Job { nominal: &nominal, tolerances: &tolerances, points: &measured.points, fields: &fields };
     let fitted = fit_points(job, show).map_err(|e| refused(&unfitted(&e)))?;
     let range =
         fitted.calibration.range_uncertainty(args.range_mm * 1e-3, args.range_mrad * 1e-3, RANGE_POSES);
-    let verdict = calibration::verdict(&fitted, &measured.points, range.as_ref(), &wanted);
+    let mut verdict = calibration::verdict(&fitted, &measured.points, range.as_ref(), &wanted);
+    verdict.warnings.extend(drift);
     show_dropped(&fitted, &measured);
     for warning in &verdict.warnings {
         say(&format!("warning: {warning}"));
@@ -117,7 +120,7 @@ pub(crate) fn fit(args: &FitArgs) -> anyhow::Result<()> {
         return Err(refused(&verdict.refusals.join("\n")).into());
     };
     let report = Report::new(&measured, &fitted, regression.as_ref(), &range, &verdict, &wanted);
-    write(args, &config, &fitted, &report, &range)?;
+    write(args, &config, (&fitted, measured.scans), &report, &range)?;
     say(&report.verdict);
     say(&format!("written to {}", args.out.display()));
     Ok(())
@@ -180,7 +183,7 @@ fn show(progress: Progress) {
             format!("{stage}, step {step}: chi-square per row {cost:.4}")
         }
         Progress::Prior { field, ln_likelihood } => format!(
-            "ripple of {:.0} um over {:.1} mm, knots of {:.2} mm: log likelihood {ln_likelihood:.1}",
+            "ripple of {:.1} um over {:.1} mm, knots of {:.2} mm: log likelihood {ln_likelihood:.1}",
             field.rms * 1e6,
             field.length * 1e3,
             field.knots * 1e3
@@ -202,7 +205,7 @@ fn say(line: &str) {
 fn write(
     args: &FitArgs,
     config: &Config,
-    fitted: &Fitted,
+    (fitted, points): (&Fitted, usize),
     report: &Report,
     range: &RangeUncertainty,
 ) -> anyhow::Result<()> {
@@ -233,6 +236,7 @@ fn write(
         std_um: micro(0),
         std_urad: micro(3),
         expires: None,
+        at_calibration: Some(at_calibration(&fitted.steering[..points], &report.parameters, config)),
     };
     let record = Record::new(header, calibrated, serde_json::to_value(report)?);
     let [a, b, c] = tables;

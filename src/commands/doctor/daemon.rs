@@ -13,6 +13,7 @@ use trifacet::config::Config;
 use trifacet::control::{self, Command};
 
 use super::Report;
+use crate::commands::status::drift;
 
 /// Longest time to wait for the control socket, or for the monitor.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
@@ -45,7 +46,12 @@ pub(super) async fn look(endpoint: &Endpoint, config: &Config, report: &mut Repo
         let what = format!("no datagrams reach the {kind} {name} since {since}: {cause}");
         report.note(&what, "the daemon keeps trying; other receivers are not affected");
     }
-    for doubt in status["doubts"].as_array().map(Vec::as_slice).unwrap_or_default() {
+    let doubts = status["doubts"].as_array().map(Vec::as_slice).unwrap_or_default();
+    let drifted = doubts.iter().any(|doubt| doubt["subject"] == "calibration_drift");
+    if let Some(drift) = drift(&status).filter(|_| !drifted) {
+        report.good(&format!("the steering residual is that of the calibration: {drift}"));
+    }
+    for doubt in doubts {
         let [since, text] = ["since", "text"].map(|key| doubt[key].as_str().unwrap_or_default());
         report.note(&format!("doubt since {since}: {text}"), "it stands until its cause is removed");
     }

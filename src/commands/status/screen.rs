@@ -44,6 +44,7 @@ pub(super) fn page(source: &str, known: &Known) -> Vec<String> {
     let how = if frame.status.has(Status::STEERING_MEASURED) { "read back" } else { "as commanded" };
     lines.push(row("steering", &format!("x    {x} um          y     {y} um    {how}")));
     lines.extend(commands(known.control.as_ref()));
+    lines.extend(known.control.as_ref().and_then(drift).map(|text| row("drift", &text)));
     lines.extend(doubts(known));
     lines.push(row("losses", &losses(known)));
     lines.extend(receivers(known));
@@ -209,6 +210,21 @@ fn commands(control: Option<&Value>) -> Option<String> {
             &format!("{count} unanswered, the oldest for {age_s:.3} s: the stage does not answer"),
         )
     })
+}
+
+/// The drift since the calibration, from the answer of the control socket; `None` while it is not known.
+pub(crate) fn drift(control: &Value) -> Option<String> {
+    let drift = &control["calibration_drift"];
+    let number = |key: &str, i: usize| drift[key][i].as_f64();
+    let (x, y) = (number("residual_um", 0)?, number("residual_um", 1)?);
+    let mut text = format!("x {x:.3} y {y:.3} um of {:.3} um", drift["limit_um"].as_f64()?);
+    if let (Some(b), Some(c)) = (number("power_gains_percent", 0), number("power_gains_percent", 1)) {
+        text += &format!("   gains B {b:+.2} % C {c:+.2} %");
+    }
+    if let [Some(a), Some(b), Some(c)] = [0, 1, 2].map(|i| number("dark_percent", i)) {
+        text += &format!("   dark A {a:+.2} % B {b:+.2} % C {c:+.2} %");
+    }
+    Some(text)
 }
 
 /// The doubts that stand. Only the control socket tells them.

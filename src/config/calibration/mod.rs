@@ -13,7 +13,7 @@ mod spread;
 mod standing;
 
 pub use fingerprint::fingerprint;
-pub use record::{FORMAT, RecordError, RecordHeader};
+pub use record::{AtCalibration, FORMAT, RecordError, RecordHeader, SteeringResidual};
 pub(crate) use record::{contents, parsed};
 pub use spread::SharedSpread;
 pub(crate) use spread::spread_bytes;

@@ -38,6 +38,31 @@ pub struct RecordHeader {
     /// Time from which the calibration is no longer valid, RFC 3339. `None`: no limit was stated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expires: Option<String>,
+    /// What the drift of the head is judged by. `None`: it is not watched.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub at_calibration: Option<AtCalibration>,
+}
+
+/// What shows a drift, as it was at the calibration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct AtCalibration {
+    /// The steering residual of the points. `None`: the position of the steering was not read back.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub steering: Option<SteeringResidual>,
+    /// Standard uncertainty of the power gains of PSD B and C relative to A, percent.
+    pub power_gain_std_percent: [f64; 2],
+    /// Dark offsets of the configuration: u, v, sum of PSD A, B, C, volts.
+    pub dark_v: [[f64; 3]; 3],
+}
+
+/// The steering residual of the points of a calibration: beam position by the readback less that by the nine signals,
+/// x and y across the beam, micrometres.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SteeringResidual {
+    /// Mean of all points.
+    pub mean_um: [f64; 2],
+    /// Standard deviation of a point.
+    pub std_um: [f64; 2],
 }
 
 /// Why a calibration record cannot be used.
@@ -139,6 +164,13 @@ impl RecordHeader {
                 return wrong(field, format!("{deviations:?}"), "three finite numbers of at least 0");
             }
         }
+        if let Some(at) = &self.at_calibration {
+            let steering = at.steering.iter().flat_map(|steering| steering.std_um);
+            let mut deviations = at.power_gain_std_percent.into_iter().chain(steering);
+            if deviations.any(|x| x < 0.0) {
+                return wrong("at_calibration", "a negative deviation".into(), "deviations of at least 0");
+            }
+        }
         Ok(())
     }
 
@@ -164,6 +196,7 @@ mod tests {
             std_um: [0.1, 0.1, 0.08],
             std_urad: [0.3, 0.3, 0.2],
             expires: None,
+            at_calibration: None,
         }
     }
 
@@ -199,6 +232,14 @@ mod tests {
         assert!(refusal(|json| json["range_mm"] = 0.into()).starts_with("range_mm is 0: allowed is"));
         let negative = refusal(|json| json["std_urad"] = serde_json::json!([0.1, -0.1, 0.1]));
         assert!(negative.starts_with("std_urad is [0.1, -0.1, 0.1]: allowed is"), "{negative}");
+        let negative = refusal(|json| {
+            json["at_calibration"] = serde_json::json!({
+                "steering": { "mean_um": [0.0, 0.0], "std_um": [0.1, -0.1] },
+                "power_gain_std_percent": [0.1, 0.1],
+                "dark_v": [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
+            });
+        });
+        assert_eq!(negative, "at_calibration is a negative deviation: allowed is deviations of at least 0");
         let absent = refusal(|json| drop(json.as_object_mut().unwrap().remove("fits")));
         assert!(absent.starts_with("not a calibration record: missing field `fits`"), "{absent}");
     }

@@ -156,6 +156,7 @@ mod tests {
             std_um: [0.1, 0.1, 0.05],
             std_urad: [0.3, 0.3, 0.2],
             expires: expires.map(str::to_owned),
+            at_calibration: None,
         }
     }
 

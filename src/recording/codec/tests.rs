@@ -228,6 +228,7 @@ fn the_calibration_is_recorded_and_that_of_earlier_versions_is_known() {
         std_um: [0.1; 3],
         std_urad: [0.3; 3],
         expires: None,
+        at_calibration: None,
     };
     let calibration = CalibrationState { record: Some(record), standing: Standing::Expired, spread: None };
     let table = || Some(b"table".to_vec());

@@ -4,6 +4,7 @@
 
 mod bursts;
 mod calibration;
+mod calibration_drift;
 mod channels;
 mod clients;
 mod commands;

@@ -9,12 +9,12 @@ use crate::testkit::{Daemon, run, trifacet};
 
 const ON: &str = "monitor.listen = \"127.0.0.1:0\"\n";
 
-fn doubt<'a>(from: &'a Value, subject: &str) -> Option<&'a Value> {
+pub(super) fn doubt<'a>(from: &'a Value, subject: &str) -> Option<&'a Value> {
     from["doubts"].as_array().unwrap().iter().find(|doubt| doubt["subject"] == subject)
 }
 
 /// Waits until there is a doubt about this subject, and checks that every output shows it.
-fn stands(daemon: &mut Daemon, subject: &str, text: &str) {
+pub(super) fn stands(daemon: &mut Daemon, subject: &str, text: &str) {
     let at = daemon.monitor();
     let ready = until(at, subject, |ready| doubt(ready, subject).is_some());
     let shown = doubt(&ready, subject).unwrap();
@@ -30,8 +30,8 @@ fn stands(daemon: &mut Daemon, subject: &str, text: &str) {
     assert!(metrics.contains(&format!("trifacet_doubt{{subject=\"{subject}\"}} 1")), "{metrics}");
     let (config, endpoint) = (daemon.file(), format!("tcp://{}", daemon.address()));
     let status = run(trifacet(&["status", &endpoint, "--socket"]).arg(daemon.socket()));
-    let line = status.out.lines().find(|line| line.starts_with("doubt "));
-    assert!(line.is_some_and(|line| line.contains(text)), "{}", status.out);
+    let named = |line: &str| line.starts_with("doubt ") && line.contains(text);
+    assert!(status.out.lines().any(named), "{}", status.out);
     let doctor = run(trifacet(&["doctor", &endpoint, "--config"]).arg(config));
     assert!(doctor.out.contains("doubt since") && doctor.out.contains(text), "{} {}", doctor.out, doctor.err);
 }

@@ -2,6 +2,7 @@
 
 mod board;
 mod browser;
+mod calibrated;
 mod control;
 mod controller;
 mod daemon;
@@ -23,6 +24,7 @@ use std::time::{Duration, SystemTime};
 
 pub(crate) use board::{Board, Socket};
 pub(crate) use browser::Browser;
+pub(crate) use calibrated::calibrated_twin;
 pub(crate) use controller::{Controller, State, Trouble};
 pub(crate) use daemon::{Daemon, board_at, stamp_ns};
 pub(crate) use folder::Folder;

@@ -28,12 +28,15 @@ pub struct Job<'a> {
 /// The first prior of the splines: good for finding gross errors.
 pub const FIRST_FIELD: Field = Field { knots: 0.65e-3, rms: 2e-6, length: 0.5e-3 };
 
-/// The priors among which a calibration chooses.
+/// The prior near which the search for the most likely one begins.
+pub(super) const USUAL_FIELD: Field = Field { knots: 0.65e-3, rms: 1e-6, length: 0.7e-3 };
+
+/// The priors among which a calibration chooses, well beyond what PSDs are known to have on all sides.
 pub fn fields() -> Vec<Field> {
     let mut fields = Vec::new();
     for knots in [0.65e-3, 0.5e-3] {
-        for rms in [1e-6, 2e-6, 3e-6] {
-            fields.extend([0.5e-3, 0.7e-3].map(|length| Field { knots, rms, length }));
+        for rms in [0.5e-6, 1e-6, 2e-6, 4e-6, 8e-6] {
+            fields.extend([0.5e-3, 0.7e-3, 1e-3, 1.4e-3].map(|length| Field { knots, rms, length }));
         }
     }
     fields

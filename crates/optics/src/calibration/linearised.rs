@@ -197,21 +197,30 @@ impl Response {
 
     /// Covariance of the errors by the noise of the point.
     pub fn covariance(&self, centre: &Instrument, point: &Point) -> SMatrix<f64, 8, 8> {
-        let mut noise = Nine::zeros();
-        for (i, deviation) in point.spot_deviations.iter().enumerate() {
-            noise[i] = deviation.powi(2);
-        }
-        for i in 0..3 {
-            noise[6 + i] = (point.power_deviations[i] / point.powers[i]).powi(2);
-        }
-        let mut covariance = self.by_signals * SMatrix::from_diagonal(&noise) * self.by_signals.transpose();
-        for (i, known) in point.reference.iter().enumerate() {
-            covariance[(i, i)] += known.map_or(0.0, |known| known.deviation.powi(2));
-        }
-        let mut steering = covariance.fixed_view_mut::<2, 2>(6, 6);
-        steering += centre.readback_covariance(point);
-        covariance
+        noise_of_errors(&self.by_signals, centre, point)
     }
+}
+
+/// Covariance of the errors of a point by its noise, with their derivatives with respect to the nine signals.
+pub(super) fn noise_of_errors(
+    by_signals: &SMatrix<f64, 8, 9>,
+    centre: &Instrument,
+    point: &Point,
+) -> SMatrix<f64, 8, 8> {
+    let mut noise = Nine::zeros();
+    for (i, deviation) in point.spot_deviations.iter().enumerate() {
+        noise[i] = deviation.powi(2);
+    }
+    for i in 0..3 {
+        noise[6 + i] = (point.power_deviations[i] / point.powers[i]).powi(2);
+    }
+    let mut covariance = by_signals * SMatrix::from_diagonal(&noise) * by_signals.transpose();
+    for (i, known) in point.reference.iter().enumerate() {
+        covariance[(i, i)] += known.map_or(0.0, |known| known.deviation.powi(2));
+    }
+    let mut steering = covariance.fixed_view_mut::<2, 2>(6, 6);
+    steering += centre.readback_covariance(point);
+    covariance
 }
 
 /// The measured errors of a point and their derivatives, in units of their deviation and uncorrelated.

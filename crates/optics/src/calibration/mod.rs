@@ -12,13 +12,15 @@
 //! - [`pointing`]: whether the steering follows its readback.
 //! - `instrument`: the forward model, with an elliptical beam.
 //! - [`map`]: the error of a PSD as a function of its reading.
-//! - [`fit`]: the estimator.
+//! - [`fit`]: the estimator. `climb`: the search for the most likely prior.
 //! - [`gauge`]: what no measurement can tell.
 //! - [`held_out`]: the test of a fit on points that it has not seen.
 //! - [`mistakes`]: signs, axes and units that are plainly wrong.
+//! - [`revisits`]: drift during the measurement.
 //! - [`result`]: the calibrated head, and the covariance of its poses. [`spread`]: the same covariance for every frame.
 
 pub mod cholesky;
+mod climb;
 pub mod fit;
 pub mod gauge;
 pub mod held_out;
@@ -31,7 +33,9 @@ pub mod parameters;
 pub mod plan;
 pub mod point;
 pub mod pointing;
+mod random_walk;
 pub mod result;
+pub mod revisits;
 mod session;
 pub mod spread;
 

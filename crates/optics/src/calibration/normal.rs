@@ -75,10 +75,10 @@ impl Prior {
         let mut shear = 0.0;
         if let Some(percent) = tolerances.steering_scale_percent {
             // The rotation (xy - yx)/2 is as unknown as before; the rest is known better.
-            let (scale, rotation) = ((percent * 1e-2).powi(-2), diagonal[place::MATRIX + 1]);
-            [diagonal[place::MATRIX], diagonal[place::MATRIX + 3]] = [scale; 2];
+            let (scale, rotation) = ((percent * 1e-2).powi(-2), diagonal[place::MATRIX.at + 1]);
+            [diagonal[place::MATRIX.at], diagonal[place::MATRIX.at + 3]] = [scale; 2];
             let (sum, difference) = (0.25 * scale, 0.25 * rotation);
-            [diagonal[place::MATRIX + 1], diagonal[place::MATRIX + 2]] = [sum + difference; 2];
+            [diagonal[place::MATRIX.at + 1], diagonal[place::MATRIX.at + 2]] = [sum + difference; 2];
             shear = sum - difference;
         }
         let mut ln_determinant = 0.0;
@@ -101,7 +101,7 @@ impl Prior {
         for (i, q) in self.diagonal.iter().enumerate() {
             matrix[(i, i)] += weight * q;
         }
-        matrix[(place::MATRIX + 2, place::MATRIX + 1)] += weight * self.shear;
+        matrix[(place::MATRIX.at + 2, place::MATRIX.at + 1)] += weight * self.shear;
         for (psd, from) in &self.starts {
             let q = &self.splines[*psd];
             let mut target = matrix.view_mut((*from, *from), q.shape());
@@ -115,7 +115,7 @@ impl Prior {
         for (i, q) in self.diagonal.iter().enumerate() {
             product[i] = q * theta[i];
         }
-        let [xy, yx] = [place::MATRIX + 1, place::MATRIX + 2];
+        let [xy, yx] = [place::MATRIX.at + 1, place::MATRIX.at + 2];
         product[xy] += self.shear * theta[yx];
         product[yx] += self.shear * theta[xy];
         for (psd, from) in &self.starts {

@@ -8,7 +8,7 @@ use crate::model::turn_from_z;
 use crate::{Ellipse, Head, Mat3, Rigid, Vec3};
 
 /// Number of geometric parameters.
-pub const GEOMETRY: usize = 49;
+pub const GEOMETRY: usize = place::GROUPS[place::GROUPS.len() - 1].end;
 
 /// What is known before the fit: the head as drawn, and how it is mounted.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -102,28 +102,67 @@ impl Tolerances {
     }
 }
 
-/// Places of the parameters in their vector.
+/// Parameters of one kind, which follow each other in the vector of all.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Group {
+    /// Place of the first one.
+    pub at: usize,
+    /// Place after the last one.
+    end: usize,
+    /// Step of each for its difference quotient, in its unit.
+    step: f64,
+}
+
+impl Group {
+    /// The first group, of this number of parameters.
+    const fn first(count: usize, step: f64) -> Self {
+        Self { at: 0, end: count, step }
+    }
+
+    /// The group after this one.
+    const fn then(self, count: usize, step: f64) -> Self {
+        Self { at: self.end, end: self.end + count, step }
+    }
+
+    /// The places of its parameters.
+    pub fn range(self) -> std::ops::Range<usize> {
+        self.at..self.end
+    }
+}
+
+/// The groups of parameters. A new one, such as the pivot of a mirror that steers the beam, is a line here and in
+/// [`GROUPS`](place::GROUPS), its names and tolerances in [`parameters`], and its effect in [`Nominal`].
 pub(super) mod place {
+    use super::Group;
+
+    /// Step of lengths and angles: metres, radians.
+    const GEOMETRIC: f64 = 1e-5;
+    /// Step of ratios.
+    const RATIO: f64 = 1e-4;
+
     /// Six per PSD: shift along its normal, u, v; rotation about them.
-    pub const PSD: usize = 0;
+    pub const PSD: Group = Group::first(18, GEOMETRIC);
     /// Two per facet: towards the zenith, about it.
-    pub const FACET: usize = 18;
+    pub const FACET: Group = PSD.then(6, GEOMETRIC);
     /// Direction of the light.
-    pub const BEAM: usize = 24;
+    pub const BEAM: Group = FACET.then(2, GEOMETRIC);
     /// Logarithm of the diameter.
-    pub const DIAMETER: usize = 26;
+    pub const DIAMETER: Group = BEAM.then(1, RATIO);
     /// Ellipse.
-    pub const ELLIPSE: usize = 27;
+    pub const ELLIPSE: Group = DIAMETER.then(2, RATIO);
     /// Logarithms of the power gains of B and C.
-    pub const GAIN: usize = 29;
+    pub const GAIN: Group = ELLIPSE.then(2, RATIO);
     /// Steering matrix, by rows.
-    pub const MATRIX: usize = 31;
+    pub const MATRIX: Group = GAIN.then(4, RATIO);
     /// Steering origin.
-    pub const ORIGIN: usize = 35;
+    pub const ORIGIN: Group = MATRIX.then(2, GEOMETRIC);
     /// Frame of the reference: rotation, translation.
-    pub const STAGE: usize = 37;
+    pub const STAGE: Group = ORIGIN.then(6, GEOMETRIC);
     /// Frame of the mirror: rotation, translation.
-    pub const TABLE: usize = 43;
+    pub const TABLE: Group = STAGE.then(6, GEOMETRIC);
+
+    /// All groups, in their order.
+    pub const GROUPS: [Group; 10] = [PSD, FACET, BEAM, DIAMETER, ELLIPSE, GAIN, MATRIX, ORIGIN, STAGE, TABLE];
 }
 
 /// One geometric parameter.
@@ -185,7 +224,7 @@ pub fn parameters(t: &Tolerances) -> Vec<Parameter> {
 
 /// The step of a parameter for its difference quotient.
 pub(super) fn step(parameter: usize) -> f64 {
-    if (place::DIAMETER..place::ORIGIN).contains(&parameter) { 1e-4 } else { 1e-5 }
+    place::GROUPS.iter().find(|group| parameter < group.end).map_or(f64::NAN, |group| group.step)
 }
 
 impl Nominal {
@@ -193,33 +232,33 @@ impl Nominal {
     pub fn head(&self, theta: &[f64]) -> Head {
         let mut head = self.head.clone();
         for (i, psd) in head.psds.iter_mut().enumerate() {
-            let p = &theta[place::PSD + 6 * i..];
+            let p = &theta[place::PSD.at + 6 * i..];
             let axes = Mat3::from_columns(&[psd.x, psd.y, psd.z]);
             psd.origin += axes * Vec3::new(p[0], p[1], p[2]);
             let turned = axes * turn(&p[3..6]);
             [psd.x, psd.y, psd.z] = [0, 1, 2].map(|k| turned.column(k).into_owned());
         }
         for (i, normal) in head.facets.iter_mut().enumerate() {
-            let p = &theta[place::FACET + 2 * i..];
+            let p = &theta[place::FACET.at + 2 * i..];
             let zenith = Vec3::z() - *normal * normal.z;
             let up = zenith.try_normalize(1e-9).unwrap_or_else(Vec3::x);
             *normal = (*normal + up * p[0] + up.cross(&*normal) * p[1]).normalize();
         }
         let axes = turn_from_z(-head.beam_direction);
-        let aside = axes * Vec3::new(theta[place::BEAM], theta[place::BEAM + 1], 0.0);
+        let aside = axes * Vec3::new(theta[place::BEAM.at], theta[place::BEAM.at + 1], 0.0);
         head.beam_direction = (head.beam_direction + aside).normalize();
-        head.beam_diameter *= theta[place::DIAMETER].exp();
+        head.beam_diameter *= theta[place::DIAMETER.at].exp();
         head
     }
 
     /// The steering matrix of the given parameters.
     pub fn steering_matrix(&self, theta: &[f64]) -> Matrix2<f64> {
-        self.steering_matrix + Matrix2::from_row_slice(&theta[place::MATRIX..place::MATRIX + 4])
+        self.steering_matrix + Matrix2::from_row_slice(&theta[place::MATRIX.at..place::MATRIX.at + 4])
     }
 
     /// The steering origin of the given parameters, metres.
     pub fn steering_origin(&self, theta: &[f64]) -> Vector2<f64> {
-        self.steering_origin + Vector2::new(theta[place::ORIGIN], theta[place::ORIGIN + 1])
+        self.steering_origin + Vector2::new(theta[place::ORIGIN.at], theta[place::ORIGIN.at + 1])
     }
 
     /// Frame of the reference in the sensor's world, and mirror in the frame of the reference's table.
@@ -230,27 +269,27 @@ impl Nominal {
         };
         // The shift of the reference is along its own axes, as the pose in its frame: with a shift in the world's
         // axes, shift and rotation would multiply, and the steps of a fit would be too long.
-        let (rotation, shift) = part(&self.stage, place::STAGE);
+        let (rotation, shift) = part(&self.stage, place::STAGE.at);
         let translation = rotation * (self.stage.rotation.transpose() * self.stage.translation + shift);
         let stage = Rigid { rotation, translation };
-        let (rotation, shift) = part(&self.table, place::TABLE);
+        let (rotation, shift) = part(&self.table, place::TABLE.at);
         [stage, Rigid { rotation, translation: self.table.translation + shift }]
     }
 
     /// The shape of the beam.
     pub fn ellipse(theta: &[f64]) -> Ellipse {
-        Ellipse::new(theta[place::ELLIPSE], theta[place::ELLIPSE + 1])
+        Ellipse::new(theta[place::ELLIPSE.at], theta[place::ELLIPSE.at + 1])
     }
 
     /// Power gains relative to A.
     pub fn power_gains(theta: &[f64]) -> [f64; 3] {
-        [1.0, theta[place::GAIN].exp(), theta[place::GAIN + 1].exp()]
+        [1.0, theta[place::GAIN.at].exp(), theta[place::GAIN.at + 1].exp()]
     }
 
     /// The forward model of the given parameters.
     pub(super) fn instrument(&self, theta: &[f64]) -> Instrument {
         let [stage, table] = self.frames(theta);
-        let ln_gains = [0.0, theta[place::GAIN], theta[place::GAIN + 1]];
+        let ln_gains = [0.0, theta[place::GAIN.at], theta[place::GAIN.at + 1]];
         let steering = (self.steering_matrix(theta), self.steering_origin(theta));
         let frames = [stage.inverse(), table.inverse()];
         Instrument::new(&self.head(theta), Self::ellipse(theta), ln_gains, steering, frames)
@@ -260,4 +299,31 @@ impl Nominal {
 /// The rotation of a rotation vector.
 fn turn(v: &[f64]) -> Mat3 {
     Rotation3::new(Vec3::new(v[0], v[1], v[2])).into_inner()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_groups_hold_all_parameters_in_the_order_of_their_names() {
+        let all = parameters(&Tolerances::default());
+        assert_eq!(all.len(), GEOMETRY);
+        for (group, start) in place::GROUPS.into_iter().zip([
+            "psd_a.",
+            "facet_a.",
+            "beam.direction",
+            "beam.ln_diameter",
+            "beam.ellipse",
+            "psd_b.ln_power_gain",
+            "steering.matrix",
+            "steering.origin",
+            "reference_frame.",
+            "mirror_frame.",
+        ]) {
+            assert!(all[group.at].name.starts_with(start), "{group:?} {}", all[group.at].name);
+            let geometric = all[group.at].unit != "1";
+            assert_eq!(step(group.at), if geometric { 1e-5 } else { 1e-4 }, "{group:?}");
+        }
+    }
 }

@@ -3,8 +3,9 @@
 use nalgebra::{Matrix6, Vector6};
 
 use super::cholesky::Factor;
+use super::climb::Climb;
 use super::fit::{
-    Dropped, FIRST_FIELD, FitError, Fitted, IMPROBABLE, Job, Likelihoods, Progress, Stage, tail,
+    Dropped, FIRST_FIELD, FitError, Fitted, IMPROBABLE, Job, Likelihoods, Progress, Stage, USUAL_FIELD, tail,
 };
 use super::held_out::HeldOut;
 use super::instrument::State;
@@ -221,7 +222,7 @@ impl<'a> Session<'a> {
     }
 
     /// Takes the prior of the splines with the largest marginal likelihood, and the parameters that fit best
-    /// with it in the linear approximation.
+    /// with it in the linear approximation. For each distance of the knots, the priors are climbed to their maximum.
     pub fn choose(
         &mut self,
         theta: &Vector,
@@ -231,18 +232,22 @@ impl<'a> Session<'a> {
         let smooth = theta.rows(0, self.layout.polynomials(3, 0)).clone_owned();
         let mut best: Option<(f64, Field, Vector)> = None;
         let mut fields = self.job.fields.to_vec();
-        fields.sort_by(|a, b| a.knots.total_cmp(&b.knots));
+        fields.sort_by(|a, b| b.knots.total_cmp(&a.knots)); // the coarse knots first: they cost less
         for same_knots in fields.chunk_by(|a, b| a.knots == b.knots) {
             self.change_knots(same_knots[0].knots);
-            let start = smooth.clone().resize_vertically(self.layout.parameters(), 0.0);
-            let sums = self.assess(&start, false).ok_or(FitError::Singular)?;
-            for field in same_knots {
-                self.set_field(field)?;
-                let (ln_likelihood, found) = self.likelihood(&start, sums.data)?;
-                progress(Progress::Prior { field: *field, ln_likelihood });
-                likelihoods.push((*field, ln_likelihood));
+            let centre = smooth.clone().resize_vertically(self.layout.parameters(), 0.0);
+            let sums = self.assess(&centre, false).ok_or(FitError::Singular)?;
+            // That of the last knots is near the best one of these.
+            let start = best.as_ref().map_or(USUAL_FIELD, |(_, field, _)| *field);
+            let mut climb = Climb::new(same_knots, start);
+            while let Some(field) = climb.next() {
+                self.set_field(&field)?;
+                let (ln_likelihood, found) = self.likelihood(&centre, sums.data)?;
+                climb.judged(ln_likelihood);
+                progress(Progress::Prior { field, ln_likelihood });
+                likelihoods.push((field, ln_likelihood));
                 if best.as_ref().is_none_or(|(ln, ..)| ln_likelihood > *ln) {
-                    best = Some((ln_likelihood, *field, found));
+                    best = Some((ln_likelihood, field, found));
                 }
             }
         }

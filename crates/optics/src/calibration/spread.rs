@@ -202,7 +202,7 @@ impl Calibration {
 
 /// The geometric parameters that act on a pose.
 fn geometry_columns() -> impl Iterator<Item = usize> {
-    (0..place::MATRIX).chain(place::TABLE..place::TABLE + 6)
+    (0..place::MATRIX.at).chain(place::TABLE.range())
 }
 
 /// For each spline of a PSD its coefficient in each polynomial: a quasi-interpolation that is exact for cubics.
