@@ -27,7 +27,8 @@ impl Program {
 
     /// The board on a pseudo-terminal.
     pub(crate) fn board() -> Self {
-        Self::compile("firmware/host/board_host.c", &["host/head.c", "host/options.c", "host/sensor.c"])
+        let parts = ["core/serve.c", "host/options.c", "sensor/head.c", "sensor/sensor.c"];
+        Self::compile("firmware/host/board_host.c", &parts)
     }
 
     pub(crate) fn path(&self) -> &Path {
