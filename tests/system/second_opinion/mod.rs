@@ -7,6 +7,7 @@ mod codec;
 mod conversation;
 mod delay;
 mod healthy;
+mod microcontroller;
 mod observation;
 mod situations;
 mod table;
