@@ -39,14 +39,11 @@ impl Machine {
             .stderr(Stdio::null())
             .spawn()
             .unwrap();
-        let lines = BufReader::new(child.stdout.take().unwrap()).lines().map_while(Result::ok);
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map_while(Result::ok);
         let child = Killed(child);
-        let port = lines
-            .filter_map(|line| {
-                line.split_whitespace().find(|word| word.starts_with("/dev/")).map(PathBuf::from)
-            })
-            .next()
-            .expect("QEMU prints the name of the terminal");
+        let name =
+            |line: String| line.split_whitespace().find(|word| word.starts_with("/dev/")).map(PathBuf::from);
+        let port = lines.find_map(name).expect("QEMU prints the name of the terminal");
         Some(Self { _child: child, _place: place, port })
     }
 
