@@ -1,13 +1,11 @@
 #include "board.h"
 
-/* Room that scans leave in the ring for answers. */
-#define RESERVE (2u * TF_MAX_FRAME)
+/* Room that scans leave in the ring for one answer of each kind: IDENTITY, and three that are shorter than 16 bytes. */
+#define RESERVE (TF_MAX_FRAME + 3u * 16u)
 
 void tf_board_init(tf_board *board, const tf_identity *identity)
 {
-    static const tf_board at_power_up;
-    *board = at_power_up;
-    board->identity = identity;
+    *board = (tf_board){.identity = identity};
 }
 
 static bool has_room(const tf_board *board, size_t length, size_t reserve)
@@ -15,24 +13,23 @@ static bool has_room(const tf_board *board, size_t length, size_t reserve)
     return board->waiting + length + reserve <= TF_TRANSMIT;
 }
 
-/* Sends a message; false if the ring has no room for it. */
-static bool send(tf_board *board, const uint8_t *message, size_t length, size_t reserve)
-{
+/* A message with room for its frame around it. */
+typedef struct {
     uint8_t frame[TF_MAX_FRAME];
-    size_t bytes = tf_frame_encode(message, length, frame);
+    size_t length; /* of the message, which begins at the second byte of the frame */
+} outgoing;
+
+/* Sends a message; false if the ring has no room for it. */
+static bool send(tf_board *board, outgoing *out, size_t reserve)
+{
+    size_t bytes = tf_frame_encode(out->frame + 1, out->length, out->frame);
     if (bytes == 0u || !has_room(board, bytes, reserve)) {
         return false;
     }
     for (size_t i = 0; i < bytes; i++) {
-        board->transmit[(board->waiting_from + board->waiting++) % TF_TRANSMIT] = frame[i];
+        board->transmit[(board->waiting_from + board->waiting++) % TF_TRANSMIT] = out->frame[i];
     }
     return true;
-}
-
-static void answer(tf_board *board, const uint8_t *message, size_t length)
-{
-    /* A host that sends more requests than the line can answer repeats them (step 1 of the conversation). */
-    (void)send(board, message, length, 0);
 }
 
 static bool in_range(const tf_board *board, const int32_t codes[2])
@@ -105,53 +102,54 @@ static uint32_t stated_rate(const tf_board *board)
     return board->started ? rate_of(board) : 0u;
 }
 
-static void execute(tf_board *board, const tf_request *request, uint64_t now)
+/* Executes a request and writes its answer; returns the length of the answer. */
+static size_t execute(tf_board *board, const tf_request *request, uint64_t now, uint8_t *message)
 {
-    uint8_t message[TF_MAX_BODY], result;
-    size_t length;
+    uint8_t result;
     switch (request->type) {
     case TF_START:
         result = start(board, request, now);
-        length = tf_write_reply(message, TF_START, result, stated_rate(board));
-        break;
+        return tf_write_reply(message, TF_START, result, stated_rate(board));
     case TF_STOP:
         board->started = false;
-        length = tf_write_reply(message, TF_STOP, TF_DONE, 0);
-        break;
+        return tf_write_reply(message, TF_STOP, TF_DONE, 0);
     case TF_STEER:
-        length = tf_write_ack(message, request->id, steer(board, request, now));
-        break;
+        return tf_write_ack(message, request->id, steer(board, request, now));
     default: /* IDENTIFY */
-        length = tf_write_identity(message, board->identity, request->minor);
-        break;
+        return tf_write_identity(message, board->identity, request->minor);
     }
-    answer(board, message, length);
+}
+
+/* The same for a message that has arrived; 0 if it gets no answer. */
+static size_t take(tf_board *board, uint64_t now, uint8_t *message)
+{
+    const uint8_t *arrived = board->receiver.bytes;
+    tf_request request;
+    uint8_t reason = tf_request_read(arrived, board->receiver.length, board->identity->minor, &request);
+    if ((arrived[0] & 0x80u) != 0u) {
+        return 0; /* from a board: the line echoes. An answer would be echoed too, without end */
+    }
+    return reason == 0u ? execute(board, &request, now, message) : tf_write_error(message, reason, arrived[0]);
 }
 
 void tf_board_receive(tf_board *board, uint8_t byte, uint64_t now)
 {
-    uint8_t message[TF_MAX_BODY];
+    outgoing answer;
+    answer.length = 0;
     tf_board_check_lease(board, now); /* a command that comes too late does not renew its predecessor */
     switch (tf_frame_receive(&board->receiver, byte)) {
     case TF_FRAME_DAMAGED:
-        answer(board, message, tf_write_error(message, TF_ERROR_FRAME, 0));
+        answer.length = tf_write_error(answer.frame + 1, TF_ERROR_FRAME, 0);
         break;
-    case TF_FRAME_MESSAGE: {
-        tf_request request;
-        uint8_t reason = tf_request_read(board->receiver.bytes, board->receiver.length, board->identity->minor,
-                                         &request);
-        if ((board->receiver.bytes[0] & 0x80u) != 0u) {
-            break; /* from a board: the line echoes. An answer would be echoed too, without end */
-        }
-        if (reason == 0u) {
-            execute(board, &request, now);
-        } else {
-            answer(board, message, tf_write_error(message, reason, board->receiver.bytes[0]));
-        }
+    case TF_FRAME_MESSAGE:
+        answer.length = take(board, now, answer.frame + 1);
+        break;
+    case TF_FRAME_PART:
         break;
     }
-    default:
-        break;
+    if (answer.length > 0u) {
+        /* A host that sends more requests than the line can answer repeats them (step 1 of the conversation). */
+        (void)send(board, &answer, 0);
     }
 }
 
@@ -173,15 +171,15 @@ static size_t write_scan(const tf_board *board, uint8_t *message, uint64_t tick,
 
 void tf_board_scan(tf_board *board, uint64_t tick, const int32_t *codes, uint8_t status)
 {
-    uint8_t message[TF_MAX_BODY];
+    outgoing out;
     if (!board->started) {
         return;
     }
     if (board->lease_expired) {
         status |= TF_LEASE_EXPIRED;
     }
-    size_t length = write_scan(board, message, tick, codes, status);
-    if (!send(board, message, length, RESERVE)) {
+    out.length = write_scan(board, out.frame + 1, tick, codes, status);
+    if (!send(board, &out, RESERVE)) {
         board->omitted++;
     }
     board->sequence++;
@@ -201,13 +199,14 @@ void tf_board_check_lease(tf_board *board, uint64_t now)
     }
 }
 
-size_t tf_board_transmit(tf_board *board, uint8_t *bytes, size_t room)
+bool tf_board_waiting(const tf_board *board, uint8_t *byte)
 {
-    size_t taken = 0;
-    while (taken < room && board->waiting > 0u) {
-        bytes[taken++] = board->transmit[board->waiting_from];
-        board->waiting_from = (board->waiting_from + 1u) % TF_TRANSMIT;
-        board->waiting--;
-    }
-    return taken;
+    *byte = board->transmit[board->waiting_from];
+    return board->waiting > 0u;
+}
+
+void tf_board_sent(tf_board *board)
+{
+    board->waiting_from = (board->waiting_from + 1u) % TF_TRANSMIT;
+    board->waiting--;
 }

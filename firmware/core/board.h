@@ -1,25 +1,20 @@
 /* The board of docs/board-protocol.md without its hardware: conversation, schedule of the scans, steering, lease.
  *
- * The firmware around it has five duties:
- *   - it passes each byte of the line to tf_board_receive, and sends the bytes of tf_board_transmit;
- *   - it takes a scan when the clock reaches tf_board_next_scan, and passes the codes to tf_board_scan;
- *   - it calls tf_board_check_lease at least once per millisecond, independent of the line;
- *   - it sets the outputs to `outputs` after each of these calls;
- *   - it has a clock of 64 bits that counts ticks from power-up, latched by the hardware at the conversion.
- *
- * It makes these calls in the order of their times: a scan before a request that arrives after its tick. A scan then
- * names the last command that the outputs had taken over at its tick.
- *
- * All functions take the time as an argument, finish in bounded time, and allocate nothing. They must not be
- * interrupted by each other.
+ * A firmware drives it through serve.h. All functions take the time as an argument, finish in bounded time, and
+ * allocate nothing. They must not be interrupted by each other, and are called in the order of their times: a scan
+ * before a request that arrives after its tick. A scan then names the last command that the outputs had taken over at
+ * its tick.
  */
 #ifndef TF_BOARD_H
 #define TF_BOARD_H
 
 #include "message.h"
 
-/* Bytes that wait for the line. */
-#define TF_TRANSMIT 2048u
+/* Bytes that wait for the line: room for one answer of each kind (300 bytes), and for scans. A firmware with long
+ * pauses between two turns of its loop defines a larger value. */
+#ifndef TF_TRANSMIT
+#define TF_TRANSMIT 1024u
+#endif
 
 /* The state of a board. The firmware reads `started` and `outputs`, and writes nothing. */
 typedef struct {
@@ -60,7 +55,10 @@ void tf_board_scan(tf_board *board, uint64_t tick, const int32_t *codes, uint8_t
 /* Lets the lease expire when its time has come. */
 void tf_board_check_lease(tf_board *board, uint64_t now);
 
-/* Moves up to `room` waiting bytes to `bytes`; returns their number. */
-size_t tf_board_transmit(tf_board *board, uint8_t *bytes, size_t room);
+/* Whether a byte waits for the line, and which. */
+bool tf_board_waiting(const tf_board *board, uint8_t *byte);
+
+/* The byte that waits has been sent. */
+void tf_board_sent(tf_board *board);
 
 #endif

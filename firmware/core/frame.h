@@ -23,8 +23,8 @@
 uint32_t tf_crc32(const uint8_t *bytes, size_t length);
 
 /* Writes the frame of a message (type, version, body; without checksum) to `frame`, which has room for
- * TF_MAX_FRAME bytes. Returns the length of the frame with its delimiter, or 0 if the message has more than
- * TF_MAX_BODY bytes. */
+ * TF_MAX_FRAME bytes; the message may be there already, from the second byte on. Returns the length of the frame with
+ * its delimiter, or 0 if the message has more than TF_MAX_BODY bytes. */
 size_t tf_frame_encode(const uint8_t *message, size_t length, uint8_t *frame);
 
 /* What a byte of the line has completed. */

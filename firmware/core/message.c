@@ -105,7 +105,7 @@ static void write_extension(writer *w, const tf_identity *identity)
     u8(w, identity->wide_tick ? 64u : 32u);
     low_bytes(w, identity->boot_id, 4);
     u8(w, units);
-    for (unsigned i = 0; i < units; i++) {
+    for (unsigned i = 0; i < identity->units && i < TF_MAX_UNITS; i++) {
         const tf_unit *unit = &identity->unit[i];
         u8(w, unit->channel);
         u8(w, unit->unit);

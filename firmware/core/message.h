@@ -68,8 +68,8 @@ typedef struct {
     bool park;          /* STEER: park when the lease expires, otherwise hold */
 } tf_request;
 
-/* Reads a message of the host as a board of version 1.`minor`. Returns 0 and fills `request`, or returns the reason for an ERROR: the first that
- * applies of version, type, length, value. */
+/* Reads a message of the host as a board of version 1.`minor`. Returns 0 and fills `request`, or returns the reason for
+ * an ERROR: the first that applies of version, type, length, value. */
 uint8_t tf_request_read(const uint8_t *message, size_t length, uint8_t minor, tf_request *request);
 
 /* A channel of the converter. */

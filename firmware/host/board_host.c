@@ -19,8 +19,8 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "../core/board.h"
-#include "sensor.h"
+#include "../core/serve.h"
+#include "../sensor/sensor.h"
 
 #define TICK_HZ 1000000u
 #define OUTPUT_BITS 16
@@ -45,11 +45,19 @@ typedef struct {
     uint64_t stopped_tick; /* at the begin of the faults */
     uint8_t pending[65536]; /* bytes for the line, as in the buffers of an adapter */
     size_t pending_length;
-    travelling received[4096]; /* from the host, not yet at the board */
-    size_t received_length;
+    travelling received[4096]; /* from the host; the first `taken` have reached the board */
+    size_t received_length, taken;
+    int32_t outputs[2];
+    uint8_t frame[TF_MAX_FRAME]; /* from the core, until it is complete */
+    size_t frame_length;
+    bool faulty;                /* faults act in the last scan */
+    bool restarted;             /* the board has answered START in this turn */
     uint8_t late[TF_MAX_FRAME]; /* a scan that is sent after its successor */
     size_t late_length;
 } host;
+
+/* The only one: the functions of the port have no argument for it. */
+static host the_host;
 
 static void fail(const char *what)
 {
@@ -127,14 +135,6 @@ static void put(host *h, const uint8_t *bytes, size_t length)
     }
 }
 
-/* The bytes of the board go to the line. */
-static void transmit(host *h)
-{
-    h->pending_length += tf_board_transmit(&h->board, h->pending + h->pending_length,
-                                           sizeof h->pending - h->pending_length);
-    flush(h);
-}
-
 /* The tick that the scan carries. */
 static uint64_t stated_tick(host *h, uint64_t tick, uint32_t sequence)
 {
@@ -151,29 +151,48 @@ static uint64_t stated_tick(host *h, uint64_t tick, uint32_t sequence)
 }
 
 /* Sends the frame of a scan with the faults of the line. */
-static void transmit_scan(host *h, bool faulty)
+static void put_scan(host *h, uint8_t *frame, size_t length)
 {
-    uint8_t frame[TF_MAX_FRAME];
-    size_t length = tf_board_transmit(&h->board, frame, sizeof frame);
-    if (length == 0) {
-        return; /* omitted */
-    }
-    if (faulty && sensor_random(&h->sensor) < h->o.damage) {
+    if (h->faulty && sensor_random(&h->sensor) < h->o.damage) {
         size_t place = (size_t)(sensor_random(&h->sensor) * (double)(length - 1));
         frame[place] = (uint8_t)(frame[place] ^ (frame[place] == 1 ? 2 : 1)); /* not the delimiter */
     }
-    if (faulty && h->late_length == 0 && sensor_random(&h->sensor) < h->o.swap) {
+    if (h->faulty && h->late_length == 0 && sensor_random(&h->sensor) < h->o.swap) {
         memcpy(h->late, frame, length);
         h->late_length = length;
         return;
     }
     put(h, frame, length);
-    if (faulty && sensor_random(&h->sensor) < h->o.duplicate) {
+    if (h->faulty && sensor_random(&h->sensor) < h->o.duplicate) {
         put(h, frame, length);
     }
     put(h, h->late, h->late_length);
     h->late_length = 0;
-    flush(h);
+}
+
+/* Acknowledges a command that nobody has sent. */
+static void acknowledge_another(host *h)
+{
+    uint8_t message[TF_MAX_BODY], frame[TF_MAX_FRAME];
+    size_t length = tf_write_ack(message, h->board.applied ^ 0x80000000u, TF_ACCEPTED);
+    put(h, frame, tf_frame_encode(message, length, frame));
+}
+
+/* Sends a frame of the core, with the faults of a wrong firmware. */
+static void put_frame(host *h, uint8_t *frame, size_t length)
+{
+    int type = frame[1]; /* after the COBS prefix */
+    h->restarted = h->restarted || (type == TF_REPLY && h->board.started);
+    if (type == h->o.mute) {
+        return;
+    }
+    if (type == TF_ACK && h->o.wrong_ids > 0) {
+        acknowledge_another(h);
+    } else if (type == TF_SCAN || type == TF_LONG_SCAN) {
+        put_scan(h, frame, length);
+    } else {
+        put(h, frame, length);
+    }
 }
 
 /* Difference of the two clocks; of several readings, the one with the least time between them. */
@@ -195,28 +214,78 @@ static void print_truth(const host *h, uint32_t sequence, double period_s, uint6
 {
     head_pose p = sensor_pose(&h->o, sequence * period_s);
     int64_t taken_ns = h->power_up_ns + (int64_t)((double)tick * tick_ns(h));
-    long long time_ns = (long long)(taken_ns + h->system_ns), late_ns = (long long)(clock_ns(CLOCK_MONOTONIC) - taken_ns);
+    long long time_ns = (long long)(taken_ns + h->system_ns);
+    long long late_ns = (long long)(clock_ns(CLOCK_MONOTONIC) - taken_ns);
     printf("%lu %.12g %.12g %.12g %.12g %.12g %.12g %lld %lld %ld %ld %d\n", (unsigned long)sequence, p.t[0], p.t[1],
            p.t[2], p.roll, p.pitch, p.yaw, time_ns, late_ns, (long)h->board.outputs[0], (long)h->board.outputs[1],
            h->board.lease_expired);
     fflush(stdout);
 }
 
-static void scan(host *h, uint64_t tick)
+uint64_t tf_port_now(void)
 {
+    return now(&the_host);
+}
+
+uint8_t tf_port_sample(uint64_t *tick, int32_t *codes)
+{
+    host *h = &the_host;
     double period_s = (double)h->board.period / TICK_HZ, command[2];
     for (int axis = 0; axis < 2; axis++) {
-        command[axis] = h->board.outputs[axis] * FULL_SCALE_M / (1 << (OUTPUT_BITS - 1));
+        command[axis] = h->outputs[axis] * FULL_SCALE_M / (1 << (OUTPUT_BITS - 1));
     }
     if (h->o.sequence_jump > 0 && h->board.sequence == h->o.at) {
         h->board.sequence += (uint32_t)h->o.sequence_jump; /* a fault: the core itself cannot do this */
     }
     uint32_t sequence = h->board.sequence;
-    const int32_t *codes = sensor_scan(&h->sensor, &h->o, sequence, period_s, command);
-    print_truth(h, sequence, period_s, tick);
-    transmit(h);
-    tf_board_scan(&h->board, stated_tick(h, tick, sequence), codes, 0);
-    transmit_scan(h, sensor_faulty(&h->o, sequence));
+    memcpy(codes, sensor_scan(&h->sensor, &h->o, sequence, period_s, command), SENSOR_CHANNELS * sizeof *codes);
+    print_truth(h, sequence, period_s, *tick);
+    *tick = stated_tick(h, *tick, sequence);
+    h->faulty = sensor_faulty(&h->o, sequence);
+    return 0;
+}
+
+void tf_port_output(const int32_t codes[2])
+{
+    the_host.outputs[0] = codes[0];
+    the_host.outputs[1] = codes[1];
+}
+
+bool tf_port_send(uint8_t byte)
+{
+    host *h = &the_host;
+    h->frame[h->frame_length++] = byte;
+    if (byte == 0) {
+        put_frame(h, h->frame, h->frame_length);
+        h->frame_length = 0;
+    }
+    return true;
+}
+
+/* Takes bytes from the line. */
+static void read_line(host *h)
+{
+    uint8_t bytes[256];
+    ssize_t count;
+    size_t room;
+    while ((room = sizeof h->received / sizeof *h->received - h->received_length) > 0 &&
+           (count = read(h->line, bytes, room < sizeof bytes ? room : sizeof bytes)) > 0) {
+        int64_t arrival_ns = clock_ns(CLOCK_MONOTONIC) + (int64_t)(h->o.line_ms * 1e6);
+        for (ssize_t i = 0; i < count; i++) {
+            h->received[h->received_length++] = (travelling){bytes[i], arrival_ns};
+        }
+    }
+}
+
+bool tf_port_receive(uint8_t *byte)
+{
+    host *h = &the_host;
+    if (h->taken == h->received_length || h->received[h->taken].arrival_ns > clock_ns(CLOCK_MONOTONIC)) {
+        return false;
+    }
+    *byte = h->received[h->taken++].byte;
+    h->identity.boot_id += h->o.new_boots > 0 ? 1 : 0;
+    return true;
 }
 
 /* Waits for the line, the next scan or the end of the input; false at the end. */
@@ -238,79 +307,33 @@ static bool wait_for_work(const host *h)
     return ends[1].revents == 0;
 }
 
-/* Acknowledges a command that nobody has sent. */
-static void acknowledge_another(host *h)
-{
-    uint8_t message[TF_MAX_BODY], frame[TF_MAX_FRAME];
-    size_t length = tf_write_ack(message, h->board.applied ^ 0x80000000u, TF_ACCEPTED);
-    put(h, frame, tf_frame_encode(message, length, frame));
-}
-
-/* Type of the answer that begins at this byte of the ring. */
-static int answer_type(const tf_board *board, size_t begin)
-{
-    return board->transmit[(board->waiting_from + begin + 1u) % TF_TRANSMIT]; /* after the COBS prefix */
-}
-
-/* A byte reaches the board, with the faults of a wrong firmware. */
-static void reach(host *h, uint8_t byte)
+/* A turn of the firmware, with the faults of a wrong one; false if there was nothing to do. */
+static bool turn(host *h)
 {
     tf_board *board = &h->board;
-    transmit(h);
     uint32_t sequence = board->sequence;
-    size_t before = board->waiting;
-    h->identity.boot_id += h->o.new_boots > 0 ? 1 : 0;
-    tf_board_receive(board, byte, now(h));
-    if (board->waiting > before) {
-        int type = answer_type(board, before);
-        if (type == TF_REPLY && board->started) {
-            board->sequence = h->o.keep_number > 0 ? sequence + 1u : board->sequence;
-            board->period = (uint32_t)((double)board->period / h->o.rate_factor);
-        }
-        if (type == h->o.mute || (type == TF_ACK && h->o.wrong_ids > 0)) {
-            board->waiting = before;
-        }
-        if (type == TF_ACK && h->o.wrong_ids > 0) {
-            acknowledge_another(h);
-        }
+    h->restarted = false;
+    bool busy = tf_serve(board);
+    if (h->restarted) {
+        board->sequence = h->o.keep_number > 0 ? sequence + 1u : board->sequence;
+        board->period = (uint32_t)((double)board->period / h->o.rate_factor);
     }
     board->lease_running = board->lease_running && h->o.no_lease <= 0;
     board->park_on_expiry = board->park_on_expiry && h->o.no_park <= 0;
     board->any_applied = board->any_applied && h->o.no_applied <= 0;
+    return busy;
 }
 
-/* Takes bytes from the line; they reach the board after the delay of the line. */
-static void receive(host *h)
-{
-    uint8_t bytes[256];
-    ssize_t count;
-    size_t room;
-    while ((room = sizeof h->received / sizeof *h->received - h->received_length) > 0 &&
-           (count = read(h->line, bytes, room < sizeof bytes ? room : sizeof bytes)) > 0) {
-        int64_t arrival_ns = clock_ns(CLOCK_MONOTONIC) + (int64_t)(h->o.line_ms * 1e6);
-        for (ssize_t i = 0; i < count; i++) {
-            h->received[h->received_length++] = (travelling){bytes[i], arrival_ns};
-        }
-    }
-    size_t arrived = 0;
-    int64_t now_ns = clock_ns(CLOCK_MONOTONIC);
-    while (arrived < h->received_length && h->received[arrived].arrival_ns <= now_ns) {
-        reach(h, h->received[arrived++].byte);
-    }
-    h->received_length -= arrived;
-    memmove(h->received, h->received + arrived, h->received_length * sizeof *h->received);
-}
-
-/* Everything in the order of its time: the scans that are due, then what the host sends. */
 static void work(host *h)
 {
-    uint64_t tick;
-    while (tf_board_next_scan(&h->board, &tick) && tick <= now(h)) {
-        scan(h, tick);
+    read_line(h);
+    while (turn(h)) {
+        flush(h);
     }
-    receive(h);
-    tf_board_check_lease(&h->board, now(h));
-    transmit(h);
+    flush(h);
+    h->received_length -= h->taken;
+    memmove(h->received, h->received + h->taken, h->received_length * sizeof *h->received);
+    h->taken = 0;
 }
 
 int main(int count, char **arguments)
@@ -319,16 +342,18 @@ int main(int count, char **arguments)
         fprintf(stderr, "usage: %s LINK [KEY=VALUE ...]\n", arguments[0]);
         return 64;
     }
-    host h = {.o = options_read(count - 2, arguments + 2), .power_up_ns = clock_ns(CLOCK_MONOTONIC)};
-    h.system_ns = system_minus_monotonic();
-    h.identity = identity_of(&h.o);
-    h.sensor.random = (uint64_t)h.o.seed;
-    tf_board_init(&h.board, &h.identity);
-    h.line = open_line(arguments[1]);
+    host *h = &the_host;
+    h->o = options_read(count - 2, arguments + 2);
+    h->power_up_ns = clock_ns(CLOCK_MONOTONIC);
+    h->system_ns = system_minus_monotonic();
+    h->identity = identity_of(&h->o);
+    h->sensor.random = (uint64_t)h->o.seed;
+    tf_board_init(&h->board, &h->identity);
+    h->line = open_line(arguments[1]);
     puts("ready");
     fflush(stdout);
-    while (wait_for_work(&h)) {
-        work(&h);
+    while (wait_for_work(h)) {
+        work(h);
     }
     return 0;
 }

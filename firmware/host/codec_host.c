@@ -45,8 +45,9 @@ static size_t read_hex(const char *text, uint8_t *bytes)
 
 static void print_frame(const uint8_t *message, size_t length)
 {
-    uint8_t frame[TF_MAX_FRAME];
-    print_hex(frame, tf_frame_encode(message, length, frame));
+    uint8_t frame[TF_MAX_FRAME] = {0};
+    size_t bytes = tf_frame_encode(message, length, frame);
+    print_hex(frame, bytes);
 }
 
 static void receive(const uint8_t *bytes, size_t length)
@@ -169,7 +170,10 @@ static void converse(tf_board *board, uint8_t *bytes)
     for (size_t i = 0; i < length; i++) {
         tf_board_receive(board, bytes[i], now);
     }
-    print_hex(bytes, tf_board_transmit(board, bytes, LONGEST));
+    uint8_t byte;
+    for (; tf_board_waiting(board, &byte); tf_board_sent(board)) {
+        print_hex(&byte, 1);
+    }
     printf(" %" PRId32 " %" PRId32 " %d", board->outputs[0], board->outputs[1], board->lease_expired);
 }
 

@@ -30,7 +30,7 @@ impl Program {
         static ONCE: Mutex<Weak<Program>> = Mutex::new(Weak::new());
         let mut once = ONCE.lock().unwrap_or_else(PoisonError::into_inner);
         once.upgrade().unwrap_or_else(|| {
-            let parts = ["host/head.c", "host/options.c", "host/sensor.c"];
+            let parts = ["core/serve.c", "host/options.c", "sensor/head.c", "sensor/sensor.c"];
             let program = Arc::new(Self::compile("firmware/host/board_host.c", &parts));
             *once = Arc::downgrade(&program);
             program

@@ -7,6 +7,7 @@ mod codec;
 mod conversation;
 mod delay;
 mod healthy;
+mod microcontroller;
 mod network;
 mod observation;
 mod situations;

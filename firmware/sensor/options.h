@@ -1,6 +1,9 @@
-/* The arguments of the board: `key=value`, with the defaults of a healthy one. */
+/* The parameters of the sensor and of the board around it, with the values of a healthy one. On the host they are
+ * arguments, `key=value`. */
 #ifndef TF_OPTIONS_H
 #define TF_OPTIONS_H
+
+#include "real.h"
 
 /* Key, default, meaning. Faults act from the scan `at` on unless their text says otherwise. */
 #define OPTIONS(X)                                                                                                     \
@@ -52,12 +55,15 @@
 
 /* The values of all keys. */
 typedef struct {
-#define FIELD(name, value, text) double name;
+#define FIELD(name, value, text) real name;
     OPTIONS(FIELD)
 #undef FIELD
 } options;
 
-/* Reads the arguments. Ends the program with a message if one of them is not allowed. */
+/* The values of a healthy board: `{OPTIONS(OPTION_DEFAULT)}`. */
+#define OPTION_DEFAULT(name, value, text) (real)(value),
+
+/* Reads the arguments (host/options.c). Ends the program with a message if one of them is not allowed. */
 options options_read(int count, char **arguments);
 
 #endif

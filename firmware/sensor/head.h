@@ -6,21 +6,21 @@
 #ifndef TF_HEAD_H
 #define TF_HEAD_H
 
-#include <stdbool.h>
+#include "real.h"
 
 /* Position of the apex and rotation Rz(yaw) Ry(pitch) Rx(roll). */
 typedef struct {
-    double t[3], roll, pitch, yaw;
+    real t[3], roll, pitch, yaw;
 } head_pose;
 
 /* The light on a PSD. */
 typedef struct {
-    double at[2]; /* u, v of the centroid */
-    double power; /* fraction of the beam */
+    real at[2]; /* u, v of the centroid */
+    real power; /* fraction of the beam */
 } head_spot;
 
 /* Computes the three spots for a vertical beam with its centre at `beam` (world x, y). No light comes from the
  * mirror within the distance `chip` of its apex. */
-void head_light(const head_pose *pose, const double beam[2], double chip, head_spot spots[3]);
+void head_light(const head_pose *pose, const real beam[2], real chip, head_spot spots[3]);
 
 #endif
