@@ -63,7 +63,7 @@ const BAD: &[(&str, &[&str])] = &[
     ("[steering]\nkind = 'tilt'\ntilt.pivot_mm = [0, 0, 40]\n", &["lab.toml:3:17: steering.tilt.pivot_mm = [0, 0, 40]: allowed is a point at least 50 mm above the apex"]),
     ("[steering]\nkind = 'tilt'\ntilt.pivot_mm = [50, 0, 500]\n", &["lab.toml:3:17: steering.tilt.pivot_mm = [50, 0, 500]: allowed is a geometry in which the light reaches all three PSDs"]),
     ("[steering]\nkind = 'tilt'\ntilt.pivot_mm = [0, nan, 500]\n", &["lab.toml:3:17: steering.tilt.pivot_mm[1] = nan: allowed is -100000 to 100000"]),
-    ("[steering]\nkind = 'tilt'\ntilt.pivot_mm = [0, 500]\n", &["steering.tilt.pivot_mm has 2 values: allowed are 3"]),
+    ("[steering]\nkind = 'tilt'\ntilt.pivot_mm = [0, 0, 500, 1]\n", &["steering.tilt.pivot_mm has 4 values: allowed are 3"]),
     ("[steering]\nkind = 'mirror'\n", &["lab.toml:2:8: steering.kind = 'mirror': allowed is `outputs`, `gcs` or `tilt`"]),
     ("[steering]\nkind = 'gcs'\n", &["lab.toml:1:", "steering.gcs.address = absent: allowed is a host and its port", "steering.gcs.port", "needs one of them"]),
     ("[steering]\nkind = 'gcs'\non_lease = 'park'\ngcs.address = 'stage:50000'\n", &["lab.toml:3:12: steering.on_lease = 'park': allowed is \"hold\" with steering.kind = \"gcs\"", "has no lease"]),
