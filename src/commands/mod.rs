@@ -9,7 +9,8 @@ use std::str::FromStr;
 use anyhow::Context;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
-use trifacet::config::{self, Config};
+use trifacet::config::{self, Config, NO_TILT, SteeringKind};
+use trifacet::exit::{self, Failure};
 
 mod board_test;
 mod budget;
@@ -75,10 +76,24 @@ impl ConfigArg {
         self.config.as_deref()
     }
 
-    /// The checked configuration.
+    /// The checked configuration, with a beam that is translated.
     pub(crate) fn load(&self) -> anyhow::Result<Config> {
+        translated(self.load_any_beam()?)
+    }
+
+    /// The checked configuration. The beam may be tilted.
+    pub(crate) fn load_any_beam(&self) -> anyhow::Result<Config> {
         Ok(config::load(self.config.as_deref())?)
     }
+}
+
+/// The configuration, unless a mirror tilts its beam.
+pub(crate) fn translated(config: Config) -> anyhow::Result<Config> {
+    if config.steering.kind == SteeringKind::Tilt {
+        let why = format!("steering.kind = \"tilt\" is not possible here: {NO_TILT}");
+        return Err(Failure::new(exit::CONFIG, why).into());
+    }
+    Ok(config)
 }
 
 /// A parser of an option that is a number within this range, for its error message too.

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use trifacet::config;
-use trifacet_optics::{Model, Optics, Pose, Vec2};
+use trifacet_optics::{Model, Pose, Vec2};
 use trifacet_wire::layout::{POSE, SPOTS};
 
 use super::ConfigArg;
@@ -32,9 +32,9 @@ pub(super) fn needed(names: &[&'static str]) -> impl Iterator<Item = Column> {
 
 /// Computes signals from poses.
 pub(crate) fn trace(args: &TableArgs) -> anyhow::Result<()> {
-    let config = args.config.load()?;
+    let config = args.config.load_any_beam()?;
     let model = args.model.unwrap_or(config.estimation.model).into();
-    let optics = Optics::new(&config.head.build()?);
+    let optics = config.optics()?;
     let columns: Vec<_> =
         needed(&POSE).chain(OFFSET.map(|name| Column { name, alias: None, default: Some(0.0) })).collect();
     let with_powers: &[&str] = if model == Model::Gaussian { &POWERS } else { &[] };

@@ -15,7 +15,7 @@ use trifacet_core::estimation::{Estimation, Frames, Settings};
 use trifacet_core::pipeline::{Mapping, Measurement, Pipeline};
 use trifacet_core::steering::{BeamMap, BeamOffset, BeamPoint, StagePosition};
 use trifacet_core::uncertainty::{Instrument, Stated};
-use trifacet_optics::{Estimator, FACETS, HeadError, Optics, Pose, Rigid, Vec2};
+use trifacet_optics::{Estimator, FACETS, HeadError, Pose, Rigid, Vec2};
 use trifacet_wire::Status;
 
 use super::correction::{CorrectionFileError, parse_correction};
@@ -99,14 +99,6 @@ impl Config {
             half_size,
             correction: correction.transpose()?,
         })
-    }
-
-    /// The optics of the head.
-    ///
-    /// # Errors
-    /// Fails if the geometry does not describe a sensor head.
-    pub fn optics(&self) -> Result<Optics, HeadError> {
-        Ok(Optics::new(&self.head.build()?))
     }
 
     /// The parameters of the centering loop, in SI units.

@@ -4,11 +4,12 @@ use std::net::SocketAddr;
 use std::path::Path;
 
 use trifacet_core::centering::stability::is_stable;
-use trifacet_optics::{Optics, Pose, Vec2};
+use trifacet_optics::{Pose, Vec2};
 use trifacet_wire::board::{ScanFormat, required_baud};
 use trifacet_wire::channel::SIGNALS;
 
 use super::check::Checker;
+use super::tilt::allowed_geometry;
 use super::{
     BoardPlace, CenteringConfig, Config, Destination, Host, Model, RecordingMode, SourceKind, SteeringKind,
 };
@@ -32,17 +33,19 @@ pub(super) fn check(config: &Config, at: &mut Checker<'_>) {
 
 /// The head can be built, and with the mirror in its nominal pose the light reaches all three PSDs.
 fn light_at_rest(config: &Config, at: &mut Checker<'_>) {
-    let head = match config.head.build() {
-        Ok(head) => head,
+    let optics = match config.optics() {
+        Ok(optics) => optics,
         Err(error) => {
-            at.demand(false, "head", error, "facets that face the light, counter-clockwise A, B, C");
+            let (key, allowed) = allowed_geometry(&error);
+            at.demand(false, key, error, allowed);
             return;
         }
     };
     let model = config.estimation.model.into();
-    if let Err(error) = Optics::new(&head).trace(model, &Pose::default(), Vec2::zeros()) {
+    if let Err(error) = optics.trace(model, &Pose::default(), Vec2::zeros()) {
         let allowed = "a geometry in which the light reaches all three PSDs while the mirror is at rest";
-        at.demand(false, "head", error, allowed);
+        let key = if config.pivot_mm().is_some() { "steering.tilt.pivot_mm" } else { "head" };
+        at.demand(false, key, error, allowed);
     }
 }
 
@@ -78,7 +81,7 @@ fn twin_signals(config: &Config, at: &mut Checker<'_>) {
         );
     }
     at.agree(
-        twin.steering.readback_noise_um.is_none() || config.steering.kind == SteeringKind::Outputs,
+        twin.steering.readback_noise_um.is_none() || config.steering.kind != SteeringKind::Gcs,
         "twin.steering.readback_noise_um",
         &["steering.kind"],
         format!("{:?}", twin.steering.readback_noise_um.unwrap_or_default()),
@@ -240,7 +243,7 @@ fn replay(config: &Config, at: &mut Checker<'_>) {
         at.demand(false, "replay.file", format!("\"{}\"", file.display()), allowed);
     }
     at.agree(
-        config.steering.kind == SteeringKind::Outputs,
+        config.steering.kind != SteeringKind::Gcs,
         "steering.kind",
         &[source],
         "\"gcs\"",

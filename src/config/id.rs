@@ -38,6 +38,9 @@ impl Config {
         let mut text = String::new();
         // `{:?}` writes the shortest digits that parse to the same number, on every platform.
         let _ = writeln!(text, "trifacet-geometry-1 {:?} model {:?}", self.head, self.estimation.model);
+        if let Some(pivot_mm) = self.pivot_mm() {
+            let _ = writeln!(text, "pivot {:?} mm", plain(pivot_mm));
+        }
         let channels = &self.channels;
         let _ = writeln!(text, "power {:?} mW/V", channels.power_mw_per_v);
         for psd in channels.psds() {
@@ -84,6 +87,16 @@ mod tests {
 
     fn id(text: &str) -> u32 {
         parse(text, None).unwrap().config_id().unwrap()
+    }
+
+    #[test]
+    fn the_pivot_changes_the_id_only_if_the_beam_is_tilted() {
+        let translated = id("");
+        let unused = id("steering.tilt.pivot_mm = [0, 0, 500]");
+        let [near, far] = [500, 600]
+            .map(|z| id(&format!("steering = {{ kind = 'tilt', tilt = {{ pivot_mm = [0, 0, {z}] }} }}")));
+        assert_eq!(unused, translated);
+        assert!(near != far && near != translated && far != translated);
     }
 
     #[test]

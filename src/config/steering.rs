@@ -5,6 +5,7 @@ use trifacet_core::centering::OnExit;
 
 use super::check::{Checker, above_zero};
 use super::gcs::GcsConfig;
+use super::tilt::TiltConfig;
 
 /// Kind of the stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -14,36 +15,33 @@ pub enum SteeringKind {
     Outputs,
     /// A PI stage whose controller uses the General Command Set 2.0.
     Gcs,
+    /// A mirror that tilts the beam.
+    Tilt,
 }
 
-/// Why tilting stages are refused.
-pub const NO_TILT: &str = "the model assumes a laser that is translated; a tilting mirror turns the beam \
+/// Why tilting stages are refused by everything but `check`, `trace` and `solve`.
+pub const NO_TILT: &str = "the loop steers a laser that is translated; a tilting mirror turns the beam \
                            (100 um over 1 m are 100 urad, which would appear as 12.5 um and 50 urad of pose); \
-                           until the model includes the beam's direction, such stages are not supported";
+                           only the commands check, trace and solve compute with such a beam, with \
+                           steering.kind = \"tilt\" and steering.tilt.pivot_mm";
 
 /// Slow pointing of a laser without other information: 8 urad over 125 mm, micrometres.
 pub const POINTING_UM: f64 = 1.0;
 
-/// A kind of stage that is not supported.
+/// A kind of stage that does not exist.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum SteeringKindError {
-    /// A stage that tilts the beam.
-    #[error("allowed is `outputs` or `gcs`: {NO_TILT}")]
-    Tilt,
-    /// An unknown kind.
-    #[error("allowed is `outputs` or `gcs`")]
-    Unknown,
-}
+#[error("allowed is `outputs`, `gcs` or `tilt`")]
+pub struct UnknownSteeringKind;
 
 impl TryFrom<String> for SteeringKind {
-    type Error = SteeringKindError;
+    type Error = UnknownSteeringKind;
 
-    fn try_from(name: String) -> Result<Self, SteeringKindError> {
+    fn try_from(name: String) -> Result<Self, UnknownSteeringKind> {
         match name.as_str() {
             "outputs" => Ok(Self::Outputs),
             "gcs" => Ok(Self::Gcs),
-            "tilt" => Err(SteeringKindError::Tilt),
-            _ => Err(SteeringKindError::Unknown),
+            "tilt" => Ok(Self::Tilt),
+            _ => Err(UnknownSteeringKind),
         }
     }
 }
@@ -84,6 +82,8 @@ pub struct SteeringConfig {
     pub on_lease: OnExit,
     /// The controller of a PI stage.
     pub gcs: GcsConfig,
+    /// A mirror that tilts the beam.
+    pub tilt: TiltConfig,
 }
 
 impl Default for SteeringConfig {
@@ -104,6 +104,7 @@ impl Default for SteeringConfig {
             lease_ms: 200,
             on_lease: OnExit::Hold,
             gcs: GcsConfig::default(),
+            tilt: TiltConfig::default(),
         }
     }
 }
@@ -164,6 +165,7 @@ impl SteeringConfig {
             "\"hold\" with steering.kind = \"gcs\": the controller has no lease and holds its position when commands stop",
         );
         self.gcs.check(at.section("gcs"), self.kind == SteeringKind::Gcs);
+        self.tilt.check(at.section("tilt"), self.kind == SteeringKind::Tilt);
     }
 
     /// The matrix describes two axes that move the beam in two different directions.

@@ -3,7 +3,7 @@
 use trifacet_core::signals::{PsdState, Sample};
 use trifacet_core::steering::{BeamOffset, BeamPoint, StagePosition};
 use trifacet_core::time::Mono;
-use trifacet_optics::{Estimator, FACETS, HeadError, Model, Optics, Signals, Solution, SolveError};
+use trifacet_optics::{Estimator, FACETS, HeadError, Model, Signals, Solution, SolveError};
 
 use crate::config::Config;
 
@@ -70,8 +70,7 @@ impl Observer {
     /// # Errors
     /// The head cannot be built.
     pub fn new(config: &Config) -> Result<Self, HeadError> {
-        let optics = Optics::new(&config.head.build()?);
-        Ok(Self { estimator: Estimator::new(optics, Model::Gaussian), warm: None })
+        Ok(Self { estimator: Estimator::new(config.optics()?, Model::Gaussian), warm: None })
     }
 
     /// Standard deviation of the beam profile per axis, metres.

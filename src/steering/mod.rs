@@ -20,8 +20,8 @@ use trifacet_core::steering::{Command, StagePosition};
 use trifacet_core::telemetry::Counters;
 use trifacet_wire::actuator::Ack;
 
-use crate::config::{Config, SteeringConfig, SteeringKind};
-use crate::exit::Failure;
+use crate::config::{Config, NO_TILT, SteeringConfig, SteeringKind};
+use crate::exit::{self, Failure};
 
 /// Events of a driver.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,7 +58,8 @@ pub struct Stage {
 /// The stage that `steering.kind` selects. `limits` receives the present limits.
 ///
 /// # Errors
-/// [`crate::exit::CONFIG`] if the configuration does not describe a connection to the stage.
+/// [`crate::exit::CONFIG`] if the configuration does not describe a connection to the stage, or the stage tilts the
+/// beam.
 pub fn configured(config: &Config, limits: watch::Receiver<SteeringConfig>) -> Result<Stage, Failure> {
     let (at_outputs, outputs) = outputs::pair(config.steering.full_scale_um * 1e-6);
     let (driver, task) = match config.steering.kind {
@@ -67,6 +68,7 @@ pub fn configured(config: &Config, limits: watch::Receiver<SteeringConfig>) -> R
             let (driver, task) = gcs::pair(&config.steering.gcs, limits)?;
             (StageDriver::Gcs(driver), Some(StageTask::Gcs(task)))
         }
+        SteeringKind::Tilt => return Err(Failure::new(exit::CONFIG, NO_TILT)),
     };
     Ok(Stage { driver, task, outputs })
 }

@@ -145,7 +145,7 @@ fn with_value(key: &str, value: f64, default: &str) -> String {
     // An integer if the default has no decimal point.
     let number = if default.contains('.') { format!("{value:?}") } else { format!("{value}") };
     let elements = match name {
-        "psd_origin_mm" => 3,
+        "psd_origin_mm" | "pivot_mm" => 3,
         _ if default.starts_with('[') => default.split(',').count(),
         _ => 0,
     };

@@ -18,6 +18,9 @@ impl Optics {
     /// # Errors
     /// A power is not finite or too small, the offset is out of range, or the iteration does not converge.
     pub fn offset_of_powers(&self, powers: &[f64; 3], pose: &Pose) -> Result<Vec2, SolveError> {
+        if self.pivot.is_some() {
+            return self.tilted_offset_of_powers(powers, pose);
+        }
         let total = total_power(powers)?;
         let normals = self.mirror(pose.t, &pose.rotation()).normals;
         let mut d = Vec2::zeros();

@@ -2,7 +2,8 @@
 
 use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
 
-use super::jacobian::Residual;
+use super::jacobian::{Linearised, Residual};
+use super::tilted::Follow;
 use super::{Estimator, Solution, SolveError, Vec2, Vec3};
 
 /// Standard uncertainty of each signal, in its unit; the signals are taken as independent.
@@ -35,12 +36,22 @@ impl Estimator {
     /// # Errors
     /// The equations are singular at the solution.
     pub fn sensitivity(&self, solution: &Solution) -> Result<Sensitivity, SolveError> {
-        let equations = self.equations(solution)?;
-        let to_world = self.optics().to_world;
+        let singular = || SolveError::Singular { iterations: solution.iterations };
+        let tilted =
+            self.optics().along_light(solution.pose.t, solution.offset).map(|(parallel, _)| parallel);
+        let optics = tilted.as_ref().map_or(self.optics(), |parallel| &parallel.optics);
+        let light = solution.light(optics, self.model());
+        let equations = Linearised::new(optics, &light).ok_or_else(singular)?;
+        let follow = tilted.as_ref().map(|parallel| Follow::new(parallel, solution, &light, &equations));
+        let to_world = optics.to_world;
         let turn = solution.pose.euler_rates() * to_world;
         let mut matrix = SMatrix::<f64, 8, 9>::zeros();
         for signal in 0..9 {
-            let (dt, dw, doffset) = equations.solve(&solution.unit_residual(signal));
+            let mut step = equations.solve(&solution.unit_residual(signal));
+            if let Some(follow) = &follow {
+                step = follow.step(step).ok_or_else(singular)?;
+            }
+            let (dt, dw, doffset) = step;
             let (t, w) = (to_world * dt, turn * dw);
             let column = SVector::from([t.x, t.y, t.z, w.x, w.y, w.z, doffset.x, doffset.y]);
             matrix.set_column(signal, &column);

@@ -63,6 +63,9 @@ impl Optics {
         pose: &Pose,
         offset: Vec2,
     ) -> ([Result<[f64; 2], TraceError>; 3], [f64; 3]) {
+        if let Some((parallel, across)) = self.along_light(pose.t, offset) {
+            return parallel.optics.trace_elliptical(ellipse, pose, across);
+        }
         let mirror = self.mirror(pose.t, &pose.rotation());
         let finite = pose.to_array().iter().chain(offset.iter()).all(|x| x.is_finite());
         if !finite || mirror.normals.iter().any(|n| n.z < MIN_FACING) {

@@ -96,20 +96,31 @@ impl SolveError {
 pub struct Solution {
     /// Position and orientation of the mirror.
     pub pose: Pose,
-    /// Beam centre minus apex, across the beam, metres; zero by assumption with the ray model.
+    /// Beam centre minus apex, across the nominal light, metres; zero by assumption with the ray model.
     pub offset: Vec2,
     /// Sum of the powers, in their unit; NaN with the ray model.
     pub total_power: f64,
     /// Number of Newton and chord steps.
     pub iterations: u8,
-    state: State,
+    /// In the frame of the actual light.
+    pub(super) state: State,
     /// The linearised equations of the last step, possibly from an earlier sample.
-    jacobian: Arc<Linearised>,
+    pub(super) jacobian: Arc<Linearised>,
     pub(super) fractions: Vec2,
 }
 
+impl Solution {
+    /// The light of this solution.
+    pub(super) fn light(&self, optics: &Optics, model: Model) -> Light {
+        match model {
+            Model::Ray => Light::new::<false>(optics, &self.state),
+            Model::Gaussian => Light::new::<true>(optics, &self.state),
+        }
+    }
+}
+
 /// Target of the solver: spots, and the fractions on A and B.
-struct Target {
+pub(super) struct Target {
     spots: [f64; 6],
     fractions: Vec2,
     total: f64,
@@ -159,9 +170,22 @@ impl Estimator {
     /// The signals are not usable (not finite, off the PSD, dark), or the iteration does not converge.
     pub fn solve(&self, signals: &Signals, warm: Option<&Solution>) -> Result<Solution, SolveError> {
         let target = self.target(signals)?;
+        match self.optics.pivot {
+            None => self.solve_target(&target, warm),
+            Some(pivot) => self.solve_tilted(&target, warm, pivot),
+        }
+    }
+
+    /// The solution for a beam that keeps its direction.
+    #[inline(always)]
+    pub(super) fn solve_target(
+        &self,
+        target: &Target,
+        warm: Option<&Solution>,
+    ) -> Result<Solution, SolveError> {
         match self.model {
-            Model::Ray => self.solve_for::<false>(&target, warm),
-            Model::Gaussian => self.solve_for::<true>(&target, warm),
+            Model::Ray => self.solve_for::<false>(target, warm),
+            Model::Gaussian => self.solve_for::<true>(target, warm),
         }
     }
 
@@ -181,15 +205,6 @@ impl Estimator {
             }
         }
         self.iterate::<GAUSSIAN>(target, self.centred(), None, &mut iterations)
-    }
-
-    /// The linearised equations at a solution.
-    pub(super) fn equations(&self, solution: &Solution) -> Result<Linearised, SolveError> {
-        let light = match self.model {
-            Model::Ray => Light::new::<false>(&self.optics, &solution.state),
-            Model::Gaussian => Light::new::<true>(&self.optics, &solution.state),
-        };
-        Linearised::new(&self.optics, &light).ok_or(SolveError::Singular { iterations: solution.iterations })
     }
 
     fn centred(&self) -> State {

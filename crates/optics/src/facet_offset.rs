@@ -34,7 +34,11 @@ impl Optics {
     ///
     /// As the point of reflection moves on the plane, the reflected ray keeps its direction. The spot is
     /// therefore an affine function of the offset, and two equations give both components.
+    /// With a tilted beam, this holds for each direction of the light, and the direction is found by iteration.
     pub fn facet_offset(&self, facet: usize, spot: [f64; 2], pose: &Pose) -> Option<FacetOffset> {
+        if self.pivot.is_some() {
+            return self.tilted_facet_offset(facet, spot, pose);
+        }
         let mirror = self.mirror(pose.t, &pose.rotation());
         let normal = mirror.normals[facet];
         if normal.z < model::MIN_FACING {

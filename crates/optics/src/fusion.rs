@@ -1,7 +1,7 @@
 //! Eleven signals: the nine of the PSDs and the beam position from another instrument.
 //!
 //! A steering stage with a readback gives the point where its beam crosses the plane of the apex:
-//! `across(t) + offset = s`. The nine signals determine the nine unknowns exactly, so their solution has no residuals.
+//! `across(t) + offset = s` (with a tilted beam: where its axis crosses that plane). The nine signals determine the nine unknowns exactly, so their solution has no residuals.
 //! The weighted least-squares solution of all eleven equations is therefore one linear update of that
 //! solution: a Kalman update, with the solution as the prediction and `s` as the measurement. The neglected
 //! non-linearity is of the order of the squared update over the distance of the PSDs: 0.04 um for an update
@@ -56,9 +56,14 @@ impl<'a> Innovation<'a> {
         spread: &'a ErrorPropagation<9>,
         beam_position: &BeamPosition,
     ) -> Option<Self> {
-        let residual = beam_position.at - optics.across(solution.pose.t) - solution.offset;
         let across = optics.to_world.fixed_columns::<2>(0).transpose();
-        let seen = across * spread.0.fixed_rows::<3>(0) + spread.0.fixed_rows::<2>(6);
+        let mut residual = beam_position.at - optics.across(solution.pose.t) - solution.offset;
+        let mut seen = across * spread.0.fixed_rows::<3>(0) + spread.0.fixed_rows::<2>(6);
+        if let Some(lean) = optics.lean(solution.pose.t, solution.offset) {
+            residual -= lean.shift;
+            let along = optics.to_world.column(2).transpose() * spread.0.fixed_rows::<3>(0);
+            seen += seen * lean.scale + lean.by_height * along;
+        }
         let own = Matrix2::from_diagonal_element(beam_position.sigma.powi(2));
         let covariance = seen * seen.transpose();
         let weight = (covariance + own).try_inverse()?;

@@ -86,6 +86,15 @@ pub enum HeadError {
         /// A, B or C.
         facet: char,
     },
+    /// The beam does not come from above.
+    #[error(
+        "the pivot of a tilted beam must be at least {} mm above the apex, against the nominal light, not {:.4} mm",
+        crate::tilted::NEAREST_PIVOT * 1e3, height * 1e3
+    )]
+    Pivot {
+        /// Height of the given pivot, metres.
+        height: f64,
+    },
     /// The facets are not in counter-clockwise order around the apex.
     #[error("facets A, B, C must be in counter-clockwise order around the apex, as seen from the laser")]
     FacetOrder,

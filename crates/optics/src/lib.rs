@@ -7,6 +7,7 @@
 //! - [`beam`]: how the mirror splits a Gaussian beam: powers and centroids, with derivatives.
 //! - [`model`]: the forward model, from pose and beam offset to signals.
 //! - [`elliptical`]: the forward model with an elliptical beam.
+//! - [`tilted`]: a beam from a pivot, whose direction follows from where it goes.
 //! - [`estimate`]: the inverse, from signals to pose and beam offset.
 //! - [`facet_offset`]: the offset of the beam when a single PSD sees light.
 //! - [`covariance`]: from the noise of the signals to the uncertainty of the result.
@@ -52,6 +53,7 @@ pub mod pose;
 pub mod quadratic;
 pub mod ray;
 pub mod relative;
+pub mod tilted;
 
 pub use covariance::{ErrorPropagation, Noise, Sensitivity};
 pub use elliptical::Ellipse;

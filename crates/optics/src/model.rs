@@ -65,6 +65,8 @@ pub struct Optics {
     pub(super) to_world: Mat3,
     /// Standard deviation of the Gaussian beam profile per axis, metres.
     pub(super) sigma: f64,
+    /// Point from which the beam comes, in the frame of the nominal light; `None`: the beam keeps its direction.
+    pub(super) pivot: Option<Vec3>,
 }
 
 /// The mirror in the beam frame: position of the apex, and the facet normals.
@@ -85,7 +87,7 @@ impl Optics {
             z: into * p.z,
             half_size: p.half_size,
         });
-        Self { psds, facets: head.facets, to_world, sigma: head.beam_diameter / 4.0 }
+        Self { psds, facets: head.facets, to_world, sigma: head.beam_diameter / 4.0, pivot: None }
     }
 
     /// Standard deviation of the Gaussian beam profile per axis, metres: a quarter of the 1/e^2 diameter.
@@ -104,7 +106,7 @@ impl Optics {
     }
 
     /// The signals for a mirror at `pose` with the centre of the beam at `offset` from the apex, across the
-    /// beam, metres (world x and y for a vertical beam).
+    /// nominal light, metres (world x and y for a vertical beam).
     ///
     /// # Errors
     /// A pose or an offset is not finite, or not all three PSDs see light.
@@ -127,6 +129,9 @@ impl Optics {
     ) -> ([Result<[f64; 2], TraceError>; 3], [f64; 3]) {
         if !(pose.to_array().iter().chain(offset.iter())).all(|x| x.is_finite()) {
             return ([Err(TraceError::NotFinite); 3], [f64::NAN; 3]);
+        }
+        if let Some((parallel, across)) = self.along_light(pose.t, offset) {
+            return parallel.optics.trace_each(model, pose, across);
         }
         let mirror = self.mirror(pose.t, &pose.rotation());
         if let Some(i) = mirror.normals.iter().position(|n| n.z < MIN_FACING) {

@@ -46,6 +46,12 @@ impl Ray {
         self.toward < 0.0 && self.length > 0.0
     }
 
+    /// The derivative of the coordinate along `axis` with respect to a rotation of this ray about the apex.
+    pub fn swing(&self, psd: &Psd, axis: Vec3, arm: Vec3) -> Vec3 {
+        let g = axis - psd.x * (self.direction.dot(&axis) / self.toward);
+        (arm + self.direction * self.length).cross(&g)
+    }
+
     /// The derivatives of the coordinate along `axis` (the y or z axis of the PSD). `arm` is the point of
     /// reflection relative to the apex.
     #[inline(always)]

@@ -32,7 +32,7 @@ impl From<&Config> for Settings {
             most_in_flight: most_in_flight(config),
             park: match config.steering.kind {
                 SteeringKind::Outputs => config.steering.park_um.map(|um| um / config.steering.full_scale_um),
-                SteeringKind::Gcs => [0.0; 2], // with another stage the outputs are never commanded
+                SteeringKind::Gcs | SteeringKind::Tilt => [0.0; 2], // with another stage the outputs are never commanded
             },
         }
     }

@@ -18,6 +18,7 @@ use trifacet_optics::calibration::parameters::Tolerances;
 use trifacet_optics::calibration::result::RangeUncertainty;
 
 use crate::commands::new_file::NewFile;
+use crate::commands::translated;
 
 /// Options of `calibrate fit`.
 #[derive(Debug, clap::Args)]
@@ -80,7 +81,7 @@ const FILES: [&str; 7] = [
 /// Fits the head, judges the fit, and writes the results.
 pub(crate) fn fit(args: &FitArgs) -> anyhow::Result<()> {
     refuse_existing(&args.out)?;
-    let config = config::load(Some(&args.config))?;
+    let config = translated(config::load(Some(&args.config))?)?;
     if config.estimation.model != Model::Gaussian {
         let why = "estimation.model = \"ray\" in the configuration: a calibration needs the Gaussian model";
         return Err(Failure::new(exit::CONFIG, why).into());

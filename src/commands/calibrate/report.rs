@@ -14,7 +14,7 @@ use trifacet::config::{self, RecordError, SourceKind, Tables, fingerprint};
 use trifacet::exit::{self, Failure};
 
 use crate::commands::new_file::NewFile;
-use crate::commands::written;
+use crate::commands::{translated, written};
 
 /// Options of `calibrate report`.
 #[derive(Debug, clap::Args)]
@@ -144,7 +144,7 @@ fn certificate(args: &ReportArgs, folder: &Path, record: &Record, out: &Path) ->
 /// be the one that the record belongs to.
 fn issued_files(folder: &Path, record: &Record) -> anyhow::Result<(Vec<IssuedFile>, bool)> {
     let path = folder.join(CONFIG);
-    let config = config::load(Some(&path))?;
+    let config = translated(config::load(Some(&path))?)?;
     let tables = Tables::read(&config)?;
     if fingerprint(&config, &config.channels(&tables)?) != record.header.fits {
         return Err(refused(&format!(

@@ -19,9 +19,7 @@ use trifacet::replay::RecordingHeader;
 use trifacet::twin::Twin;
 use trifacet_core::centering::LoopMode;
 use trifacet_optics::covariance::sigmas;
-use trifacet_optics::{
-    BeamPosition, Estimator, FACETS, Innovation, Model, Noise, Optics, Pose, Signals, Vec2,
-};
+use trifacet_optics::{BeamPosition, Estimator, FACETS, Innovation, Model, Noise, Pose, Signals, Vec2};
 
 use super::{ConfigArg, written};
 
@@ -34,7 +32,7 @@ pub(crate) struct CheckArgs {
 
 /// Prints the meaning of a configuration, or fails with its errors.
 pub(crate) fn check(args: &CheckArgs) -> anyhow::Result<()> {
-    let config = args.config.load()?;
+    let config = args.config.load_any_beam()?;
     let header = RecordingHeader::of_source(&config)?;
     let (config, id, calibration) = match &header {
         None => {
@@ -102,7 +100,7 @@ fn head(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
             if calibrated { "; some parts calibrated" } else { "" }
         ),
     );
-    let rest = Optics::new(&head.build()?).trace(Model::Gaussian, &Pose::default(), Vec2::zeros())?;
+    let rest = config.optics()?.trace(Model::Gaussian, &Pose::default(), Vec2::zeros())?;
     for (i, name) in FACETS.iter().enumerate() {
         let (u, v) = (rest.spots[2 * i] * 1e3, rest.spots[2 * i + 1] * 1e3);
         let subject = if i == 0 { "light at rest" } else { "" };
@@ -180,7 +178,7 @@ fn estimation(config: &Config, lines: &mut Lines) -> anyhow::Result<()> {
         n => format!("means of {n} samples"),
     };
     lines.say("estimation", format!("{of}, {average}"));
-    let optics = Optics::new(&config.head.build()?);
+    let optics = config.optics()?;
     let rest = optics.trace(Model::Gaussian, &Pose::default(), Vec2::zeros())?;
     let estimator = Estimator::new(optics, model);
     let solution = estimator.solve(&Signals { spots: rest.spots, powers: rest.powers }, None)?;

@@ -88,6 +88,14 @@ pub(super) fn stage(config: &Config, lines: &mut Lines) {
                 format!("{at_the_end}; {on_lease} if no command arrives for {} ms", steering.lease_ms),
             );
         }
+        SteeringKind::Tilt => {
+            let pivot = config.pivot_mm().unwrap_or_default();
+            lines.say("steering", format!("a mirror that tilts the beam about the point {pivot:?} mm"));
+            lines.say(
+                "",
+                "only check, trace and solve compute with such a beam; run refuses this configuration",
+            );
+        }
         SteeringKind::Gcs => {
             lines.say("steering", format!("{}, {limits}", gcs(&steering.gcs)));
             lines.say("", format!("{at_the_end}; holds if no command arrives: it has no lease"));

@@ -31,6 +31,11 @@ impl CalibrationShare {
         let Some(path) = &config.calibration.record else {
             return Ok(Err("the configuration names no calibration record (calibration.record)".into()));
         };
+        if config.pivot_mm().is_some() {
+            return Ok(Err(
+                "the calibration is that of a translated beam, and steering.kind is \"tilt\"".into()
+            ));
+        }
         if let Some(why) = context.calibration.objection() {
             return Ok(Err(why));
         }

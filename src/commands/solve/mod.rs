@@ -50,7 +50,7 @@ struct Tare {
 
 /// Computes poses from signals.
 pub(crate) fn solve(args: &SolveArgs) -> anyhow::Result<()> {
-    let config = args.table.config.load()?;
+    let config = args.table.config.load_any_beam()?;
     let model: Model = args.table.model.unwrap_or(config.estimation.model).into();
     let readings = Readings::new(&config, args.readings, model)?;
     let columns = readings.columns(args.sigma);
