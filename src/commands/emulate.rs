@@ -1,6 +1,7 @@
 //! `trifacet emulate`: an acquisition board on a pseudo-terminal, backed by the digital twin.
 
 mod command;
+mod labjack;
 mod link;
 
 use std::io::{self, BufRead, Write};
@@ -9,6 +10,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use command::EmulatorCommand;
+use labjack::{Device, T7Args};
 use link::Link;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
@@ -17,7 +19,7 @@ use tokio::time::{Instant, sleep_until};
 use trifacet::clock::SystemClock;
 use trifacet::clock::pace::Pace;
 use trifacet::core::time::Clock;
-use trifacet::exit::{CONFIG, Failure};
+use trifacet::exit::{CONFIG, Failure, USAGE};
 use trifacet::twin::{Emulator, Pty};
 
 use super::{ConfigArg, written};
@@ -27,7 +29,7 @@ const PORTION: u64 = 16;
 
 /// Emulate an acquisition board on a pseudo-terminal, backed by the digital twin.
 #[derive(Debug, clap::Args)]
-#[command(after_help = command::HELP)]
+#[command(after_help = format!("{}\n{}", command::HELP, labjack::HELP))]
 pub(crate) struct EmulateArgs {
     /// Create PATH as a symbolic link to the port, and remove it at the end
     #[arg(long, value_name = "PATH")]
@@ -35,6 +37,11 @@ pub(crate) struct EmulateArgs {
     /// Version of the board protocol
     #[arg(long, value_name = "VERSION", value_parser = ["1.0", "1.1"], default_value = "1.1")]
     protocol: String,
+    /// Kind of device
+    #[arg(long, value_name = "DEVICE", value_enum, default_value = "board")]
+    device: Device,
+    #[command(flatten)]
+    t7: T7Args,
     #[command(flatten)]
     config: ConfigArg,
 }
@@ -49,6 +56,17 @@ impl EmulateArgs {
 /// Runs the board until SIGTERM, SIGINT or a failure.
 pub(crate) fn emulate(args: &EmulateArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
+    if args.device == Device::T7 {
+        if args.link.is_some() {
+            return Err(
+                Failure::new(USAGE, "--link is for a board: --device t7 has no pseudo-terminal").into()
+            );
+        }
+        return labjack::emulate(&args.t7, &config);
+    }
+    if args.t7.has_port() {
+        return Err(Failure::new(USAGE, "--port and --stream-port require --device t7").into());
+    }
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let pace = Pace::new(SystemClock, config.acquisition.rate_hz)?;

@@ -6,6 +6,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use trifacet_core::pipeline::SilenceTimes;
 
+use super::LabjackConfig;
 use super::check::Checker;
 
 /// Kind of source.
@@ -16,6 +17,8 @@ pub enum SourceKind {
     Twin,
     /// An acquisition board on a serial port.
     Serial,
+    /// A LabJack T7.
+    Labjack,
     /// A recording.
     Replay,
 }
@@ -32,6 +35,8 @@ pub struct AcquisitionConfig {
     pub silence_ms: f64,
     /// Settings of the serial board.
     pub serial: SerialConfig,
+    /// Settings of the LabJack T7.
+    pub labjack: LabjackConfig,
 }
 
 /// Settings of `[acquisition.serial]`.
@@ -49,7 +54,13 @@ pub struct SerialConfig {
 
 impl Default for AcquisitionConfig {
     fn default() -> Self {
-        Self { source: SourceKind::Twin, rate_hz: 1000.0, silence_ms: 20.0, serial: SerialConfig::default() }
+        Self {
+            source: SourceKind::Twin,
+            rate_hz: 1000.0,
+            silence_ms: 20.0,
+            serial: SerialConfig::default(),
+            labjack: LabjackConfig::default(),
+        }
     }
 }
 
@@ -75,6 +86,7 @@ impl AcquisitionConfig {
         at.number("rate_hz", self.rate_hz, 1.0..=20_000.0);
         at.number("silence_ms", self.silence_ms, 1.0..=10_000.0);
         self.serial.check(at.section("serial"));
+        self.labjack.check(at.section("labjack"));
     }
 }
 

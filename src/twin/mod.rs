@@ -12,7 +12,7 @@
 //! - [`temperature`]: the temperature of the head, and what it changes.
 //! - [`electronics`]: from light to codes.
 //! - [`faults`]: injected faults.
-//! - [`emulator`], [`pty`]: a serial board with the twin behind it.
+//! - [`emulator`], [`pty`]: a serial board with the twin behind it. [`labjack`]: a LabJack T7 with the twin behind it.
 
 pub mod applied;
 pub mod board_state;
@@ -20,6 +20,7 @@ pub mod distortion;
 pub mod electronics;
 pub mod emulator;
 pub mod faults;
+pub mod labjack;
 pub mod moves;
 pub mod outputs;
 pub mod own_head;

@@ -134,6 +134,14 @@ fn source(config: &Config, lines: &mut Lines) {
                 config.replay.speed,
                 if config.replay.repeat { ", repeated" } else { "" }
             ),
+            SourceKind::Labjack => format!(
+                "LabJack T7 at {}, ports {} and {}, {} inputs of +-{} V, {rate} Hz",
+                acquisition.labjack.address,
+                acquisition.labjack.port,
+                acquisition.labjack.stream_port,
+                acquisition.labjack.channels().len(),
+                acquisition.labjack.range_v
+            ),
             SourceKind::Serial => format!(
                 "serial board at {}, {} baud, {rate} Hz",
                 acquisition.serial.port.display(),
