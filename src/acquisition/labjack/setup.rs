@@ -96,6 +96,8 @@ pub enum Progress {
 #[derive(Clone, Debug)]
 pub struct Setup {
     settings: Settings,
+    /// Host and process of this session.
+    own: [u32; 2],
     steps: VecDeque<Step>,
     /// The request without an answer, and its number.
     current: Option<(Step, u16)>,
@@ -109,8 +111,11 @@ pub struct Setup {
 impl Setup {
     /// For a connection from this address of the host.
     pub fn new(settings: &Settings, host: IpAddr, now: Mono) -> Self {
+        let host = if let IpAddr::V4(host) = host { host.to_bits() } else { 0 };
+        let own = [host, std::process::id()];
         let mut setup = Self {
             settings: settings.clone(),
+            own,
             steps: VecDeque::new(),
             current: None,
             until: now + ANSWER_NS,
@@ -126,8 +131,7 @@ impl Setup {
         ] {
             setup.steps.push_back(Step::Read(register, count, question));
         }
-        let host = if let IpAddr::V4(host) = host { host.to_bits() } else { 0 };
-        let mark = [MAGIC, host, std::process::id(), 0, 0].map(Value::U32);
+        let mark = [MAGIC, own[0], own[1], 0, 0].map(Value::U32);
         setup.write(reg::USER_RAM.at(MARK), mark);
         setup.inputs();
         setup.stream();
@@ -277,15 +281,17 @@ impl Setup {
                 self.next(reg::START_TIME_STAMP, 2, Question::Begin);
             }
             Question::Begin => {
-                let [mark, _, _, _, begin] = self.facts.other.unwrap_or_default();
+                let [mark, host, process, _, begin] = self.facts.other.unwrap_or_default();
                 let apart = whole.wrapping_sub(begin).min(begin.wrapping_sub(whole));
                 if mark != MAGIC || apart > SAME_BEGIN {
                     return Err("a program that is not trifacet streams from it: end that stream, or restart the device"
                         .into());
                 }
                 self.next(reg::USER_RAM.at(MARK), 2 * MARKS, Question::SessionAgain);
-                self.steps.push_front(Step::Pause);
-                self.until = now + BEAT_NS;
+                if [host, process] != self.own {
+                    self.steps.push_front(Step::Pause);
+                    self.until = now + BEAT_NS;
+                }
             }
             Question::SessionAgain => {
                 let session = session(registers);
