@@ -19,7 +19,7 @@ fuzz_target!(|bytes: &[u8]| {
     let (mut assembler, mut scans) = (Assembler::new(11, 1), Vec::new());
     for piece in bytes.chunks(37) {
         packets.push(piece);
-        while let Ok(Some(packet)) = packets.next() {
+        while let Ok(Some(packet)) = packets.next_packet() {
             assert!(packet.samples.len() <= MOST_SAMPLES);
             let mut again = Vec::new();
             packet.encode(&mut again);
@@ -28,7 +28,7 @@ fuzz_target!(|bytes: &[u8]| {
     }
     let mut frames = Frames::default();
     frames.push(bytes);
-    while let Ok(Some(frame)) = frames.next() {
+    while let Ok(Some(frame)) = frames.next_frame() {
         let _ = (frame.answer(3), frame.answer(16));
     }
     converse(bytes);

@@ -5,7 +5,7 @@ use std::process::Command;
 use rustix::process::Signal;
 use trifacet_wire::{LockState, Status};
 
-use crate::testkit::{self, Daemon, Folder, Stream, T7, mean, venv, wait_for};
+use crate::testkit::{self, Daemon, Folder, Frame, Stream, T7, mean, venv, wait_for};
 
 /// A device, a daemon that uses it, and a client.
 fn bench(twin: &str, config: &str) -> (T7, Daemon, Stream) {
@@ -36,7 +36,7 @@ fn the_loop_locks_and_every_scan_is_accounted_for() {
     // The constants in its flash are used: with the nominal ones, the pose would be wrong by 0.4 %.
     device.order("pose 100 0 0 0 0 500 0");
     stream.until("the new pose", |frame| frame.valid() && (frame.pose[5] - 5e-4).abs() < 5e-6);
-    let valid: Vec<_> = stream.samples(300).into_iter().filter(|frame| frame.valid()).collect();
+    let valid: Vec<_> = stream.samples(300).into_iter().filter(Frame::valid).collect();
     let yaw = mean(&valid, |frame| frame.pose[5]);
     assert!((yaw - 5e-4).abs() < 0.8e-6, "{yaw}");
     let before = stream.lost;

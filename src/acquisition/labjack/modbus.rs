@@ -39,7 +39,9 @@ impl Frame {
     /// A request to write values into consecutive registers.
     pub fn write(transaction: u16, first: Register, values: &[Value]) -> Self {
         let mut registers = Vec::new();
-        values.iter().for_each(|value| value.push_to(&mut registers));
+        for value in values {
+            value.push_to(&mut registers);
+        }
         let mut body = [first.address, registers.len() as u16].map(u16::to_be_bytes).concat();
         body.push(2 * registers.len() as u8);
         body.extend(registers.iter().flat_map(|register| register.to_be_bytes()));
@@ -95,7 +97,7 @@ impl Frames {
     ///
     /// # Errors
     /// [`Broken`] if the bytes are no frames. Where the next frame begins is then unknown.
-    pub fn next(&mut self) -> Result<Option<Frame>, Broken> {
+    pub fn next_frame(&mut self) -> Result<Option<Frame>, Broken> {
         let Some(header) = self.bytes.first_chunk::<HEADER>() else { return Ok(None) };
         let [t0, t1, p0, p1, l0, l1] = *header;
         let length = usize::from(u16::from_be_bytes([l0, l1]));
@@ -145,7 +147,7 @@ mod tests {
         let (mut frames, mut found) = (Frames::default(), Vec::new());
         for byte in bytes {
             frames.push(&[byte]);
-            found.extend(frames.next().unwrap());
+            found.extend(frames.next_frame().unwrap());
         }
         assert_eq!(found, [answer.clone(), refusal.clone()]);
         assert_eq!(answer.answer(READ).unwrap(), Ok(vec![0x4020, 1]));
@@ -154,7 +156,7 @@ mod tests {
         for garbage in [[0, 1, 0, 1, 0, 6], [0, 1, 0, 0, 0xff, 0xff], [0, 1, 0, 0, 0, 1]] {
             let mut frames = Frames::default();
             frames.push(&garbage);
-            assert!(frames.next().is_err());
+            assert!(frames.next_frame().is_err());
         }
     }
 }

@@ -247,10 +247,7 @@ impl Session {
                 let silent = running.give_up.unwrap_or(running.last_arrival + running.patience_ns);
                 let answer = self.requests.front().map(|(_, _, until)| *until);
                 let lease = self.lease.map(|(end, _)| end);
-                [Some(running.next_beat), answer, lease]
-                    .into_iter()
-                    .flatten()
-                    .fold(Some(silent), |a, b| a.min(Some(b)))
+                [Some(silent), Some(running.next_beat), answer, lease].into_iter().flatten().min()
             }
         }
     }
@@ -259,12 +256,11 @@ impl Session {
     pub fn timed_out(&mut self, now: Mono) {
         self.faults.tell(now);
         match &mut self.state {
-            State::Unlinked => {}
             State::Setup(setup) if setup.until() <= now => match setup.timed_out() {
                 Ok(()) => self.ask(now),
                 Err(reason) => self.fail(reason),
             },
-            State::Setup(_) => {}
+            State::Unlinked | State::Setup(_) => {}
             State::Running(_) => {
                 self.expire_lease(now);
                 self.check_silence(now);
@@ -315,7 +311,7 @@ impl Session {
     pub fn answered(&mut self, bytes: &[u8], now: Mono) {
         self.frames.push(bytes);
         loop {
-            match self.frames.next() {
+            match self.frames.next_frame() {
                 Ok(Some(frame)) => self.answer(&frame, now),
                 Ok(None) => break,
                 Err(broken) => return self.fail(format!("its answers are not Modbus TCP: {broken}")),
@@ -398,7 +394,7 @@ impl Session {
         }
         let mut scans = Vec::new();
         loop {
-            match self.packets.next() {
+            match self.packets.next_packet() {
                 Ok(None) => break,
                 Ok(Some(packet)) => {
                     let State::Running(running) = &mut self.state else { return };

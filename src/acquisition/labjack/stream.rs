@@ -133,7 +133,7 @@ impl Packets {
     ///
     /// # Errors
     /// The bytes are no packet. Where the next packet begins is then unknown.
-    pub fn next(&mut self) -> Result<Option<Packet>, PacketError> {
+    pub fn next_packet(&mut self) -> Result<Option<Packet>, PacketError> {
         let Some(header) = self.bytes.first_chunk::<HEADER>() else { return Ok(None) };
         let number = |at: usize| u16::from_be_bytes([header[at], header[at + 1]]);
         let (protocol, length, function, kind) = (number(2), number(4), header[7], header[8]);
@@ -169,8 +169,8 @@ mod tests {
         packets.push(&bytes);
         let status = StreamStatus::Recovered { skipped: 5 };
         let packet = Packet { transaction: 0x1234, backlog: 26, status, samples: vec![0xabcd, 7] };
-        assert_eq!(packets.next(), Ok(Some(packet.clone())));
-        assert_eq!(packets.next(), Ok(None));
+        assert_eq!(packets.next_packet(), Ok(Some(packet.clone())));
+        assert_eq!(packets.next_packet(), Ok(None));
         let mut encoded = Vec::new();
         packet.encode(&mut encoded);
         assert_eq!(encoded, bytes);
@@ -183,7 +183,7 @@ mod tests {
             bytes[at] = byte;
             let mut packets = Packets::default();
             packets.push(&bytes);
-            packets.next()
+            packets.next_packet()
         };
         assert!(matches!(header(0, 0), Ok(Some(_))));
         assert!(matches!(header(3, 1), Err(PacketError::Header { .. })));
@@ -192,7 +192,7 @@ mod tests {
         for length in [[0, 9], [0, 11], [0xff, 0xf0], [4, 12]] {
             let mut packets = Packets::default();
             packets.push(&[0, 0, 0, 0, length[0], length[1], 1, 76, 16, 0, 0, 0, 0, 0, 0, 0]);
-            assert!(matches!(packets.next(), Err(PacketError::Length { .. })), "{length:?}");
+            assert!(matches!(packets.next_packet(), Err(PacketError::Length { .. })), "{length:?}");
         }
     }
 
@@ -209,12 +209,14 @@ mod tests {
                 })
                 .collect();
             let mut bytes = Vec::new();
-            sent.iter().for_each(|packet| packet.encode(&mut bytes));
+            for packet in &sent {
+                packet.encode(&mut bytes);
+            }
             let (mut packets, mut found, mut rest) = (Packets::default(), Vec::new(), &bytes[..]);
             for piece in pieces.iter().cycle() {
                 let (now, later) = rest.split_at((*piece).min(rest.len()));
                 packets.push(now);
-                while let Some(packet) = packets.next().unwrap() {
+                while let Some(packet) = packets.next_packet().unwrap() {
                     found.push(packet);
                 }
                 rest = later;

@@ -258,7 +258,7 @@ impl Host {
                 return Poll::Ready(Err(io::ErrorKind::UnexpectedEof.into()));
             }
             self.frames.push(buffer.filled());
-            while let Some(request) = self.frames.next().map_err(io::Error::other)? {
+            while let Some(request) = self.frames.next_frame().map_err(io::Error::other)? {
                 device.answer(&request, SystemClock.now()).encode(&mut self.out);
             }
             progress = true;

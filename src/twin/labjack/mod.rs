@@ -360,7 +360,7 @@ impl T7 {
             return Err(error::ACTIVE);
         }
         let rate_hz = f64::from(f32_at(&self.memory.read(reg::SCAN_RATE), 0));
-        if !(rate_hz > 0.0) {
+        if rate_hz.is_nan() || rate_hz <= 0.0 {
             return Err(error::RATE);
         }
         let stream = Streaming::of(&self.memory, self.divisor(rate_hz) as u64)?;
