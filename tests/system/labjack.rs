@@ -11,7 +11,8 @@ use crate::testkit::{self, Daemon, Folder, Frame, Stream, T7, mean, venv, wait_f
 fn bench(twin: &str, config: &str) -> (T7, Daemon, Stream) {
     let device = T7::start(twin);
     let mut daemon = Daemon::start(&device.host(config, "watchdog_s = 1"));
-    let mut stream = daemon.client();
+    // At power-up the outputs are at 0 V: the stage is at its end.
+    let mut stream = daemon.client().steered_within(500.0);
     stream.locked();
     (device, daemon, stream)
 }

@@ -3,6 +3,7 @@
 import socket
 import struct
 import sys
+import time
 
 from pymodbus.client import ModbusTcpClient
 
@@ -38,6 +39,9 @@ assert write(55100, "I", 1).isError() and write(123, "H", 1).isError()
 written(61810, "I", 0x3C4000)
 positive, negative, center, offset = read(61812, "ffff")
 assert abs(positive + negative) < 1e-9 and 3.1e-4 < positive < 3.2e-4 and 33000 < center < 34000
+# At 0 V the stage is at its end, and the beam misses facets: 2.5 V is the middle.
+written(1000, "ff", 2.5, 2.5)
+time.sleep(0.3)
 sums = [read(2 * n, "f")[0] for n in (6, 3, 0)]
 assert all(1 < volts < 10 for volts in sums), sums
 
