@@ -135,6 +135,7 @@ impl T7 {
         match fault {
             T7Fault::SecondSession(for_s) => {
                 self.end_stream();
+                self.memory.set(reg::START_TIME_STAMP, Value::U32(self.timer()));
                 self.other_until = Some(now + (for_s * NS_PER_S as f64) as i64);
             }
             T7Fault::Recovery(_) | T7Fault::End(_) | T7Fault::Jump(_) => {

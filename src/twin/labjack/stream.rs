@@ -111,8 +111,8 @@ impl Streaming {
     pub fn fail(&mut self, fault: T7Fault) -> bool {
         match fault {
             T7Fault::Recovery(scans) => {
-                self.to_skip = scans.into();
-                self.begin_recovery();
+                // One more packet is sent, with the status; then scans are skipped.
+                (self.to_skip, self.pending_status) = (scans.into(), StreamStatus::Recovering);
             }
             T7Fault::Jump(packets) => self.jump = packets,
             T7Fault::End(status) => self.end(status),
@@ -161,6 +161,9 @@ impl Streaming {
             self.fate = scan.fate;
         }
         self.cut();
+        if self.to_skip > 0 {
+            self.skipped.get_or_insert(0);
+        }
         let sent = scan.fate != Fate::Dropped;
         [sent.into(), (!sent).into()]
     }
