@@ -64,7 +64,6 @@ fn every_end_of_the_stream_is_named_and_recovers() {
         ("corrupted 1 0.05", "its stream is not one: a packet begins with"),
         ("unplug 0.3", "was disconnected"),
         ("restart", "was disconnected"),
-        ("second-session 2.5", "a program that is not trifacet streams from it"),
     ] {
         daemon.read_log();
         device.order(order);
@@ -78,6 +77,15 @@ fn every_end_of_the_stream_is_named_and_recovers() {
     device.order("stalled 0.5");
     let silent = stream.until("silent", |frame| !frame.of_samples());
     assert!(!silent.valid());
+    stream.until("valid again", |frame| frame.of_samples() && frame.valid());
+}
+
+#[test]
+fn the_stream_of_another_program_is_left_alone() {
+    let (mut device, mut daemon, mut stream) = bench("", "");
+    device.order("second-session 3");
+    let reason = "a program that is not trifacet streams from it";
+    daemon.says(reason, |line| line["reason"].as_str().is_some_and(|told| told.contains(reason)));
     stream.until("valid again", |frame| frame.of_samples() && frame.valid());
 }
 
