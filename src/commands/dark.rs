@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use tokio::time::{Instant, timeout_at};
-use trifacet::acquisition::{BoardSource, Source, SourceEvent};
+use trifacet::acquisition::{BoardSource, LabjackSource, Source, SourceEvent};
 use trifacet::clock::SystemClock;
 use trifacet::config::edit::{self, Edit};
 use trifacet::config::{Config, FaultKind, SourceKind};
@@ -57,6 +57,11 @@ fn measure(config: &Config, samples: u32) -> anyhow::Result<DarkOffsets> {
         SourceKind::Board | SourceKind::Serial => {
             let source = BoardSource::open(config, SystemClock, counters)?;
             eprintln!("averaging {samples} scans of the board: the laser must be off");
+            runtime.block_on(average(source, config, samples))
+        }
+        SourceKind::Labjack => {
+            let source = LabjackSource::new(config, SystemClock, counters);
+            eprintln!("averaging {samples} scans of the LabJack T7: the laser must be off");
             runtime.block_on(average(source, config, samples))
         }
         SourceKind::Replay => {

@@ -1,6 +1,7 @@
 //! `trifacet emulate`: an acquisition board on a pseudo-terminal or on a network, backed by the digital twin.
 
 mod command;
+mod labjack;
 mod link;
 mod outlet;
 
@@ -9,6 +10,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use command::EmulatorCommand;
+use labjack::{Device, T7Args};
 use outlet::{Outlet, Port};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc;
@@ -18,7 +20,7 @@ use trifacet::clock::SystemClock;
 use trifacet::clock::pace::Pace;
 use trifacet::config::Network;
 use trifacet::core::time::Clock;
-use trifacet::exit::{CONFIG, Failure};
+use trifacet::exit::{CONFIG, Failure, USAGE};
 use trifacet::twin::{Emulator, ListenAt};
 
 use super::{ConfigArg, written};
@@ -28,7 +30,7 @@ const PORTION: u64 = 16;
 
 /// Emulate an acquisition board on a pseudo-terminal or on a network, backed by the digital twin.
 #[derive(Debug, clap::Args)]
-#[command(after_help = command::HELP)]
+#[command(after_help = format!("{}\n{}", command::HELP, labjack::HELP))]
 pub(crate) struct EmulateArgs {
     /// Create PATH as a symbolic link to the port, and remove it at the end
     #[arg(long, value_name = "PATH")]
@@ -43,6 +45,11 @@ pub(crate) struct EmulateArgs {
     /// Version of the board protocol
     #[arg(long, value_name = "VERSION", value_parser = ["1.0", "1.1"], default_value = "1.1")]
     protocol: String,
+    /// Kind of device
+    #[arg(long, value_name = "DEVICE", value_enum, default_value = "board")]
+    device: Device,
+    #[command(flatten)]
+    t7: T7Args,
     #[command(flatten)]
     config: ConfigArg,
 }
@@ -58,6 +65,17 @@ impl EmulateArgs {
 pub(crate) fn emulate(args: &EmulateArgs) -> anyhow::Result<()> {
     let outlet = Outlet::new(args.listen.clone(), args.link.clone(), &args.allow)?;
     let config = args.config.load()?;
+    if args.device == Device::T7 {
+        if args.link.is_some() {
+            return Err(
+                Failure::new(USAGE, "--link is for a board: --device t7 has no pseudo-terminal").into()
+            );
+        }
+        return labjack::emulate(&args.t7, &config);
+    }
+    if args.t7.has_port() {
+        return Err(Failure::new(USAGE, "--port and --stream-port require --device t7").into());
+    }
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let pace = Pace::new(SystemClock, config.acquisition.rate_hz)?;

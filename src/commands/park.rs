@@ -6,7 +6,7 @@ use std::time::Duration;
 use clap::Args;
 use tokio::sync::watch;
 use tokio::time::timeout;
-use trifacet::acquisition::{BoardSource, Source, SourceEvent};
+use trifacet::acquisition::{BoardSource, LabjackSource, Source, SourceEvent};
 use trifacet::clock::SystemClock;
 use trifacet::config::{Config, SourceKind};
 use trifacet::control;
@@ -51,25 +51,17 @@ pub(crate) fn park(args: &ParkArgs) -> anyhow::Result<()> {
     // The port of the board is kept open until the end, even if the stage has its own controller. No daemon
     // can start in that time.
     let counters = Arc::new(Counters::default());
-    let source = match config.acquisition.source {
+    let parked = match config.acquisition.source {
         SourceKind::Board | SourceKind::Serial => {
-            Some(BoardSource::open(&config, SystemClock, Arc::clone(&counters))?)
+            parking(Some(BoardSource::open(&config, SystemClock, Arc::clone(&counters))?), &config, &counters)
         }
-        SourceKind::Twin | SourceKind::Replay => None,
-    };
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    // The limits do not change in the meantime, so the sender can be dropped.
-    let limits = watch::channel(steering.clone()).1;
-    let Stage { driver, task, .. } = steering::configured(&config, limits)?;
-    let parking = async {
-        match (task, source) {
-            (Some(task), _held) => stage(driver, task, &config, &counters).await.map(Some),
-            (None, Some(source)) => outputs(source, &config).await.map(Some),
-            (None, None) => Ok(None),
+        SourceKind::Labjack => {
+            parking(Some(LabjackSource::new(&config, SystemClock, Arc::clone(&counters))), &config, &counters)
+        }
+        SourceKind::Twin | SourceKind::Replay => {
+            parking(None::<BoardSource<SystemClock>>, &config, &counters)
         }
     };
-    let parked = runtime.block_on(parking);
-    runtime.shutdown_background(); // do not wait for a port that is still being opened
     match parked? {
         None => {
             eprintln!(
@@ -79,6 +71,27 @@ pub(crate) fn park(args: &ParkArgs) -> anyhow::Result<()> {
         Some(at) => eprintln!("parked at {at:?} um"),
     }
     Ok(())
+}
+
+/// Parks the configured stage; `None` if there is none without the daemon.
+fn parking(
+    source: Option<impl Source>,
+    config: &Config,
+    counters: &Counters,
+) -> anyhow::Result<Option<[f64; 2]>> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    // The limits do not change in the meantime, so the sender can be dropped.
+    let limits = watch::channel(config.steering.clone()).1;
+    let Stage { driver, task, .. } = steering::configured(config, limits)?;
+    let parked = runtime.block_on(async {
+        match (task, source) {
+            (Some(task), _held) => stage(driver, task, config, counters).await.map(Some),
+            (None, Some(source)) => outputs(source, config).await.map(Some),
+            (None, None) => Ok(None),
+        }
+    });
+    runtime.shutdown_background(); // do not wait for a port that is still being opened
+    Ok(parked?)
 }
 
 /// Parks with the outputs of the board.

@@ -15,7 +15,7 @@ use show::Show;
 use tokio::sync::{mpsc, watch};
 use tokio::task::LocalSet;
 use tokio_util::sync::CancellationToken;
-use trifacet::acquisition::{BoardSource, Source};
+use trifacet::acquisition::{BoardSource, LabjackSource, Source};
 use trifacet::clock::SystemClock;
 use trifacet::config::{Config, SourceKind, edit};
 use trifacet::exit::{self, Failure};
@@ -143,6 +143,10 @@ fn measure(config: &Config, args: &TuneArgs) -> anyhow::Result<Option<Recording>
     match config.acquisition.source {
         SourceKind::Board | SourceKind::Serial => {
             let source = BoardSource::open(config, SystemClock, Arc::clone(&counters))?;
+            LocalSet::new().block_on(&runtime, with(|| Ok(source), config, args, counters))
+        }
+        SourceKind::Labjack => {
+            let source = LabjackSource::new(config, SystemClock, Arc::clone(&counters));
             LocalSet::new().block_on(&runtime, with(|| Ok(source), config, args, counters))
         }
         SourceKind::Replay => {

@@ -6,6 +6,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use trifacet_core::pipeline::SilenceTimes;
 
+use super::LabjackConfig;
 use super::board_place::LONGEST_SOCKET;
 use super::check::Checker;
 use super::{BoardPlace, Destination};
@@ -20,6 +21,8 @@ pub enum SourceKind {
     Board,
     /// An acquisition board on a serial port, with the keys of `[acquisition.serial]`.
     Serial,
+    /// A LabJack T7.
+    Labjack,
     /// A recording.
     Replay,
 }
@@ -47,6 +50,8 @@ pub struct AcquisitionConfig {
     pub latency_us: f64,
     /// Settings of the board with `source = "serial"`.
     pub serial: SerialConfig,
+    /// Settings of the LabJack T7.
+    pub labjack: LabjackConfig,
 }
 
 /// Settings of `[acquisition.serial]`.
@@ -75,6 +80,7 @@ impl Default for AcquisitionConfig {
             baud: serial.baud,
             latency_us: serial.latency_us,
             serial,
+            labjack: LabjackConfig::default(),
         }
     }
 }
@@ -109,7 +115,7 @@ impl AcquisitionConfig {
                 let socket = || self.socket.clone().map(BoardPlace::Unix);
                 port.or_else(address).or_else(socket)
             }
-            SourceKind::Twin | SourceKind::Replay => None,
+            SourceKind::Twin | SourceKind::Labjack | SourceKind::Replay => None,
         }
     }
 
@@ -135,6 +141,7 @@ impl AcquisitionConfig {
         at.number("baud", self.baud, 9600.0..=20_000_000.0);
         at.number("latency_us", self.latency_us, 0.0..=1_000_000.0);
         self.serial.check(at.section("serial"));
+        self.labjack.check(at.section("labjack"));
     }
 
     /// The board is at one place.

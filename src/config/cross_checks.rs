@@ -3,6 +3,7 @@
 use std::net::SocketAddr;
 use std::path::Path;
 
+use trifacet_core::centering::OnExit;
 use trifacet_core::centering::stability::is_stable;
 use trifacet_optics::{Pose, Vec2};
 use trifacet_wire::board::{ScanFormat, required_baud};
@@ -11,7 +12,8 @@ use trifacet_wire::channel::SIGNALS;
 use super::check::Checker;
 use super::tilt::allowed_geometry;
 use super::{
-    BoardPlace, CenteringConfig, Config, Destination, Host, Model, RecordingMode, SourceKind, SteeringKind,
+    BoardPlace, CenteringConfig, Config, Destination, Host, LabjackOutputs, Model, RecordingMode, SourceKind,
+    SteeringKind,
 };
 
 /// Gain margin: gains are refused if the loop would be unstable with gains that are larger by this factor.
@@ -23,6 +25,7 @@ pub(super) fn check(config: &Config, at: &mut Checker<'_>) {
     match config.acquisition.source {
         SourceKind::Twin => twin_signals(config, at),
         SourceKind::Board | SourceKind::Serial => board_speed(config, at),
+        SourceKind::Labjack => labjack(config, at),
         SourceKind::Replay => replay(config, at),
     }
     ports(config, at);
@@ -123,6 +126,41 @@ fn board_speed(config: &Config, at: &mut Checker<'_>) {
         &["acquisition.rate_hz"],
         baud,
         format_args!("{needed} or more, for nine channels at {} Hz", acquisition.rate_hz),
+    );
+}
+
+/// Highest number of samples per second of a T7, in the range of +-10 V and with resolution index 0 or 1.
+const LABJACK_SAMPLES_HZ: f64 = 100_000.0;
+
+/// The scans fit into the rate of the device and into their period, and its watchdog can park the outputs.
+fn labjack(config: &Config, at: &mut Checker<'_>) {
+    let labjack = &config.acquisition.labjack;
+    let (entries, rate_hz) = (labjack.entries() as f64, config.acquisition.rate_hz);
+    at.agree(
+        entries * rate_hz <= LABJACK_SAMPLES_HZ,
+        "acquisition.rate_hz",
+        &["acquisition.labjack.inputs", "acquisition.labjack.readback"],
+        rate_hz,
+        format_args!(
+            "at most {:.1}: a T7 takes 100 000 samples per second, and a scan has {entries} (the timer is two)",
+            LABJACK_SAMPLES_HZ / entries
+        ),
+    );
+    let scan_us = entries * labjack.interval_us.max(labjack.settling_us);
+    at.agree(
+        scan_us <= 1e6 / rate_hz,
+        "acquisition.labjack.interval_us",
+        &["acquisition.labjack.settling_us", "acquisition.rate_hz"],
+        labjack.interval_us,
+        format_args!("an interval with which {entries} entries fit into a period; they take {scan_us} us"),
+    );
+    let outputs = config.steering.kind == SteeringKind::Outputs;
+    at.agree(
+        !outputs || labjack.outputs == LabjackOutputs::Dac || config.steering.on_lease == OnExit::Hold,
+        "steering.on_lease",
+        &["acquisition.labjack.outputs"],
+        "\"park\"",
+        "\"hold\" with outputs = \"ljtick-dac\": the watchdog of a T7 cannot move an LJTick-DAC",
     );
 }
 

@@ -86,7 +86,10 @@ pub async fn obey(live: &Mutex<RunningConfig>, command: Command) -> Value {
 pub(super) async fn execute(live: &Mutex<RunningConfig>, command: Command) -> Result<Value, Failure> {
     live.lock().await.permit(command)?;
     match command {
-        Command::Reload => take_over_file(live, access(live, "configuration unchanged").await?).await,
+        Command::Reload => {
+            let access = access(live, "configuration unchanged").await?;
+            Box::pin(take_over_file(live, access)).await // it holds several configurations
+        }
         Command::Tare { poses, save } => {
             let file = save_to(live, save).await?;
             live.lock().await.tare(poses, file).await

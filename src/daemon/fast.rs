@@ -16,7 +16,7 @@ use trifacet_core::telemetry::heartbeat::{Heartbeats, Task, counted};
 use trifacet_core::telemetry::{CommandGauge, Counters, LatestStatus};
 use trifacet_wire::stream::Descriptor;
 
-use crate::acquisition::{BoardSource, Source, SourceError};
+use crate::acquisition::{BoardSource, LabjackSource, Source, SourceError};
 use crate::clock::SystemClock;
 use crate::config::{CalibrationContext, Config, RealtimeConfig, SourceKind};
 use crate::control::FastLink;
@@ -79,6 +79,10 @@ pub(super) fn start(parts: Parts) -> anyhow::Result<Fast> {
             start_fast(parts.config.realtime.clone(), || fast(parts, source))
         }
         SourceKind::Replay => start_fast(parts.config.realtime.clone(), || replayed(parts)),
+        SourceKind::Labjack => {
+            let source = LabjackSource::new(&parts.config, SystemClock, counters);
+            start_fast(parts.config.realtime.clone(), || fast(parts, |_| Ok(source)))
+        }
         SourceKind::Board | SourceKind::Serial => {
             let source = BoardSource::open(&parts.config, SystemClock, counters)?;
             start_fast(parts.config.realtime.clone(), || fast(parts, |_| Ok(source)))

@@ -13,6 +13,7 @@
 //! - [`electronics`]: from light to codes.
 //! - [`faults`]: injected faults.
 //! - [`emulator`]: a board with the twin behind it; [`pty`], [`board_socket`]: its serial line, and its socket on a network.
+//! - [`labjack`]: a LabJack T7 with the twin behind it.
 
 pub mod applied;
 pub mod board_socket;
@@ -21,6 +22,7 @@ pub mod distortion;
 pub mod electronics;
 pub mod emulator;
 pub mod faults;
+pub mod labjack;
 pub mod moves;
 pub mod outputs;
 pub mod own_head;

@@ -24,6 +24,7 @@ mod dark;
 mod emulate;
 mod experiment;
 mod kits;
+mod labjack;
 mod monitor;
 mod own_head;
 mod page;

@@ -17,7 +17,7 @@ use reference::{Reference, ReferenceKind};
 use session::{Outcome, Session};
 use tokio::sync::{mpsc, watch};
 use tokio::task::LocalSet;
-use trifacet::acquisition::{BoardSource, Source};
+use trifacet::acquisition::{BoardSource, LabjackSource, Source};
 use trifacet::calibration::bench::{Bench, Links};
 use trifacet::calibration::pose_list;
 use trifacet::clock::SystemClock;
@@ -108,7 +108,7 @@ fn reference_kind(args: &RunArgs, config: &Config) -> Result<ReferenceKind, Fail
         (_, SourceKind::Replay) => {
             wrong(exit::CONFIG, "acquisition.source = \"replay\": a recording cannot be measured again")
         }
-        (ReferenceKind::Twin, SourceKind::Board | SourceKind::Serial) => {
+        (ReferenceKind::Twin, SourceKind::Board | SourceKind::Serial | SourceKind::Labjack) => {
             wrong(exit::USAGE, "--reference twin requires acquisition.source = \"twin\"")
         }
         (ReferenceKind::Command, _) if args.program.is_empty() => wrong(
@@ -152,6 +152,9 @@ fn measured(
             other => Reference::of(args, other)?,
         };
         LocalSet::new().block_on(&runtime, job.run(source, clock, reference))
+    } else if config.acquisition.source == SourceKind::Labjack {
+        let source = LabjackSource::new(config, SystemClock, Arc::clone(&counters));
+        LocalSet::new().block_on(&runtime, job.run(source, SystemClock, Reference::of(args, kind)?))
     } else {
         let source = BoardSource::open(config, SystemClock, Arc::clone(&counters))?;
         LocalSet::new().block_on(&runtime, job.run(source, SystemClock, Reference::of(args, kind)?))

@@ -133,6 +133,14 @@ fn source(config: &Config, lines: &mut Lines) {
                 if config.replay.repeat { ", repeated" } else { "" }
             ),
             SourceKind::Board | SourceKind::Serial => board(acquisition),
+            SourceKind::Labjack => format!(
+                "LabJack T7 at {}, ports {} and {}, {} inputs of +-{} V, {rate} Hz",
+                acquisition.labjack.address,
+                acquisition.labjack.port,
+                acquisition.labjack.stream_port,
+                acquisition.labjack.channels().len(),
+                acquisition.labjack.range_v
+            ),
         },
     );
     if acquisition.source == SourceKind::Twin {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trifacet::config::{Config, GcsConfig, SourceKind, SteeringKind};
+use trifacet::config::{Config, GcsConfig, LabjackOutputs, SourceKind, SteeringKind};
 use trifacet_core::centering::search::Spiral;
 use trifacet_core::centering::{LoopMode, OnExit, Target};
 use trifacet_core::estimation::integrity::{LIMIT, SlowResidual};
@@ -79,6 +79,10 @@ pub(super) fn stage(config: &Config, lines: &mut Lines) {
             let source = match config.acquisition.source {
                 SourceKind::Twin => "the twin's own stage",
                 SourceKind::Board | SourceKind::Serial => "the two outputs of the board",
+                SourceKind::Labjack => match config.acquisition.labjack.outputs {
+                    LabjackOutputs::Dac => "DAC0 and DAC1 of the LabJack T7",
+                    LabjackOutputs::LjtickDac => "an LJTick-DAC at the LabJack T7",
+                },
                 SourceKind::Replay => return,
             };
             lines.say("steering", format!("{source}, full scale +-{full_scale_um} um, {limits}"));
