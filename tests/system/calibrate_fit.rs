@@ -95,7 +95,7 @@ fn a_fit_writes_a_configuration_that_gives_the_true_poses() {
         own["determined_by"].as_str().unwrap().to_owned()
     };
     assert_eq!(determined("psd_b.ln_power_gain"), "data");
-    assert_eq!(determined("psd_a.rotation_normal"), "convention");
+    assert_eq!(determined("psd_a.position_u"), "convention");
     for parameter in report["parameters"].as_array().unwrap() {
         let parts = parameter["shares"].as_object().unwrap().values().map(|part| part.as_f64().unwrap());
         assert!((parts.sum::<f64>() - 1.0).abs() < 1e-9, "{parameter}");
@@ -202,8 +202,8 @@ fn several_tables_have_one_zero_unless_they_state_another() {
     let folder = Folder::new();
     let text = fs::read_to_string(reference("mild.points.csv")).unwrap();
     let (header, rows) = text.split_once('\n').unwrap();
-    let rows: Vec<&str> = rows.lines().collect();
-    let (first, second) = rows.split_at(rows.len() / 2);
+    let rows: Vec<&str> = rows.lines().take(160).collect();
+    let (first, second) = rows.split_at(80);
     // The reference was set to zero again, 30 um beside, before the second half.
     let column = header.split(',').position(|name| name == "ref_tx_m").unwrap();
     let moved = |row: &&str| {
@@ -216,32 +216,27 @@ fn several_tables_have_one_zero_unless_they_state_another() {
         fs::write(&path, format!("{header}\n{}\n", rows.join("\n"))).unwrap();
         path
     };
-    let plain = |rows: &[&str]| rows.iter().map(|row| (*row).to_owned()).collect::<Vec<_>>();
-    let first = save("first.csv", header, plain(first));
-    let same = save("same.csv", header, plain(second));
+    let first = save("first.csv", header, first.iter().map(|row| (*row).to_owned()).collect());
     let other = save("other.csv", header, second.iter().map(moved).collect());
     let named = second.iter().map(|row| moved(row) + ",after lunch").collect();
     let named = save("named.csv", &format!("{header},run"), named);
+    let config = folder.path("in.toml");
+    fs::write(&config, "").unwrap();
 
     let fit = |second: &Path, options: &[&str], out: &str| {
         let mut command = trifacet(&["calibrate", "fit", "--out"]);
-        let config = folder.path("in.toml");
-        fs::write(&config, "").unwrap();
-        command.arg(folder.path(out)).arg("--config").arg(config).arg("--points").arg(&first);
+        command.arg(folder.path(out)).arg("--config").arg(&config).arg("--points").arg(&first);
         command.arg("--points").arg(second).args(options).output().unwrap()
     };
-    let common = fit(&same, &[], "common");
-    assert!(common.status.success(), "{}", said(&common));
-    let shifted = fit(&other, &[], "shifted");
-    assert_eq!(shifted.status.code(), Some(65), "{}", said(&shifted));
-    for (second, options, out) in [(&other, &["--own-zero"][..], "own"), (&named, &[], "named")] {
-        let output = fit(second, options, out);
-        assert!(output.status.success(), "{out}: {}", said(&output));
-        let report = fs::read_to_string(folder.path(out).join("report.json")).unwrap();
-        let report: serde_json::Value = serde_json::from_str(&report).unwrap();
-        assert_eq!(report["inputs"].as_array().unwrap().len(), 2);
-        assert_eq!(report["dropped"], serde_json::json!([]));
-    }
+    std::thread::scope(|scope| {
+        let common = scope.spawn(|| fit(&other, &[], "common"));
+        let own = scope.spawn(|| fit(&other, &["--own-zero"], "own"));
+        let run = fit(&named, &[], "run");
+        let (common, own) = (common.join().unwrap(), own.join().unwrap());
+        assert_eq!(common.status.code(), Some(65), "{}", said(&common));
+        assert!(own.status.success(), "{}", said(&own));
+        assert!(run.status.success(), "{}", said(&run));
+    });
 }
 
 #[test]
