@@ -60,12 +60,12 @@ impl Report {
                 .to_owned();
         }
         let std = self.std.um.into_iter().chain(self.std.urad);
-        let panels: String = (0..AXES.len())
+        let panels: Vec<String> = (0..AXES.len())
             .zip(std)
             .map(|(axis, std)| format!("<figure>{}</figure>", pictures::errors(axis, poses, std)))
             .collect();
         let scale = pictures::arrow_scale(poses);
-        let maps: String = (0..3)
+        let maps: Vec<String> = (0..3)
             .map(|psd| {
                 let map = pictures::arrows(psd, &self.coverage[psd], poses, scale);
                 format!("<figure>{map}<figcaption>PSD {}</figcaption></figure>", FACETS[psd])
@@ -79,12 +79,14 @@ impl Report {
              spots that would cause it. Arrows that resemble their neighbours show an error of the PSD that the fit \
              has not followed. {}</p>\n<div class=\"three\">{maps}</div></section>\n",
             poses.len(),
-            pictures::arrow_legend(scale)
+            pictures::arrow_legend(scale),
+            panels = panels.concat(),
+            maps = maps.concat()
         )
     }
 
     fn coverage_pictures(&self) -> String {
-        let maps: String = (0..3)
+        let maps: Vec<String> = (0..3)
             .map(|psd| {
                 let map = pictures::coverage(psd, &self.coverage[psd]);
                 format!(
@@ -98,7 +100,8 @@ impl Report {
         format!(
             "<section><h2>Coverage of the PSDs</h2>\n<p>Spots of the <span class=\"key point\">points</span> and of the \
              <span class=\"key scan\">scans</span>; <span class=\"key covered\">covered area</span>. A pose with a spot \
-             outside of this area is marked OUT_OF_CALIBRATION.</p>\n<div class=\"three\">{maps}</div></section>\n"
+             outside of this area is marked OUT_OF_CALIBRATION.</p>\n<div class=\"three\">{}</div></section>\n",
+            maps.concat()
         )
     }
 

@@ -122,8 +122,7 @@ function begin(first) {
   detectors.configure(config);
   balance.configure(config);
   strips.period_ms = 1000 / descriptor.rate_hz;
-  const source = config.acquisition.source === "twin" ? twin(config.twin) :
-    config.acquisition.source === "replay" ? `recording ${config.replay.file}` : `board at ${config.acquisition.serial.port}`;
+  const source = sourceOf(config);
   say($("device"), `${source}, ${descriptor.rate_hz} poses/s`);
   say($("config"), JSON.stringify(config, null, 2));
   facts($("facts"), [
@@ -144,6 +143,18 @@ function begin(first) {
   for (const button of document.querySelectorAll("#control :is(button, input)")) button.disabled = idle;
   if (idle) say($("answer"), "◆ A recording is replayed: commands are not available");
 }
+/** Where the samples come from. */
+function sourceOf({ acquisition, replay, twin: own }) {
+  const { source, serial, labjack, port, address, socket } = acquisition;
+  switch (source) {
+    case "twin": return twin(own);
+    case "replay": return `recording ${replay.file}`;
+    case "labjack": return `LabJack T7 at ${labjack.address}`;
+    case "serial": return `board at ${serial.port}`;
+    default: return `board at ${port ?? address ?? socket}`;
+  }
+}
+
 /** The calibration in words: whether it is valid, its date and age, its method, range and uncertainty, and its end. */
 function calibration({ calibration: record, uncalibrated }) {
   if (!record) return uncalibrated ?? "calibrated";
