@@ -11,20 +11,19 @@
 //! 1 mm with 1 Hz needs the systematic part anew some hundred times a second. Both take turns, and the shortest of their
 //! times count: `cargo bench --bench solve -- frame`.
 
-use std::hint::black_box;
-use std::time::Instant;
-
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::{Matrix6, Owned, U6, Vector6};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
+use std::hint::black_box;
+use trifacet::clock::SystemClock;
 use trifacet::config::{CalibrationContext, CalibrationState, SharedSpread, Standing, Tables, parse};
 use trifacet::core::centering::LoopState;
 use trifacet::core::pipeline::Measurement;
 use trifacet::core::signals::Sample;
 use trifacet::core::stamp::Stamp;
-use trifacet::core::time::Mono;
+use trifacet::core::time::{Clock as _, Mono};
 use trifacet::twin::Twin;
 use trifacet_optics::calibration::fit::{FIRST_FIELD, Job, fit};
 use trifacet_optics::calibration::parameters::Tolerances;
@@ -253,12 +252,12 @@ fn samples(text: &str, calibration: CalibrationState) -> (Vec<Sample>, Measureme
 /// Seconds for a frame from each of these samples.
 fn seconds(samples: &[Sample], measurement: &mut Measurement) -> f64 {
     let (state, stamp) = (LoopState::default(), Stamp::example());
-    let start = Instant::now();
+    let start = SystemClock.now();
     for sample in samples {
         let report = measurement.sample(black_box(sample), &state).expect("a report");
         black_box(report.frame(stamp).encode());
     }
-    start.elapsed().as_secs_f64() / samples.len() as f64
+    SystemClock.now().seconds_since(start) / samples.len() as f64
 }
 
 fn frame(_: &mut Criterion) {

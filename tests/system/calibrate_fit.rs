@@ -95,7 +95,7 @@ fn a_fit_writes_a_configuration_that_gives_the_true_poses() {
         own["determined_by"].as_str().unwrap().to_owned()
     };
     assert_eq!(determined("psd_b.ln_power_gain"), "data");
-    assert_eq!(determined("psd_a.rotation_normal"), "convention");
+    assert_eq!(determined("psd_a.position_u"), "convention");
     for parameter in report["parameters"].as_array().unwrap() {
         let parts = parameter["shares"].as_object().unwrap().values().map(|part| part.as_f64().unwrap());
         assert!((parts.sum::<f64>() - 1.0).abs() < 1e-9, "{parameter}");
