@@ -1,5 +1,7 @@
 //! Formats the output of `trifacet status`.
 
+use std::fmt::Write as _;
+
 use serde::Deserialize as _;
 use serde_json::Value;
 use trifacet::client::PoseFrame;
@@ -219,10 +221,10 @@ pub(crate) fn drift(control: &Value) -> Option<String> {
     let (x, y) = (number("residual_um", 0)?, number("residual_um", 1)?);
     let mut text = format!("x {x:.3} y {y:.3} um of {:.3} um", drift["limit_um"].as_f64()?);
     if let (Some(b), Some(c)) = (number("power_gains_percent", 0), number("power_gains_percent", 1)) {
-        text += &format!("   gains B {b:+.2} % C {c:+.2} %");
+        let _ = write!(text, "   gains B {b:+.2} % C {c:+.2} %");
     }
     if let [Some(a), Some(b), Some(c)] = [0, 1, 2].map(|i| number("dark_percent", i)) {
-        text += &format!("   dark A {a:+.2} % B {b:+.2} % C {c:+.2} %");
+        let _ = write!(text, "   dark A {a:+.2} % B {b:+.2} % C {c:+.2} %");
     }
     Some(text)
 }
