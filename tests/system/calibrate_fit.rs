@@ -227,7 +227,7 @@ fn several_tables_have_one_zero_unless_they_state_another() {
     fs::write(folder.path("in.toml"), "").unwrap();
     let fit = |second: &Path, options: &[&str], out: &str| {
         let [config, first, second, out] =
-            [&folder.path("in.toml"), &first, second, &folder.path(out)].map(|path| text(path));
+            [&folder.path("in.toml"), &first, second, &folder.path(out)].map(text);
         let fit =
             ["calibrate", "fit", "--config", &config, "--points", &first, "--points", &second, "--out", &out];
         computing(&[&fit, options].concat())
