@@ -224,7 +224,7 @@ fn spread() -> SharedSpread {
     let tolerances = Tolerances::default();
     let job = Job { nominal: &nominal, tolerances: &tolerances, points: &points, fields: &[FIRST_FIELD] };
     let calibration = fit(job, |_| ()).expect("a fit").calibration;
-    SharedSpread(calibration.spread().expect("a covariance").into())
+    SharedSpread(calibration.spread([1e-3, 5e-3]).expect("a covariance").into())
 }
 
 const REST: &str = "twin.motion = []\n";

@@ -116,6 +116,7 @@ impl Record {
     /// The record of a calibration. `measurement`: what people may want to know of the data.
     pub fn new(header: RecordHeader, calibration: &Calibration, measurement: serde_json::Value) -> Self {
         let layout = &calibration.layout;
+        let range = [header.range_mm * 1e-3, header.range_mrad * 1e-3];
         Self {
             header,
             parameters: parameter_reports(calibration),
@@ -129,7 +130,7 @@ impl Record {
             theta: encode(calibration.theta.iter().copied()),
             factor: encode(calibration.factor.packed()),
             scale: encode(calibration.factor.scale().iter().copied()),
-            spread: calibration.spread().map(|spread| STANDARD.encode(spread_bytes(&spread))),
+            spread: calibration.spread(range).map(|spread| STANDARD.encode(spread_bytes(&spread))),
         }
     }
 

@@ -41,7 +41,7 @@ mod tests {
                 files += 1;
             }
         }
-        assert_eq!(files, 5);
+        assert!(files >= 6, "{files}");
     }
 
     #[test]

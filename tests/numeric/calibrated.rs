@@ -122,7 +122,7 @@ fn calibrated(seed: u64, points: &[Point], fields: &[Field]) -> Calibrated {
     config.uncertainty.tare_readings = 1;
     config.uncertainty.beam_offset_um = Some(0.05);
     let tables = Tables([0, 1, 2].map(|psd| Some(table(&calibration, psd, "today").into_bytes())));
-    let spread = SharedSpread(calibration.spread().unwrap().into());
+    let spread = SharedSpread(calibration.spread([1e-3, 5e-3]).unwrap().into());
     let spread = SharedSpread::from_bytes(&spread.to_bytes());
     let state = CalibrationState { record: None, standing: Standing::Valid, spread };
     let context = CalibrationContext { config, tables, calibration: state };

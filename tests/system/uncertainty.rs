@@ -44,8 +44,9 @@ fn calibrated(folder: &Folder) -> PathBuf {
     folder.write("points.csv", points(&mut Pcg64::seed_from_u64(21)));
     let path = |name: &str| folder.path(name).display().to_string();
     let (config, points, out) = (path("in.toml"), path("points.csv"), path("out"));
-    let fit =
-        run(&mut trifacet(&["calibrate", "fit", "--config", &config, "--points", &points, "--out", &out]));
+    let range = ["--range-mm", "0.1", "--range-mrad", "0.5"];
+    let fit = ["calibrate", "fit", "--config", &config, "--points", &points, "--out", &out];
+    let fit = run(&mut trifacet(&[&fit[..], &range].concat()));
     assert_eq!(fit.code, 0, "{}", fit.err);
     let file = folder.path("out/trifacet.toml");
     let text = fs::read_to_string(&file).unwrap();

@@ -164,7 +164,7 @@ fn the_covariance_for_every_frame_is_that_of_the_calibration() {
     let fields = [fit::FIRST_FIELD];
     let job = Job { nominal: &nominal, tolerances: &tolerances, points: &points[..300], fields: &fields };
     let calibration = fit(job, |_| ()).unwrap().calibration;
-    let spread = calibration.spread().unwrap();
+    let spread = calibration.spread([1e-3, 5e-3]).unwrap();
     let spread = Spread::new(spread.data().clone()).unwrap();
     let [base, tool] = calibration.base_and_tool();
     let seen = |k: u32, scale: f64| {

@@ -205,7 +205,7 @@ fn an_unusable_stage_is_not_moved_until_it_is_usable() {
     set(|state| (state.referenced, state.unit) = (true, "MM"));
     down(&mut daemon, "axis 1 counts in MM: steering.gcs.um_per_unit = 1 should be 1000");
     set(|state| state.unit = "urad");
-    down(&mut daemon, "axis 1 turns (it counts in urad): the model assumes a laser that is translated");
+    down(&mut daemon, "axis 1 turns (it counts in urad): the loop steers a laser that is translated");
     set(|state| state.unit = "um");
     down(&mut daemon, "axis 1 travels from -20 to 90 um");
     set(|state| state.travel = [-90.0, 90.0]);

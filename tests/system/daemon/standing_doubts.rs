@@ -30,8 +30,9 @@ pub(super) fn stands(daemon: &mut Daemon, subject: &str, text: &str) {
     assert!(metrics.contains(&format!("trifacet_doubt{{subject=\"{subject}\"}} 1")), "{metrics}");
     let (config, endpoint) = (daemon.file(), format!("tcp://{}", daemon.address()));
     let status = run(trifacet(&["status", &endpoint, "--socket"]).arg(daemon.socket()));
-    let named = |line: &str| line.starts_with("doubt ") && line.contains(text);
-    assert!(status.out.lines().any(named), "{}", status.out);
+    // The text is wrapped to the width of a terminal.
+    let words = status.out.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(words.contains("doubt since") && words.contains(text), "{}", status.out);
     let doctor = run(trifacet(&["doctor", &endpoint, "--config"]).arg(config));
     assert!(doctor.out.contains("doubt since") && doctor.out.contains(text), "{} {}", doctor.out, doctor.err);
 }

@@ -252,18 +252,19 @@ impl<'a> Session<'a> {
             }
         }
         let (_, field, found) = best.ok_or(FitError::Singular)?;
-        self.change_knots(field.knots);
+        if self.layout.lattices[0].knots() != field.knots {
+            self.change_knots(field.knots);
+        }
         self.set_field(&field)?;
         Ok(found)
     }
 
+    /// Makes splines with these knots for the points that have not been dropped.
     fn change_knots(&mut self, knots: f64) {
-        if self.layout.lattices[0].knots() != knots {
-            self.normal = Normal::new(0); // frees its memory before the next one is made
-            self.layout = layout(&self.job, &self.states, knots);
-            self.bases = bases(&self.job, &self.layout);
-            self.normal = Normal::new(self.layout.parameters());
-        }
+        self.normal = Normal::new(0); // frees its memory before the next one is made
+        self.layout = layout(&self.job, &self.states, knots);
+        self.bases = bases(&self.job, &self.layout);
+        self.normal = Normal::new(self.layout.parameters());
     }
 
     /// Logarithm of the marginal likelihood of the current prior, up to a constant, and the best parameters.

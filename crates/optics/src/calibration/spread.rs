@@ -19,8 +19,6 @@ use crate::{Pose, Rigid, Vec3};
 
 /// Geometric parameters that act on a pose: all but the steering and the frame of the reference.
 const GEOMETRY: usize = 37;
-/// Steps of the quadratic functions, metres and radians.
-const STEPS: [f64; 2] = [1e-3, 5e-3];
 /// Derivatives of a pose with respect to six spots and the geometry.
 const SLOPES: usize = 6 * (6 + GEOMETRY);
 /// Columns that are computed at a time, for less memory.
@@ -110,15 +108,15 @@ impl Splines {
 }
 
 impl Calibration {
-    /// What is unknown of poses, for fast use. `None` if a pose within a millimetre and five milliradians of the
-    /// zero of the reference has no reading.
-    pub fn spread(&self) -> Option<Spread> {
+    /// What is unknown of poses within a range to both sides of the zero of the reference, for fast use: metres, radians.
+    /// Poses beyond the range have it too, less exactly. `None` if a pose within the range has no reading.
+    pub fn spread(&self, range: [f64; 2]) -> Option<Spread> {
         let data = SpreadData {
             frames: self.base_and_tool(),
             knots: self.field.knots,
             half_sizes: self.layout.half_sizes,
             cells: self.layout.lattices.each_ref().map(|lattice| lattice.cells().to_vec()),
-            slopes: self.slopes()?,
+            slopes: self.slopes(range)?,
             errors: self.as_splines(),
             maps: Vec::new(),
             cross: Vec::new(),
@@ -128,9 +126,9 @@ impl Calibration {
     }
 
     /// Derivatives of a pose in the frame of the reference with respect to the spots and the geometry.
-    fn slopes(&self) -> Option<Quadratic> {
+    fn slopes(&self, range: [f64; 2]) -> Option<Quadratic> {
         let instruments = Neighbours::new(&self.nominal, &self.theta);
-        Quadratic::new(STEPS, |pose| {
+        Quadratic::new(range, |pose| {
             let pose = Pose::from_array(pose);
             let reading = self.reading(&pose)?;
             let [by_spots, by_geometry] = self.derivatives(&instruments, &reading)?;
