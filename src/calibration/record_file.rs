@@ -153,7 +153,7 @@ impl Record {
             allowed: "what trifacet calibrate fit wrote",
         };
         let knots = self.field.knots;
-        if !(knots > 1e-6 && self.half_sizes_m.iter().all(|half| *half > 0.0 && *half < 1000.0 * knots)) {
+        if !self.half_sizes_m.iter().all(|half| Lattice::is_usable(knots, *half)) {
             return Err(wrong("field", "not a usable lattice"));
         }
         let [a, b, c] = &self.cells;
@@ -164,8 +164,11 @@ impl Record {
             Lattice::of_cells(knots, self.half_sizes_m[i], cells)
         };
         let lattices = [lattice(0, a), lattice(1, b), lattice(2, c)];
-        let layout = Layout { runs: self.runs, lattices, half_sizes: self.half_sizes_m };
         let theta = decode(&self.theta).ok_or_else(|| wrong("theta", "not base64 of finite numbers"))?;
+        if self.runs > theta.len() {
+            return Err(wrong("runs", "more than the parameters"));
+        }
+        let layout = Layout { runs: self.runs, lattices, half_sizes: self.half_sizes_m };
         let scale = decode(&self.scale).ok_or_else(|| wrong("scale", "not base64 of finite numbers"))?;
         let packed = decode(&self.factor).ok_or_else(|| wrong("factor", "not base64 of finite numbers"))?;
         if theta.len() != layout.parameters() || scale.len() != layout.parameters() {

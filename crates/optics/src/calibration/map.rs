@@ -18,6 +18,11 @@ const NUGGET: f64 = 1e-3;
 /// A cell without a reading is covered if at least this number of its eight neighbours have one.
 const AROUND: usize = 5;
 
+/// Largest number of knots from the centre of a PSD to its edge.
+const MOST_KNOTS: f64 = 200.0;
+/// Cells beyond this one, in units of the knots, count as this one: no lattice is as wide.
+const FARTHEST: f64 = 1e6;
+
 /// The prior of the spline.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Field {
@@ -71,13 +76,19 @@ pub struct Lattice {
 impl Lattice {
     /// The lattice with these readings.
     pub fn new(knots: f64, half_size: f64, spots: impl Iterator<Item = [f64; 2]>) -> Self {
-        let mut cells: Vec<_> = spots.map(|spot| spot.map(|x| (x / knots).floor() as i32)).collect();
+        let mut cells: Vec<_> = spots.map(|spot| spot.map(|x| cell(x / knots))).collect();
         cells.sort_unstable();
         cells.dedup();
         Self::of_cells(knots, half_size, cells)
     }
 
-    /// The lattice with readings in these cells.
+    /// Whether numbers from a file describe a lattice: knots closer than 1 um, or more than 200 from the centre of the
+    /// PSD to its edge, do not.
+    pub fn is_usable(knots: f64, half_size: f64) -> bool {
+        knots > 1e-6 && half_size > 0.0 && half_size < MOST_KNOTS * knots
+    }
+
+    /// The lattice with readings in these cells. Lengths from a file: see [`Lattice::is_usable`].
     pub fn of_cells(knots: f64, half_size: f64, cells: Vec<[i32; 2]>) -> Self {
         // A reading slightly beyond the edge belongs to a cell further out.
         let reach = (half_size / knots).ceil() as i32 + 3;
@@ -123,7 +134,7 @@ impl Lattice {
 
     /// Whether a reading lies among those of the calibration: its cell has one, or most cells around it do.
     pub fn covers(&self, spot: [f64; 2]) -> bool {
-        let [i, j] = spot.map(|x| (x / self.knots).floor() as i32);
+        let [i, j] = spot.map(|x| cell(x / self.knots));
         let has = |cell| self.cells.binary_search(&cell).is_ok();
         let around = || {
             let cells = (-1..=1).flat_map(|a| (-1..=1).map(move |b| [i + a, j + b]));
@@ -136,7 +147,7 @@ impl Lattice {
     pub fn splines(&self, spot: [f64; 2]) -> impl Iterator<Item = (usize, f64)> {
         let [(i, u), (j, v)] = spot.map(|x| {
             let x = x / self.knots;
-            (x.floor() as i32, cubic(x - x.floor()))
+            (cell(x), cubic(x - x.floor()))
         });
         (0..4).flat_map(move |a| (0..4).map(move |b| (a, b))).filter_map(move |(a, b)| {
             let node = [i - 1 + a as i32, j - 1 + b as i32];
@@ -157,6 +168,11 @@ impl Lattice {
             variance * correlation(a, b, ratio)
         })
     }
+}
+
+/// The cell of a place in units of the knots, along one coordinate.
+fn cell(place: f64) -> i32 {
+    place.floor().clamp(-FARTHEST, FARTHEST) as i32
 }
 
 fn index(reach: i32, [i, j]: [i32; 2]) -> usize {
@@ -224,6 +240,19 @@ mod tests {
         let at = |u| lattice.splines([u, -3.3e-3]).find(|(place, _)| *place == 5).map_or(0.0, |s| s.1);
         for knot in [0.5e-3, 1.0e-3, 1.5e-3] {
             assert!((at(knot - 1e-9) - at(knot + 1e-9)).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn a_reading_far_from_the_psd_has_no_spline_and_is_not_covered() {
+        let lattice = Lattice::new(0.5e-3, 6.5e-3, [[1.2e-3, -3.3e-3]].into_iter());
+        for far in [1e30, -1e30, f64::INFINITY, f64::MIN] {
+            assert_eq!(lattice.splines([far, -3.3e-3]).count(), 0);
+            assert!(!lattice.covers([1.2e-3, far]));
+        }
+        assert!(Lattice::is_usable(0.65e-3, 6.5e-3));
+        for (knots, half_size) in [(1e-7, 1e-6), (1e-5, 6.5e-3), (0.65e-3, 0.0), (f64::NAN, 6.5e-3)] {
+            assert!(!Lattice::is_usable(knots, half_size), "{knots} {half_size}");
         }
     }
 

@@ -225,8 +225,7 @@ fn projection(layout: &Layout, psd: usize) -> Vec<[f64; POLYNOMIALS]> {
 impl Spread {
     /// Takes the numbers of a file; `None` if they do not belong together.
     pub fn new(mut data: SpreadData) -> Option<Self> {
-        let fine = |half: &f64| *half > 0.0 && *half < 1000.0 * data.knots;
-        if !(data.knots > 1e-6 && data.half_sizes.iter().all(fine)) {
+        if !data.half_sizes.iter().all(|half| Lattice::is_usable(data.knots, *half)) {
             return None;
         }
         for cells in &mut data.cells {
