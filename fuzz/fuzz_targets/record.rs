@@ -15,35 +15,50 @@ use trifacet::optics::calibration::cholesky::Factor;
 use trifacet::optics::calibration::linearised::Layout;
 use trifacet::optics::calibration::map::{Field, Lattice};
 use trifacet::optics::calibration::parameters::Tolerances;
-use trifacet::optics::calibration::result::Calibration;
+use trifacet::optics::calibration::result::{Calibration, RangeUncertainty};
 
 /// A complete record without splines: a fuzzer does not find its hundreds of kilobytes.
-static COMPLETE: LazyLock<Value> = LazyLock::new(complete);
+static COMPLETE: LazyLock<Value> = LazyLock::new(|| {
+    let record = complete();
+    read(record.to_string().as_bytes()).expect("the complete record is accepted and has a range");
+    record
+});
 
 fuzz_target!(|bytes: &[u8]| {
     if let Some(spread) = SharedSpread::from_bytes(bytes) {
         spread.0.zero(&Pose::default(), &[0.0; 6]);
     }
     read(bytes);
-    let Ok(Value::Object(fields)) = serde_json::from_slice(bytes) else { return };
+    let Ok(fields @ Value::Object(_)) = serde_json::from_slice(bytes) else { return };
     let mut record = COMPLETE.clone();
-    for (name, value) in fields {
-        record[name] = value;
-    }
+    replace(&mut record, fields);
     read(record.to_string().as_bytes());
 });
 
-fn read(text: &[u8]) {
+/// Replaces fields at any depth.
+fn replace(old: &mut Value, new: Value) {
+    match (old, new) {
+        (Value::Object(old), Value::Object(new)) => {
+            for (name, value) in new {
+                replace(old.entry(name).or_insert(Value::Null), value);
+            }
+        }
+        (old, new) => *old = new,
+    }
+}
+
+/// What the record says of its range, if it is accepted.
+fn read(text: &[u8]) -> Option<RangeUncertainty> {
     let mut file = tempfile::NamedTempFile::new().expect("a file");
     file.write_all(text).expect("room");
     let _ = RecordHeader::open(file.path());
     let _ = SharedSpread::open(file.path());
-    let Ok(record) = Record::open(file.path()) else { return };
-    let Ok(calibration) = record.calibration() else { return };
+    let record = Record::open(file.path()).ok()?;
+    let calibration = record.calibration().ok()?;
     let _ = (calibration.base_and_tool(), calibration.deviations());
     let _ = calibration.correction(0, [1e-3, -1e-3]);
     let range = [record.header.range_mm * 1e-3, record.header.range_mrad * 1e-3];
-    let _ = calibration.range_uncertainty(range[0], range[1], 2);
+    calibration.range_uncertainty(range[0], range[1], 2)
 }
 
 fn complete() -> Value {
