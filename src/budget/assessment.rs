@@ -30,6 +30,10 @@ pub trait PoseCovariance {
     /// reach.
     fn relative_to(&self, tare: &Pose, poses: &[Pose]) -> Option<Vec<Matrix6<f64>>>;
 
+    /// The PSDs on which the spot of a pose of the mirror, in the sensor's world frame, lies outside of the readings
+    /// of the calibration.
+    fn uncovered(&self, pose: &Pose) -> Vec<char>;
+
     /// The table of the reference, in the frame of the mirror.
     fn table(&self) -> Rigid;
 
@@ -79,6 +83,8 @@ pub struct Assessment {
     pub not_covered: Vec<NotCovered>,
     /// Effects that do not matter, and why.
     pub notes: Vec<String>,
+    /// The PSDs on which the spot lies outside of the readings of the calibration.
+    pub uncovered: Vec<char>,
     /// Whether it covers the geometry of the head: by a calibration record, or as configured.
     pub geometry: Geometry,
     /// Why the head does not count as calibrated.
@@ -142,12 +148,22 @@ impl Basis<'_> {
         let inputs = inputs.into_iter().map(|(input, _)| input).collect();
         let configured =
             groups.iter().any(|group| group.inputs.iter().any(|(_, e)| matches!(e, Effect::Pose(_))));
+        let sensor = measurement.sensor_pose(Moment::Pose);
+        let uncovered = self.calibration.map_or(Vec::new(), |calibration| calibration.uncovered(&sensor));
+        let mut notes = self.components.notes.clone();
+        if !uncovered.is_empty() {
+            let psds = uncovered.iter().map(char::to_string).collect::<Vec<_>>().join(", ");
+            notes.push(format!(
+                "The calibration does not cover this pose: the spot on PSD {psds} lies outside of its readings."
+            ));
+        }
         Ok(Assessment {
             pose: *pose,
+            uncovered,
             budget: Budget::new(inputs, sensitivities, correlation)?,
             groups,
             not_covered: self.components.not_covered.clone(),
-            notes: self.components.notes.clone(),
+            notes,
             geometry: match (self.calibration.is_some(), configured) {
                 (true, _) => Geometry::Calibrated,
                 (false, true) => Geometry::Configured,
@@ -211,7 +227,7 @@ impl Basis<'_> {
 
     /// The worst pose of a range: that with the largest sum over the six measurands of their variances, each relative
     /// to that at the tare. Searched among the 64 corners, the middle, the 12 ends of the axes, and 200 poses at random
-    /// with a fixed seed. Also the largest standard uncertainty of each measurand, and the pose where it occurs.
+    /// with a fixed seed. Poses that the calibration does not cover are left out, and a note counts them. Also the largest standard uncertainty of each measurand, and the pose where it occurs.
     ///
     /// # Errors
     /// A pose of the range is outside the range of the sensor.
@@ -220,7 +236,10 @@ impl Basis<'_> {
         let at_tare: [f64; 6] = std::array::from_fn(|j| middle.budget.standard_uncertainty(j));
         let mut largest = at_tare.map(|u| (u, Pose::default()));
         let mut worst = (0.0, middle);
-        for assessment in self.assess_all(&candidates(range))? {
+        let all = self.assess_all(&candidates(range))?;
+        let count = all.len();
+        let (covered, outside): (Vec<_>, Vec<_>) = all.into_iter().partition(|a| a.uncovered.is_empty());
+        for assessment in covered {
             let mut size = 0.0;
             for (j, largest) in largest.iter_mut().enumerate() {
                 let u = assessment.budget.standard_uncertainty(j);
@@ -233,8 +252,22 @@ impl Basis<'_> {
                 worst = (size, assessment);
             }
         }
+        if !outside.is_empty() {
+            let corners = outside.iter().filter(|a| is_corner(&a.pose, range)).count();
+            worst.1.notes.push(format!(
+                "The calibration does not cover {} of the {count} poses searched, {corners} of them among the 64 corners of \
+                 the range. They are left out of the search: the budget does not hold there.",
+                outside.len()
+            ));
+        }
         Ok((worst.1, largest))
     }
+}
+
+/// Whether a pose is at an end of the range in all axes.
+fn is_corner(pose: &Pose, [metres, radians]: [f64; 2]) -> bool {
+    let ends = [metres, metres, metres, radians, radians, radians];
+    pose.to_array().iter().zip(ends).all(|(x, end)| x.abs() >= end)
 }
 
 /// The poses among which the worst one is searched.

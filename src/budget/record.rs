@@ -42,6 +42,15 @@ impl PoseCovariance for Recorded {
         covariances.into_iter().collect()
     }
 
+    fn uncovered(&self, pose: &Pose) -> Vec<char> {
+        let table = Pose::from(&(self.base * Rigid::from(pose) * self.tool));
+        let Some(reading) = self.calibration.reading(&table) else { return vec!['A', 'B', 'C'] };
+        let lattices = &self.calibration.layout.lattices;
+        let outside =
+            |psd: &usize| !lattices[*psd].covers([reading.spots[2 * psd], reading.spots[2 * psd + 1]]);
+        (0..3).filter(outside).map(|psd| ['A', 'B', 'C'][psd]).collect()
+    }
+
     fn table(&self) -> Rigid {
         self.tool
     }

@@ -121,6 +121,10 @@ impl PoseCovariance for Record {
         Some(poses.iter().map(one).collect())
     }
 
+    fn uncovered(&self, _: &Pose) -> Vec<char> {
+        Vec::new()
+    }
+
     fn table(&self) -> Rigid {
         Rigid::identity()
     }
