@@ -46,9 +46,11 @@ pub(crate) fn info(args: &InfoArgs) -> anyhow::Result<()> {
     }
     match worst {
         None => Ok(()),
-        Some(code) => {
-            Err(Failure::new(code, format!("{broken} of {} files are not complete", args.files.len())).into())
-        }
+        Some(code) => Err(Failure::new(
+            code,
+            format!("{broken} of {} files are not complete, or cannot be read", args.files.len()),
+        )
+        .into()),
     }
 }
 

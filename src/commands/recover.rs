@@ -68,7 +68,7 @@ fn child(file: &Path, out: &Path) -> anyhow::Result<()> {
         return Err(Failure::new(exit::DATA, message).into());
     }
     new.keep()?;
-    print_summary(tally, &saved);
+    print_summary(out, tally, &saved);
     Ok(())
 }
 
@@ -119,10 +119,11 @@ fn gaps(
 }
 
 /// Prints what was saved and what was lost.
-fn print_summary(tally: &Tally, saved: &Saved) {
+fn print_summary(out: &Path, tally: &Tally, saved: &Saved) {
     let count = |topic: Topic| saved[topic as usize];
     eprintln!(
-        "saved {} samples, {} frames, {} valid poses, {:.3} s",
+        "saved in {}: {} samples, {} frames, {} valid poses, {:.3} s",
+        out.display(),
         count(Topic::Sample),
         count(Topic::Frame),
         count(Topic::Pose),

@@ -5,7 +5,8 @@ use std::sync::OnceLock;
 
 use crate::testkit::{self, Done, Folder, run};
 
-/// The rough head of the example, with a laser that does not drift.
+/// The rough head of the example, with a laser that does not drift, with the axes of the stage along those of the head,
+/// which free motion does not tell, and with a steering whose matrix was measured before.
 fn head() -> String {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/real-head.toml");
     let mut text = std::fs::read_to_string(file).unwrap();
@@ -13,6 +14,9 @@ fn head() -> String {
         ("pointing_um = 0.1               # slow", "pointing_um = 0.0               # slow"),
         ("warm_up_k = 0.1", "warm_up_k = 0.0"),
         ("swing_k = 0.03", "swing_k = 0.0"),
+        ("stage_turn_mrad = 10.0", "stage_turn_mrad = 0.0"),
+        ("stage_lever_mm = 2.0 ", "stage_lever_mm = 0.0 "),
+        ("[steering]  ", "[steering]\nmatrix = [[0.985, 0.02], [-0.015, 1.01]]\n#"),
     ] {
         assert!(text.contains(from), "{from}");
         text = text.replace(from, to);
@@ -109,4 +113,62 @@ fn what_free_motion_and_scans_cannot_tell_is_refused_with_advice() {
         }
         assert!(!out.exists(), "nothing is written");
     }
+}
+
+const POSE: [&str; 6] = ["tx_m", "ty_m", "tz_m", "roll_rad", "pitch_rad", "yaw_rad"];
+
+/// Columns of a table, by row.
+fn columns(table: &str, names: &[String]) -> Vec<Vec<f64>> {
+    let mut table = csv::Reader::from_reader(table.as_bytes());
+    let header = table.headers().unwrap().clone();
+    let places: Vec<usize> = names.iter().map(|n| header.iter().position(|h| h == n).unwrap()).collect();
+    let row = |row: csv::StringRecord| places.iter().map(|i| row[*i].parse().unwrap()).collect();
+    table.records().map(|record| row(record.unwrap())).collect()
+}
+
+fn named(prefix: &str) -> Vec<String> {
+    POSE.map(|name| format!("{prefix}{name}")).to_vec()
+}
+
+/// Errors of the poses of the free motion relative to the first one, against the truth of the twin, and their stated
+/// standard uncertainties by the calibration, if there is one.
+fn errors(config: &Path) -> (Vec<Vec<f64>>, Vec<Vec<f64>>) {
+    let mut solve = testkit::trifacet(&["solve", "--readings", "--frames", "--tare-row", "1", "--sigma"]);
+    let solved = run(solve.arg("--config").arg(config).arg(measured().path("free.csv")));
+    assert_eq!(solved.code, 0, "{}", solved.err);
+    let found = columns(&solved.out, &named(""));
+    let calibrated = solved.out.contains("cal_std_");
+    let stated = if calibrated { columns(&solved.out, &named("cal_std_")) } else { vec![Vec::new()] };
+    let truth = columns(&std::fs::read_to_string(measured().path("run/points.csv")).unwrap(), &named("ref_"));
+    assert_eq!(found.len(), truth.len());
+    // The truth is relative to a pose at which all angles are zero within the noise of the reference.
+    let error = |k: usize| (0..6).map(|i| found[k][i] - (truth[k][i] - truth[0][i])).collect();
+    ((1..found.len()).map(error).collect(), stated[1..].to_vec())
+}
+
+fn rms<'a>(rows: impl IntoIterator<Item = &'a Vec<f64>>, axes: std::ops::Range<usize>) -> f64 {
+    let squares: Vec<f64> =
+        rows.into_iter().flat_map(|row| row[axes.clone()].to_vec()).map(|x| x * x).collect();
+    (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+}
+
+#[test]
+fn free_motion_and_scans_with_a_known_scale_give_poses_within_their_stated_uncertainty() {
+    let folder = Folder::new();
+    let out = folder.path("calibrated");
+    let done = fit("free.csv", true, &out, &["--steering-scale-percent", "0.1"]);
+    assert_eq!(done.code, 0, "{}", done.err);
+    let (errors, stated) = self::errors(&out.join("trifacet.toml"));
+    let (before, _) = self::errors(&measured().path("head.toml"));
+    for (axes, unit) in [(0..3, "um"), (3..6, "urad")] {
+        let [error, known, nominal] =
+            [(&errors), (&stated), (&before)].map(|rows| rms(rows, axes.clone()) * 1e6);
+        println!("{unit}: error {error:.2}, stated {known:.2}, nominal head {nominal:.2}");
+        assert!(error < nominal / 2.0, "{unit}: {error} {nominal}");
+        assert!((0.2..1.6).contains(&(error / known)), "{unit}: {error} {known}");
+    }
+    // Errors are common to all poses, and so differ from head to head: no 95 % of them must be within 1.96 deviations.
+    let all = errors.iter().zip(&stated).flat_map(|(e, s)| e.iter().zip(s));
+    let within = all.clone().filter(|(e, s)| e.abs() < 3.0 * **s + 1e-7).count() as f64 / all.count() as f64;
+    assert!(within > 0.95, "{within}");
 }

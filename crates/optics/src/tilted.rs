@@ -2,7 +2,7 @@
 //!
 //! The direction of the light follows from where the beam goes, so that a pose has no further unknown. With the apex at
 //! `t` and the beam at `q` from it, in the plane through the apex across the nominal light, the direction from the pivot
-//! `c` is `unit(t + q - c)`. For this direction everything is as for a parallel beam: [`Parallel`] is the head, seen
+//! `c` is `unit(t + q - c)`. For this direction everything is as for a parallel beam: `Parallel` is the head, seen
 //! along the actual light.
 //!
 //! The solver finds the direction `l` by Newton's method in its two components. For a given direction, the solver of a
