@@ -227,7 +227,8 @@ impl Basis<'_> {
 
     /// The worst pose of a range: that with the largest sum over the six measurands of their variances, each relative
     /// to that at the tare. Searched among the 64 corners, the middle, the 12 ends of the axes, and 200 poses at random
-    /// with a fixed seed. Poses that the calibration does not cover are left out, and a note counts them. Also the largest standard uncertainty of each measurand, and the pose where it occurs.
+    /// with a fixed seed. Poses that the calibration does not cover are left out, and a note counts them. Also the
+    /// largest standard uncertainty of each measurand, and the pose where it occurs.
     ///
     /// # Errors
     /// A pose of the range is outside the range of the sensor.
@@ -256,7 +257,7 @@ impl Basis<'_> {
             let corners = outside.iter().filter(|a| is_corner(&a.pose, range)).count();
             worst.1.notes.push(format!(
                 "The calibration does not cover {} of the {count} poses searched, {corners} of them among the 64 corners of \
-                 the range. They are left out of the search: the budget does not hold there.",
+                 the range. They are left out of the search: the uncertainty there rests on extrapolation.",
                 outside.len()
             ));
         }

@@ -137,6 +137,29 @@ fn frames_state_the_uncertainty_of_the_budget_and_binary_ones_its_random_part_if
 }
 
 #[test]
+fn the_worst_pose_of_a_range_is_one_that_the_calibration_covers() {
+    let folder = Folder::new();
+    let config = calibrated(&folder); // over a tenth of a millimetre
+    let budget = |options: &[&str]| {
+        let all = [&["budget", "--trials", "0", "--format", "json"], options].concat();
+        let done = run(trifacet(&all).arg("--config").arg(&config));
+        assert_eq!(done.code, 0, "{}", done.err);
+        serde_json::from_str::<Value>(&done.out).unwrap()
+    };
+    let note = "The calibration does not cover";
+    let notes = |budget: &Value| budget["notes"].to_string();
+    let small = budget(&["--range", "0.05,0.2"]);
+    assert!(!notes(&small).contains(note), "{}", notes(&small));
+    let wide = budget(&["--range", "1,5"]);
+    assert!(notes(&wide).contains("poses searched, "), "{}", notes(&wide));
+    let outside = budget(&["--pose=1000,1000,1000,5000,5000,5000"]);
+    assert!(notes(&outside).contains("does not cover this pose: the spot on PSD "), "{}", notes(&outside));
+    // Beyond the readings, the share of the calibration explodes.
+    let [wide, outside] = [&wide, &outside].map(|budget| number(&budget["measurands"][0], "u_c"));
+    assert!(wide < outside, "{wide} {outside}");
+}
+
+#[test]
 fn a_recording_contains_the_systematic_part_and_its_replay_repeats_it() {
     let folder = Folder::new();
     let config = calibrated(&folder);
