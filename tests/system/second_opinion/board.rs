@@ -93,7 +93,8 @@ impl Board {
 
     /// A daemon with this board. `config` does not contain `[acquisition]`.
     pub(crate) fn daemon(&self, config: &str) -> Daemon {
-        Daemon::on_port(&self.home.path("board"), config)
+        // On a busy machine, the kernel moves the bytes of a pseudo-terminal late: this must not end the daemon.
+        Daemon::on_port(&self.home.path("board"), &format!("realtime.stall_ms = 60000\n{config}"))
     }
 
     /// The truth of the sample in a frame.
